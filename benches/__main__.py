@@ -1,6 +1,8 @@
-"""Print the speed of the core beside plain NumPy/SciPy doing the same work, and what a user waits for.
+"""Print the speed of the core beside plain NumPy/SciPy doing the same work, and what a user waits
+for.
 
-Ratios are medians of alternating runs in this one process; the machine and the versions stand above them.
+Ratios are medians of alternating runs in this one process; the machine and the versions stand above
+them.
 """
 
 from __future__ import annotations
@@ -39,10 +41,20 @@ def main() -> int:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="leave out what takes minutes: the 41×41 sweep, whole diagnoses, 1000 frames, the trunk robot's table",
+        help=(
+            "leave out what takes minutes: the 41×41 sweep, whole diagnoses, 1000 frames, the "
+            "trunk robot's table"
+        ),
     )
     args = parser.parse_args()
-    rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), table_against_simulator()]
+    rows = [
+        newton_step(),
+        rollouts(),
+        elastic_rod(),
+        equilibrium(),
+        imports(),
+        table_against_simulator(),
+    ]
     rows += [elastic_fit(), *geometry.rows(args.quick), *loop.rows(args.quick)]
     rows += [*network.rows(), *inverse.rows(), *level.rows(), *teleop.rows()]
     if not args.quick:
@@ -65,7 +77,9 @@ def main() -> int:
 
 
 def trunk() -> None:
-    """Print how well the rod predicts a real robot beside general regressors, where its logs are."""
+    """Print how well the rod predicts a real robot beside general regressors, where its logs
+    are.
+    """
     from benches.data import find
     from benches.trunk import print_table
     from benches.trunk_load import FREE, read
@@ -75,7 +89,9 @@ def trunk() -> None:
         print("trunk robot: not run: no data; `make data` brings the logs")
         return
     print(
-        "\ntrunk robot, unloaded, five blocks 2 s apart (`python -m benches.trunk` goes on with the load)", flush=True
+        "\ntrunk robot, unloaded, five blocks 2 s apart (`python -m benches.trunk` goes on with "
+        "the load)",
+        flush=True,
     )
     print_table(read(folder, FREE))
 
@@ -113,12 +129,16 @@ def rollouts() -> dict[str, object]:
     chain = _core.Chain(EFFECTS, 2)
     params = np.asarray(chain.start) * rng.uniform(0.9, 1.1, (51, len(chain.start)))
     own = numbers(chain, params)
-    ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*own, u, t))
+    ours_s, peer_s = side_by_side(
+        lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*own, u, t)
+    )
     return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
 
 
 def nine_tendons():
-    """The robot of examples/tdcr_robot.toml and 1600 commands that draw in and pay out all its tendons."""
+    """The robot of examples/tdcr_robot.toml and 1600 commands that draw in and pay out all its
+    tendons.
+    """
     robot = Robot.load(Path(__file__).parents[1] / "examples/tdcr_robot.toml")
     t = np.arange(1600) * 0.5
     return robot, t, 6.0 * np.sin((0.1 + 0.037 * np.arange(robot.layout.channels)) * t[:, None])
@@ -129,8 +149,12 @@ def elastic_rod() -> dict[str, object]:
     robot, _, u = nine_tendons()
     layout = robot.layout
     rod, places = layout.compiled(robot.start), layout.places()
-    ours_s, peer_s = side_by_side(lambda: rod.evaluate(u), lambda: peer_markers(robot.start, places, layout.ends, u))
-    return ratio("1600 equilibria of an elastic rod, nine cables", ours_s, peer_s, "NumPy", "aim ≥ 4")
+    ours_s, peer_s = side_by_side(
+        lambda: rod.evaluate(u), lambda: peer_markers(robot.start, places, layout.ends, u)
+    )
+    return ratio(
+        "1600 equilibria of an elastic rod, nine cables", ours_s, peer_s, "NumPy", "aim ≥ 4"
+    )
 
 
 def elastic_fit() -> dict[str, object]:
@@ -144,7 +168,12 @@ def elastic_fit() -> dict[str, object]:
     start = time.perf_counter()
     learn(run, robot=robot)
     name = "learn an elastic rod, 1600 frames, 17 numbers"
-    return {"name": name, "value": time.perf_counter() - start, "unit": "s", "wanted": "wanted ≤ 30"}
+    return {
+        "name": name,
+        "value": time.perf_counter() - start,
+        "unit": "s",
+        "wanted": "wanted ≤ 30",
+    }
 
 
 def equilibrium() -> dict[str, object]:
@@ -166,11 +195,18 @@ def full_sweep() -> dict[str, object]:
     axis = np.linspace(-16, 16, 41)
     start = time.perf_counter()
     Simulator(Finger.builtin()).sweep([axis, axis])
-    return {"name": "sweep 41 × 41", "value": time.perf_counter() - start, "unit": "s", "wanted": "aim ≤ 45"}
+    return {
+        "name": "sweep 41 × 41",
+        "value": time.perf_counter() - start,
+        "unit": "s",
+        "wanted": "aim ≤ 45",
+    }
 
 
 def million_rows() -> dict[str, object]:
-    """`softmap import` of a log of a million rows and 17 columns; `python -m benches.import_rows` tells its memory."""
+    """`softmap import` of a log of a million rows and 17 columns; `python -m benches.import_rows`
+    tells its memory.
+    """
     from benches.import_rows import measure, write_log
 
     with tempfile.TemporaryDirectory() as name:
@@ -196,7 +232,9 @@ def imports() -> dict[str, object]:
 
 
 def table_against_simulator() -> dict[str, object]:
-    """Mean vertex error of the built-in table at commands off its grid, against the simulator on the same mesh."""
+    """Mean vertex error of the built-in table at commands off its grid, against the simulator on
+    the same mesh.
+    """
     model, rng = builtin_model(), np.random.default_rng(7)
     low, high = model.command_range.T
     commands = rng.uniform(low, high, (40, model.channels))

@@ -1,12 +1,15 @@
-"""Print every number of docs/learn/beam.md: a silicone beam that nothing commands, under its weight, 52 g and 101 g.
+"""Print every number of docs/learn/beam.md: a silicone beam that nothing commands, under its
+weight, 52 g and 101 g.
 
-The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements with it. `drop` is
-the mean of the three tip markers along gravity (mm), `rotation` that of the plate that carries them (degrees), both
-from where a hand held the beam straight. The verdicts are `softmap diagnose` with the table of the fitted beam, which
-is not told that anything hangs there. `Ring` is what the beam does after the hand lets go: its frequency, and the
-weight at the tip that goes with it,
+The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements
+with it. `drop` is the mean of the three tip markers along gravity (mm), `rotation` that of the
+plate that carries them (degrees), both from where a hand held the beam straight. The verdicts are
+`softmap diagnose` with the table of the fitted beam, which is not told that anything hangs there.
+`Ring` is what the beam does after the hand lets go: its frequency, and the weight at the tip that
+goes with it,
 
-    m = k/ω² − k₀/ω₀²      k stiffness (N/m) of the tip along its way about the pose with the weight, ω = 2π f
+    m = k/ω² − k₀/ω₀²      k stiffness (N/m) of the tip along its way about the pose with the
+                           weight, ω = 2π f
 
 index 0 without the weight.
 
@@ -27,7 +30,16 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benches.data import ROOT, find_or_say
-from softmap_edge import Diagnosis, Finger, Run, Simulator, build_model, diagnose, import_logs, read_mapping
+from softmap_edge import (
+    Diagnosis,
+    Finger,
+    Run,
+    Simulator,
+    build_model,
+    diagnose,
+    import_logs,
+    read_mapping,
+)
 from softmap_edge.fem.fit import FingerFit, fit_finger
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.geometry.sections import attach
@@ -38,7 +50,8 @@ LOADS_G = {"gravity_V2_a": 0.0, "gravity_V2_b": 0.0, "load52_V2_a": 52.0, "load1
 FITTED = "gravity_V2_a"
 NEWTON_PER_G = 9.80665e-3
 PROBE_G = 2.0  # to both sides, over which the stiffness of the tip is taken
-RINGS_FROM_S = (0.2, 0.4, 0.6)  # after the release: three stretches, whose spread is the uncertainty
+# after the release: three stretches, whose spread is the uncertainty
+RINGS_FROM_S = (0.2, 0.4, 0.6)
 
 
 @dataclass(frozen=True)
@@ -60,9 +73,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Ring:
-    """How a recording rings: frequency Hz, tip stiffness N/m, weight g that these tell, with one standard deviation.
+    """How a recording rings: frequency Hz, tip stiffness N/m, weight g that these tell, with one
+    standard deviation.
 
-    `alike_hz` is what a beam would ring at that drops as far because it is softer or heavier all along.
+    `alike_hz` is what a beam would ring at that drops as far because it is softer or heavier all
+    along.
     """
 
     run: str
@@ -102,7 +117,9 @@ def rows(beam: Finger, runs: dict[str, Run]) -> list[Row]:
 
 
 def frequency(run: Run, down: Floats) -> tuple[float, float]:
-    """Return frequency and standard deviation (Hz) of what decays on top of a slow creep, after the release."""
+    """Return frequency and standard deviation (Hz) of what decays on top of a slow creep, after the
+    release.
+    """
     drop = ((np.asarray(run.markers) - np.asarray(run.marker_rest)) @ down).mean(axis=1)
     t = run.t_seen - run.t_seen[int(np.argmax(drop > 0.5 * drop[-1]))]
     found = []
@@ -110,17 +127,24 @@ def frequency(run: Run, down: Floats) -> tuple[float, float]:
         late = t > start
 
         def left(x: Floats, t: Floats = t[late] - start, drop: Floats = drop[late]) -> Floats:
-            rings = np.exp(-t / x[1]) * np.array([np.cos(2 * np.pi * x[0] * t), np.sin(2 * np.pi * x[0] * t)])
+            rings = np.exp(-t / x[1]) * np.array(
+                [np.cos(2 * np.pi * x[0] * t), np.sin(2 * np.pi * x[0] * t)]
+            )
             columns = np.stack([np.ones_like(t), np.log1p(t), *rings], axis=1)
             return np.asarray(drop - columns @ np.linalg.lstsq(columns, drop, rcond=None)[0])
 
-        fits = [least_squares(left, [f, 0.4], bounds=([0.5, 0.05], [20.0, 5.0])) for f in np.arange(2.0, 12.0, 0.5)]
+        fits = [
+            least_squares(left, [f, 0.4], bounds=([0.5, 0.05], [20.0, 5.0]))
+            for f in np.arange(2.0, 12.0, 0.5)
+        ]
         found.append(float(min(fits, key=lambda fit: fit.cost).x[0]))
     return float(np.mean(found)), float(np.std(found, ddof=1))
 
 
 def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[Ring]:
-    """Return what the ringing of every recording tells, with the modulus that the beam's own weight shows."""
+    """Return what the ringing of every recording tells, with the modulus that the beam's own weight
+    shows.
+    """
     solid, down, found = Simulator(fit.finger), np.array(fit.finger.gravity), []
     softer = fit.numbers["young_mpa"].sigma / fit.finger.young_mpa
     none: tuple[float, float, float] | None = None  # m, Hz and drop without a load
@@ -128,8 +152,11 @@ def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[R
         rest = np.asarray(run.marker_rest)
         carry = attach(rest, solid.template.vertices)
         loads = [(LOADS_G[name] + more) * NEWTON_PER_G * down for more in (-PROBE_G, PROBE_G)]
-        low, high = ((carry @ solid.path(np.zeros((1, 0)), load=load)[0]).mean(axis=0) for load in loads)
-        way = high - low  # mm; a beam that hangs low swings aside as well, which the weight takes part in
+        low, high = (
+            (carry @ solid.path(np.zeros((1, 0)), load=load)[0]).mean(axis=0) for load in loads
+        )
+        # mm; a beam that hangs low swings aside as well, which the weight takes part in
+        way = high - low
         stiffness = 2.0 * PROBE_G * NEWTON_PER_G * float(way @ down) / float(way @ way) * 1000.0
         hertz, spread = frequency(whole[name], down)
         drop = float(((np.nanmean(np.asarray(run.markers), axis=0) - rest) @ down).mean())
@@ -137,13 +164,19 @@ def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[R
         none = none or (moving, hertz, drop)
         grams = moving - none[0]
         sigma = float(np.hypot(grams * softer, 2.0 * moving * spread / hertz))
-        found.append(Ring(name, hertz, stiffness, grams, sigma, none[1] * float(np.sqrt(none[2] / drop))))
+        found.append(
+            Ring(name, hertz, stiffness, grams, sigma, none[1] * float(np.sqrt(none[2] / drop)))
+        )
     return found
 
 
 def turn(rest: Floats, points: Floats) -> float:
     """Return by how many degrees points (M, 3) mm turned."""
-    return float(np.degrees(np.linalg.norm(rotation_vector(kabsch(rest, points, np.ones(len(rest))).rotation))))
+    return float(
+        np.degrees(
+            np.linalg.norm(rotation_vector(kabsch(rest, points, np.ones(len(rest))).rotation))
+        )
+    )
 
 
 def verdicts(beam: Finger, runs: dict[str, Run]) -> dict[str, Diagnosis]:
@@ -174,13 +207,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(fit, end="\n\n")
     for row in table:
         print(
-            f"{row.run:<14} {row.load_g:5.0f} g   drop {row.drop:5.2f}, predicted {row.drop_predicted:5.2f} mm "
-            f"({row.off:+.1%})   rotation {row.rotation:4.1f}, predicted {row.rotation_predicted:4.1f} deg"
+            f"{row.run:<14} {row.load_g:5.0f} g   drop {row.drop:5.2f}, predicted "
+            f"{row.drop_predicted:5.2f} mm ({row.off:+.1%})   rotation {row.rotation:4.1f}, "
+            f"predicted {row.rotation_predicted:4.1f} deg"
         )
     for ring in rung:
         print(
-            f"{ring.run:<14} rings at {ring.frequency_hz:.2f} Hz (softer or heavier all along: {ring.alike_hz:.2f}), "
-            f"tip {ring.stiffness:.1f} N/m: {ring.grams:.1f} ± {ring.sigma_g:.1f} g at the tip"
+            f"{ring.run:<14} rings at {ring.frequency_hz:.2f} Hz (softer or heavier all along: "
+            f"{ring.alike_hz:.2f}), tip {ring.stiffness:.1f} N/m: {ring.grams:.1f} ± "
+            f"{ring.sigma_g:.1f} g at the tip"
         )
     for name, found in said.items():
         print(f"\n{name}: {found}")

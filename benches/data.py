@@ -1,4 +1,6 @@
-"""Where the public recordings and meshes lie that some benchmarks and pages are made from (`make data`)."""
+"""Where the public recordings and meshes lie that some benchmarks and pages are made from (`make
+data`).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def find(name: str) -> Path | None:
     """Return the folder of one data set (`trunk`, `tdcr`, `beam`, `moe_finger`), or None."""
-    return next((p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None)
+    return next(
+        (p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None
+    )
 
 
 def find_or_say(name: str) -> Path | None:

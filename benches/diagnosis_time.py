@@ -1,9 +1,11 @@
-"""What a diagnosis over the whole library takes on one core: processor time and peak memory, in a fresh process.
+"""What a diagnosis over the whole library takes on one core: processor time and peak memory, in a
+fresh process.
 
-`python -m benches.diagnosis_time [--profile]` prints the rows of `make bench`, with `--profile` what took it.
-The fingers are solved frame by frame (benches do not diagnose their own model), once for each: minutes. The trunk's
-log is the real one where it lies, else a made one as long: three segments of constant curvature, 15 000 rows at
-100 Hz, six channels, three markers five times as seldom, a load that bends it.
+`python -m benches.diagnosis_time [--profile]` prints the rows of `make bench`, with `--profile`
+what took it. The fingers are solved frame by frame (benches do not diagnose their own model), once
+for each: minutes. The trunk's log is the real one where it lies, else a made one as long: three
+segments of constant curvature, 15 000 rows at 100 Hz, six channels, three markers five times as
+seldom, a load that bends it.
 """
 
 from __future__ import annotations
@@ -59,12 +61,18 @@ def rows(profile: bool = False) -> Iterator[dict[str, object]]:
         for what, (hidden, wanted) in FINGERS.items():
             hide(hidden, 1).measure(standard_protocol()).save(folder / "run.npz")
             found = alone(folder / "finger", folder / "run.npz", profile)
-            yield row(f"diagnosis of {what}, {found['frames']} frames", found, f"wanted ≤ {wanted:g}")
+            yield row(
+                f"diagnosis of {what}, {found['frames']} frames", found, f"wanted ≤ {wanted:g}"
+            )
         model, run, source = log()
         save_bundle(model, folder / "trunk")
         run.save(folder / "log.npz")
         found = alone(folder / "trunk", folder / "log.npz", profile)
-        yield row(f"diagnosis of {found['rows']} rows × 6, {source}", found, f"wanted ≤ {LOG_S:g}, ≤ {LOG_MB:g} MB")
+        yield row(
+            f"diagnosis of {found['rows']} rows × 6, {source}",
+            found,
+            f"wanted ≤ {LOG_S:g}, ≤ {LOG_MB:g} MB",
+        )
 
 
 def row(name: str, found: dict[str, object], wanted: str) -> dict[str, object]:
@@ -78,7 +86,9 @@ def alone(bundle: Path, run: Path, profile: bool) -> dict[str, object]:
     """Diagnose in a process of its own, on one core where the system can tie it to one."""
     environment = os.environ | {"RAYON_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     argv = [sys.executable, "-c", CHILD, str(bundle), str(run), "profile" if profile else "plain"]
-    done = subprocess.run(argv, env=environment, stdout=subprocess.PIPE, text=True, check=True, preexec_fn=_one_core)
+    done = subprocess.run(
+        argv, env=environment, stdout=subprocess.PIPE, text=True, check=True, preexec_fn=_one_core
+    )
     return json.loads(done.stdout)
 
 
@@ -104,14 +114,28 @@ def made(sag_mm: float) -> Run:
     t = np.arange(15_000) * 0.01
     waves = 2 * np.pi * t[:, None, None] * rng.uniform(0.05, 0.3, (6, 4))
     u = 12.0 * np.sin(waves + rng.uniform(0, 6, (6, 4))).mean(axis=2)
-    angle = np.cumsum(u.reshape(-1, 3, 2) / 30.0, axis=1)  # rad about y and x, at the end of each segment
+    # rad about y and x, at the end of each segment
+    angle = np.cumsum(u.reshape(-1, 3, 2) / 30.0, axis=1)
     before = np.concatenate([np.zeros((len(t), 1, 2)), angle[:, :-1]], axis=1)
     middle = 0.5 * (angle + before)
-    step = 100.0 * np.stack([np.sin(middle[..., 0]), np.sin(middle[..., 1]), np.ones(middle.shape[:2])], axis=-1)
+    step = 100.0 * np.stack(
+        [np.sin(middle[..., 0]), np.sin(middle[..., 1]), np.ones(middle.shape[:2])], axis=-1
+    )
     step *= 100.0 / np.linalg.norm(step, axis=-1, keepdims=True)
-    places = np.cumsum(step, axis=1) - sag_mm * (np.arange(1, 4)[:, None] / 3) ** 2 * [1.0, 0.0, 0.0]
+    places = np.cumsum(step, axis=1) - sag_mm * (np.arange(1, 4)[:, None] / 3) ** 2 * [
+        1.0,
+        0.0,
+        0.0,
+    ]
     markers = places[::5] + 0.3 * rng.normal(size=(3000, 3, 3))
-    return Run(t=t, command=u, t_seen=t[::5], markers=markers, gravity=np.array([0.0, 0.0, 1.0]), robot="made trunk")
+    return Run(
+        t=t,
+        command=u,
+        t_seen=t[::5],
+        markers=markers,
+        gravity=np.array([0.0, 0.0, 1.0]),
+        robot="made trunk",
+    )
 
 
 if __name__ == "__main__":

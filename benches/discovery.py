@@ -1,14 +1,19 @@
-"""Discovery in two levels on the built-in finger: what is named, what is left open, what stays silent.
+"""Discovery in two levels on the built-in finger: what is named, what is left open, what stays
+silent.
 
-`python -m benches.discovery [--jobs N] [--out FILE]` prints one table and each wrong answer; minutes. Runs are the
-standard protocol on the model itself, so the model has no error and only the laws differ. The laws are those of the
-bank (no formula of the library), and the library's own static effects. Each run is a pure function of its number.
+`python -m benches.discovery [--jobs N] [--out FILE]` prints one table and each wrong answer;
+minutes. Runs are the standard protocol on the model itself, so the model has no error and only the
+laws differ. The laws are those of the bank (no formula of the library), and the library's own
+static effects. Each run is a pure function of its number.
 
     map        48 smooth static maps: static, or within ordinary imperfections, and never identified
-    law        each static effect of the library: its name, or the name of one that moves this finger alike
+    law        each static effect of the library: its name, or the name of one that moves this
+               finger alike
     play       unequal play in two servos: named, each gap within 5 %
-    unknown    laws of memory, coupling, rate and temperature: the right family, and no name identified
-    strange    a hum, a body that bends irregularly, stick-slip, creep that grows with the temperature: flagged
+    unknown    laws of memory, coupling, rate and temperature: the right family, and no name
+               identified
+    strange    a hum, a body that bends irregularly, stick-slip, creep that grows with the
+               temperature: flagged
     null       noise, jitter and a gain that is off by a little: silent
 """
 
@@ -55,17 +60,34 @@ Floats = NDArray[np.float64]
 # RMS of the points by a hidden law; of a map, by the part that offsets and gains cannot represent.
 MOVES_MM = (0.6, 1.8)
 UNKNOWN: tuple[type[Law], ...] = (
-    FadingMemory, SpeedyPlay, Hooked, Stribeck, CrossTerm, RateSquare, RateBend, Bimetal, WarmPlay,
-)  # fmt: skip
+    FadingMemory,
+    SpeedyPlay,
+    Hooked,
+    Stribeck,
+    CrossTerm,
+    RateSquare,
+    RateBend,
+    Bimetal,
+    WarmPlay,
+)
 STRANGE: tuple[type[Law], ...] = (Hum, BendingNoise, StickSlip, WarmCreep)
 TURN_MM = 2.5  # radius of the eccentric spool: this protocol turns it one and a half times
 STATIC = ("static map", "coupling")
-GROUPS: dict[str, int] = {"map": 48, "law": 0, "play": 12, "unknown": 4 * len(UNKNOWN), "strange": 16, "null": 24}
+GROUPS: dict[str, int] = {
+    "map": 48,
+    "law": 0,
+    "play": 12,
+    "unknown": 4 * len(UNKNOWN),
+    "strange": 16,
+    "null": 24,
+}
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """A run with something hidden, and what judges the answer: None if it is right, else what is wrong with it."""
+    """A run with something hidden, and what judges the answer: None if it is right, else what is
+    wrong with it.
+    """
 
     name: str
     run: Run
@@ -76,7 +98,8 @@ def static_laws() -> tuple[str, ...]:
     """Return the static effects of the library that the built-in finger can show by its shape."""
     registry = {e["name"]: e for e in _core.effects()}
     members = {name for family in families() if family.kind == "static" for name in family.members}
-    apart = ("lens", "contact", "slack")  # need declared cameras or an obstacle, or are another form of the dead zone
+    # need declared cameras or an obstacle, or are another form of the dead zone
+    apart = ("lens", "contact", "slack")
     return tuple(name for name in registry if name in members and name not in apart)
 
 
@@ -84,25 +107,37 @@ def static_laws() -> tuple[str, ...]:
 
 
 def protocol_run(warm: bool = False) -> Run:
-    """Return the standard protocol in the finger's rest shape; with a room that warms by 9 K and cools again."""
+    """Return the standard protocol in the finger's rest shape; with a room that warms by 9 K and
+    cools again.
+    """
     model, shown = builtin_model(), standard_protocol(2)
     rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
     share = (shown.t - shown.t[0]) / np.ptp(shown.t)
     room = 20.0 + 9.0 * np.sin(np.pi * share) ** 2 if warm else None
     return Run(
-        shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot, temperature=room
+        shown.t,
+        shown.command,
+        shown.t_seen,
+        vertices=rest,
+        gravity=shown.gravity,
+        robot=model.robot,
+        temperature=room,
     )
 
 
 def measured(run: Run, points: Floats, rng: np.random.Generator, noise_mm: float = 0.25) -> Run:
     """Return a run with the points that a camera sees."""
-    return replace(run, vertices=Camera(vertex_mm=noise_mm).look(points, np.asarray(run.t_seen), rng))
+    return replace(
+        run, vertices=Camera(vertex_mm=noise_mm).look(points, np.asarray(run.t_seen), rng)
+    )
 
 
 def points_of(run: Run, law: Law, acting: Floats) -> Floats:
     """Return where a law on the commands moves the points (K, N, 3) mm."""
     record = Record(
-        run.t, acting, np.full(len(run.t), 20.0) if run.temperature is None else np.asarray(run.temperature)
+        run.t,
+        acting,
+        np.full(len(run.t), 20.0) if run.temperature is None else np.asarray(run.temperature),
     )
     return builtin_model().predict(replace(run, command=law.drive(record, acting)))
 
@@ -111,7 +146,9 @@ def strong(law: Law, run: Run, target_mm: float) -> Law:
     """Return a law that moves the points by `target_mm` RMS, or as far as it can."""
     plain = builtin_model().predict(run)
     for _ in range(6):
-        moved = float(np.sqrt(np.mean(np.sum((points_of(run, law, run.command) - plain) ** 2, axis=2))))
+        moved = float(
+            np.sqrt(np.mean(np.sum((points_of(run, law, run.command) - plain) ** 2, axis=2)))
+        )
         law = law.scaled(float(np.clip(target_mm / max(moved, 1e-3), 0.2, 5.0)))
     return law
 
@@ -122,9 +159,14 @@ def strong(law: Law, run: Run, target_mm: float) -> Law:
 def hidden(group: str, number: int) -> Hidden:
     """Return case `number` of a group."""
     rng = np.random.default_rng([31, list(GROUPS).index(group), number])
-    return {"map": _map, "law": _law, "play": _play, "unknown": _unknown, "strange": _strange, "null": _null}[group](
-        number, rng
-    )
+    return {
+        "map": _map,
+        "law": _law,
+        "play": _play,
+        "unknown": _unknown,
+        "strange": _strange,
+        "null": _null,
+    }[group](number, rng)
 
 
 def _map(number: int, rng: np.random.Generator) -> Hidden:
@@ -136,13 +178,19 @@ def _map(number: int, rng: np.random.Generator) -> Hidden:
             return None
         return identified(found) or family_of(found, STATIC)
 
-    return Hidden(f"{law.form} {np.round(law.amount, 3)}", measured(run, points_of(run, law, run.command), rng), wrong)
+    return Hidden(
+        f"{law.form} {np.round(law.amount, 3)}",
+        measured(run, points_of(run, law, run.command), rng),
+        wrong,
+    )
 
 
 def _law(number: int, rng: np.random.Generator) -> Hidden:
     run, name, model = protocol_run(), static_laws()[number], builtin_model()
     plain = model.predict(run)
-    rows = [row for effect in _core.effects() if effect["name"] == name for row in effect["parameters"]]
+    rows = [
+        row for effect in _core.effects() if effect["name"] == name for row in effect["parameters"]
+    ]
     like = alike(_core.effects(), orientations=2)[name] | {name}
 
     def seen(share: float) -> Floats:
@@ -161,14 +209,18 @@ def _law(number: int, rng: np.random.Generator) -> Hidden:
         return float(np.sqrt(np.mean(np.sum((seen(share) - plain) ** 2, axis=2))))
 
     target = rng.uniform(*MOVES_MM)
-    share = min((s for s in np.linspace(0.05, 1.0, 20)), key=lambda s: abs(moves(float(s)) - target))
+    share = min(
+        (s for s in np.linspace(0.05, 1.0, 20)), key=lambda s: abs(moves(float(s)) - target)
+    )
 
     def wrong(found: Diagnosis) -> str | None:
         named = {effect.name for effect in (*found.effects, *found.faults)}
         sure = found.verdict in ("identified", "ambiguous", "measurement_fault")
         return None if named and named <= like and sure else "another answer"
 
-    return Hidden(f"{name}, {moves(float(share)):.2f} mm", measured(run, seen(float(share)), rng), wrong)
+    return Hidden(
+        f"{name}, {moves(float(share)):.2f} mm", measured(run, seen(float(share)), rng), wrong
+    )
 
 
 def _play(number: int, rng: np.random.Generator) -> Hidden:
@@ -189,7 +241,9 @@ def _play(number: int, rng: np.random.Generator) -> Hidden:
 
 def _unknown(number: int, rng: np.random.Generator) -> Hidden:
     kind, run = UNKNOWN[number % len(UNKNOWN)], protocol_run(warm=True)
-    law: Law = CrossTerm.of(number // len(UNKNOWN), rng, 2) if kind is CrossTerm else kind.draw(rng, 2)
+    law: Law = (
+        CrossTerm.of(number // len(UNKNOWN), rng, 2) if kind is CrossTerm else kind.draw(rng, 2)
+    )
     law = strong(law, run, rng.uniform(*MOVES_MM))
 
     def wrong(found: Diagnosis) -> str | None:
@@ -217,7 +271,9 @@ def _null(number: int, rng: np.random.Generator) -> Hidden:
     points = builtin_model().predict(replace(run, command=run.command * off))
 
     def wrong(found: Diagnosis) -> str | None:
-        silent = found.verdict in ("nothing", "cannot_tell") and not found.effects and not found.faults
+        silent = (
+            found.verdict in ("nothing", "cannot_tell") and not found.effects and not found.faults
+        )
         return None if silent else "something is claimed"
 
     return Hidden("nothing", measured(run, points, rng, float(rng.choice([0.1, 0.25, 0.5]))), wrong)
@@ -242,11 +298,15 @@ def judged(case: tuple[str, int]) -> dict[str, Any]:
     one = hidden(*case)
     found = diagnose(builtin_model(), one.run)
     return {
-        "group": case[0], "number": case[1], "hidden": one.name, "verdict": found.verdict, "wrong": one.wrong(found),
+        "group": case[0],
+        "number": case[1],
+        "hidden": one.name,
+        "verdict": found.verdict,
+        "wrong": one.wrong(found),
         "families": [f"{family.name} ({family.law})" for family in found.families],
         "named": [effect.name for effect in (*found.effects, *found.faults)],
         "alternatives": [list(other.effects) for other in found.alternatives],
-    }  # fmt: skip
+    }
 
 
 def cases(groups: Sequence[str]) -> list[tuple[str, int]]:
@@ -264,21 +324,25 @@ def text(rows: Sequence[dict[str, Any]]) -> str:
         if some:
             low, high = wilson(right, len(some))
             sure = sum(row["verdict"] == "identified" for row in some)
-            lines.append(f"{group:<10}{right:>7}{len(some):>5}{f'{100 * low:.0f} to {100 * high:.0f}':>12}{sure:>12}")
+            lines.append(
+                f"{group:<10}{right:>7}{len(some):>5}{f'{100 * low:.0f} to {100 * high:.0f}':>12}{sure:>12}"
+            )
     for row in rows:
         if row["wrong"] is not None:
             lines.append(
-                f"{row['group']} {row['number']}: {row['hidden']}: {row['wrong']}; {row['verdict']}, "
-                f"{', '.join(row['families']) or 'no family'}; named {', '.join(row['named']) or 'nothing'}; "
-                f"or {row['alternatives']}"
+                f"{row['group']} {row['number']}: {row['hidden']}: {row['wrong']}; "
+                f"{row['verdict']}, {', '.join(row['families']) or 'no family'}; named "
+                f"{', '.join(row['named']) or 'nothing'}; or {row['alternatives']}"
             )
     return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="benches.discovery", description=__doc__.splitlines()[0])
-    parser.add_argument("--groups", default=",".join(GROUPS), help="some of the groups, with commas")
+    parser = argparse.ArgumentParser(prog="benches.discovery", description=__doc__.split("\n\n")[0])
+    parser.add_argument(
+        "--groups", default=",".join(GROUPS), help="some of the groups, with commas"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
     parser.add_argument("--out", type=Path, help="JSON lines of all answers")
     args = parser.parse_args(argv)

@@ -1,9 +1,10 @@
-"""Nearest points, as-rigid-as-possible steps and registration beside their peers: rows of `make bench`.
+"""Nearest points, as-rigid-as-possible steps and registration beside their peers: rows of `make
+bench`.
 
-They are the processor time of a process of its own with one thread, since libraries choose their threads as they are
-loaded. pykdtree (LGPL) and libigl (MPL 2.0, its copyleft parts left out) are installed for
-benchmarks alone, by the Makefile; a row whose peer is absent says so. Both sides are compared before they are timed.
-Pinned by tests/benches/test_benches.py.
+They are the processor time of a process of its own with one thread, since libraries choose their
+threads as they are loaded. pykdtree (LGPL) and libigl (MPL 2.0, its copyleft parts left out) are
+installed for benchmarks alone, by the Makefile; a row whose peer is absent says so. Both sides are
+compared before they are timed. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -46,18 +47,24 @@ def alone(threads: int, *arguments: str) -> str:
     """Return what this module prints with `arguments` in a process of so many threads."""
     command = [sys.executable, "-m", "benches.geometry", *arguments]
     root, env = Path(__file__).parents[1], os.environ | dict.fromkeys(THREADS, str(threads))
-    return subprocess.run(command, cwd=root, env=env, check=True, stdout=subprocess.PIPE, text=True).stdout
+    return subprocess.run(
+        command, cwd=root, env=env, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
 
 
 def frames() -> dict[str, object]:
     """1000 frames of 10 000 points registered in one call, on two cores and on one."""
     one, two = (float(alone(threads, "--frames", str(FRAMES))) for threads in (1, 2))
-    row = ratio(f"registration of {FRAMES} frames on two cores", two, one, "on one core", "wanted ≥ 1.7")
+    row = ratio(
+        f"registration of {FRAMES} frames on two cores", two, one, "on one core", "wanted ≥ 1.7"
+    )
     return row | {"value": two, "peer": one, "unit": "s"}
 
 
 def truths(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (K, 2) and shapes (K, N, 3) of another finger than the model's: mesh, modulus, load, lean."""
+    """Return commands (K, 2) and shapes (K, N, 3) of another finger than the model's: mesh,
+    modulus, load, lean.
+    """
     finger = Finger.builtin()
     other = finger.replace(solid=finger.solid.along(0.75), young_mpa=0.9 * finger.young_mpa)
     lean = np.array([0.4, 0.0, np.sqrt(0.84)])
@@ -69,11 +76,15 @@ def truths(count: int) -> tuple[np.ndarray, np.ndarray]:
 def half_clouds(shapes: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
     """Return one cloud (10 000, 3) of each shape, half of it seen from anywhere about it."""
     rng = np.random.default_rng(1)
-    return [replace(HALF, views=(rng.uniform(0, 360),)).look(shape, triangles, rng) for shape in shapes]
+    return [
+        replace(HALF, views=(rng.uniform(0, 360),)).look(shape, triangles, rng) for shape in shapes
+    ]
 
 
 def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
-    """Both ways with all distances and the gradient, beside two trees, without one, and torch as in a training loop."""
+    """Both ways with all distances and the gradient, beside two trees, without one, and torch as in
+    a training loop.
+    """
 
     def ours():
         return _core.chamfer(template, cloud)
@@ -89,7 +100,8 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
             return KDTree(cloud).query(template)[0], KDTree(template).query(cloud)[0]
 
         for distance, side in zip(peer(), ("to_cloud", "to_template")):
-            same(f"{name}, {side}", found[side][0], distance, 2e-4)  # as far as single precision tells them apart
+            # as far as single precision tells them apart
+            same(f"{name}, {side}", found[side][0], distance, 2e-4)
         trees = ratio(name, *side_by_side(ours, peer, CLOCK), "pykdtree", "wanted ≥ 4.5, aim 6")
     try:
         import torch
@@ -105,11 +117,18 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
         return points.grad.numpy()
 
     same(f"{name}, gradient", found["gradient"], loop(), 1e-4)
-    return [trees, ratio(name, *side_by_side(ours, loop, CLOCK), "torch.cdist forward + backward", "wanted ≥ 50")]
+    return [
+        trees,
+        ratio(
+            name, *side_by_side(ours, loop, CLOCK), "torch.cdist forward + backward", "wanted ≥ 50"
+        ),
+    ]
 
 
 def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
-    """One local and one global step of a surface whose ends are held and moved; ours with its factorisation."""
+    """One local and one global step of a surface whose ends are held and moved; ours with its
+    factorisation.
+    """
     name, height = f"ARAP local-global step, {len(rest)} vertices", rest[:, 2]
     ends = np.flatnonzero((height < height.min() + 1.0) | (height > height.max() - 1.0))
     goals = rest + [20.0, 0.0, -8.0] * (height > height.mean())[:, None]
@@ -126,7 +145,8 @@ def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
         row = absent(name, ours, "libigl", "wanted ≥ 5")
         return row | {"value": row["value"] / STEPS}
     peer = Handles(rest, triangles.astype(np.int64), ends, STEPS)
-    # Of 20 mm: a third of these cotangent weights is below 1e-3, where ours are held and libigl's go on below zero.
+    # Of 20 mm: a third of these cotangent weights is below 1e-3, where ours are held and libigl's
+    # go on below zero.
     same(name, ours(), peer.deformed(goals[ends]), 1.0)
     ours_s, peer_s = side_by_side(ours, lambda: peer.deformed(goals[ends]), CLOCK)
     return ratio(name, ours_s / STEPS, peer_s / STEPS, "libigl", "wanted ≥ 5")
@@ -138,11 +158,15 @@ def halved(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
     edges, which = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
     (a, b, c), (ab, bc, ca) = triangles.T, len(vertices) + which.reshape(-1, 3).T
     four = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.vstack([vertices, vertices[edges].mean(axis=1)]), np.vstack([np.stack(each, axis=1) for each in four])
+    return np.vstack([vertices, vertices[edges].mean(axis=1)]), np.vstack(
+        [np.stack(each, axis=1) for each in four]
+    )
 
 
 def registration(model, shapes: np.ndarray, clouds: list[np.ndarray]) -> dict[str, object]:
-    """One cloud at a time, medians over the shapes, beside the published objective by libigl: time and vertex error."""
+    """One cloud at a time, medians over the shapes, beside the published objective by libigl: time
+    and vertex error.
+    """
 
     def measured(lay) -> tuple[float, float]:
         lay(clouds[0])
@@ -155,14 +179,21 @@ def registration(model, shapes: np.ndarray, clouds: list[np.ndarray]) -> dict[st
         return float(np.median(seconds)), float(np.median(off))
 
     ours_s, ours_mm = measured(lambda cloud: register(model, [cloud]).vertices[0])
-    name, wanted = f"registration of half a cloud, {ours_mm:.2f} mm off", "wanted ≤ 250 ms, ≤ 0.45 mm"
+    name, wanted = (
+        f"registration of half a cloud, {ours_mm:.2f} mm off",
+        "wanted ≤ 250 ms, ≤ 0.45 mm",
+    )
     row = {"name": name, "value": ours_s * 1e3, "unit": "ms", "error_mm": ours_mm, "wanted": wanted}
     try:
         from benches.peer_igl import Published
     except ImportError:
         return row | {"wanted": f"{wanted}; libigl is absent"}
     peer = Published(
-        model.rest, np.asarray(model.triangles, np.int64), PAPER_STRENGTH, PAPER_ROUNDS, settled_mm=SETTLED_MM
+        model.rest,
+        np.asarray(model.triangles, np.int64),
+        PAPER_STRENGTH,
+        PAPER_ROUNDS,
+        settled_mm=SETTLED_MM,
     )
     peer_s, peer_mm = measured(peer.register)
     row |= ratio(name, ours_s, peer_s, f"libigl, eq. 1, {peer_mm:.1f} mm off", wanted)
@@ -172,18 +203,29 @@ def registration(model, shapes: np.ndarray, clouds: list[np.ndarray]) -> dict[st
 def absent(name: str, ours, peer: str, wanted: str) -> dict[str, object]:
     """Return a row without its peer."""
     value, _ = side_by_side(ours, ours, CLOCK)
-    return {"name": name, "value": value * 1e3, "unit": "ms", "wanted": f"{wanted}; {peer} is absent"}
+    return {
+        "name": name,
+        "value": value * 1e3,
+        "unit": "ms",
+        "wanted": f"{wanted}; {peer} is absent",
+    }
 
 
 def same(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:
-    """Raise unless both sides have done the same work: a ratio of different work would say nothing."""
+    """Raise unless both sides have done the same work: a ratio of different work would say
+    nothing.
+    """
     off = float(np.abs(ours - theirs).max())
     if not off <= tolerance:
-        raise RuntimeError(f"{what}: ours and the peer's differ by {off:.3g}, allowed are {tolerance:g}")
+        raise RuntimeError(
+            f"{what}: ours and the peer's differ by {off:.3g}, allowed are {tolerance:g}"
+        )
 
 
 def main() -> None:
-    """Print the rows as one document, or with `--frames` the seconds that a registration of so many takes."""
+    """Print the rows as one document, or with `--frames` the seconds that a registration of so many
+    takes.
+    """
     parser = argparse.ArgumentParser(prog="benches.geometry", description=__doc__)
     parser.add_argument("--shapes", type=int, default=SHAPES)
     parser.add_argument("--frames", type=int)
@@ -192,7 +234,9 @@ def main() -> None:
     rest, triangles = np.ascontiguousarray(model.rest), np.asarray(model.triangles)
     if args.frames:
         _, shapes = truths(SHAPES)
-        clouds = half_clouds(np.resize(shapes, (min(DIFFERENT, args.frames), *shapes.shape[1:])), triangles)
+        clouds = half_clouds(
+            np.resize(shapes, (min(DIFFERENT, args.frames), *shapes.shape[1:])), triangles
+        )
         many = [clouds[k % len(clouds)] for k in range(args.frames)]
         start = time.perf_counter()
         register(model, many)
@@ -202,7 +246,11 @@ def main() -> None:
     clouds = half_clouds(shapes, triangles)
     template = model.prior.evaluate(commands[:1]).reshape(rest.shape)
     found = chamfer(template, clouds[0])
-    found += [arap_step(rest, triangles), arap_step(*halved(rest, triangles)), registration(model, shapes, clouds)]
+    found += [
+        arap_step(rest, triangles),
+        arap_step(*halved(rest, triangles)),
+        registration(model, shapes, clouds),
+    ]
     print(json.dumps(found))
 
 

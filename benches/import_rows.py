@@ -1,7 +1,9 @@
-"""How long `softmap import` takes for a log of a million rows, and how much memory: `python -m benches.import_rows`.
+"""How long `softmap import` takes for a log of a million rows, and how much memory: `python -m
+benches.import_rows`.
 
-The log has 17 columns at 1 kHz (time, three commands, three encoders read at 250 Hz, three markers with dropouts in mm,
-a label); the command runs in a process of its own, whose peak of resident memory is what the system counted.
+The log has 17 columns at 1 kHz (time, three commands, three encoders read at 250 Hz, three markers
+with dropouts in mm, a label); the command runs in a process of its own, whose peak of resident
+memory is what the system counted.
 """
 
 from __future__ import annotations
@@ -27,7 +29,17 @@ command = { columns = ["u0", "u1", "u2"] }
 present = { columns = ["q0", "q1", "q2"] }
 markers = { columns = [["x0", "y0", "z0"], ["x1", "y1", "z1"], ["x2", "y2", "z2"]] }
 """
-NAMES = ["t", "u0", "u1", "u2", "q0", "q1", "q2", *(f"{axis}{k}" for k in range(3) for axis in "xyz"), "part"]
+NAMES = [
+    "t",
+    "u0",
+    "u1",
+    "u2",
+    "q0",
+    "q1",
+    "q2",
+    *(f"{axis}{k}" for k in range(3) for axis in "xyz"),
+    "part",
+]
 
 
 def write_log(folder: Path, rows: int) -> None:
@@ -40,8 +52,14 @@ def write_log(folder: Path, rows: int) -> None:
             t = k / 1000.0
             u = 8.0 * np.sin(t[:, None] * [0.5, 0.7, 0.9])
             q = 8.0 * np.sin((k // 4 * 4 / 1000.0)[:, None] * [0.5, 0.7, 0.9] - 0.01)
-            points = np.repeat([0.0, 0.0, 40.0, 0.0, 0.0, 80.0, 0.0, 0.0, 120.0], len(k)).reshape(9, -1).T
-            points = points + u @ rng.normal(size=(3, 9)) + rng.normal(scale=0.05, size=points.shape)
+            points = (
+                np.repeat([0.0, 0.0, 40.0, 0.0, 0.0, 80.0, 0.0, 0.0, 120.0], len(k))
+                .reshape(9, -1)
+                .T
+            )
+            points = (
+                points + u @ rng.normal(size=(3, 9)) + rng.normal(scale=0.05, size=points.shape)
+            )
             lines = np.char.mod("%.6f", np.column_stack([t, u, q, points])).tolist()
             for row in np.flatnonzero(rng.random(len(k)) < 0.01):
                 lines[row][7:10] = ["", "", ""]
@@ -51,7 +69,9 @@ def write_log(folder: Path, rows: int) -> None:
 
 
 def measure(folder: Path) -> tuple[float, float, float, int]:
-    """Import the log in a process of its own; return seconds by the clock and of work, peak memory in MB, and rows."""
+    """Import the log in a process of its own; return seconds by the clock and of work, peak memory
+    in MB, and rows.
+    """
     argv = [
         "import",
         str(folder / "log.csv"),
@@ -61,12 +81,20 @@ def measure(folder: Path) -> tuple[float, float, float, int]:
         str(folder / "run.npz"),
         "--json",
     ]
-    code = f"from softmap_edge.cli import main; main({argv!r}); print(open('/proc/self/status').read())"
+    code = (
+        f"from softmap_edge.cli import main; main({argv!r}); "
+        "print(open('/proc/self/status').read())"
+    )
     start, before = time.perf_counter(), os.times()
-    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout
     seconds, after = time.perf_counter() - start, os.times()
-    work = after.children_user + after.children_system - before.children_user - before.children_system
-    peak = int(re.findall(r"^VmHWM:\s+(\d+) kB", said, re.MULTILINE)[0])  # of this process alone, unlike ru_maxrss
+    work = (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
+    # of this process alone, unlike ru_maxrss
+    peak = int(re.findall(r"^VmHWM:\s+(\d+) kB", said, re.MULTILINE)[0])
     return seconds, work, peak / 1024.0, int(json.loads(said.splitlines()[0])["rows"])
 
 
@@ -81,8 +109,8 @@ def main() -> int:
             size = (folder / "log.csv").stat().st_size / 2**20
             seconds, work, megabytes, _ = measure(folder)
             print(
-                f"{rows:>9} rows, {size:6.1f} MB: {seconds:6.2f} s ({work:.2f} s of work), {megabytes:6.0f} MB "
-                "(wanted ≤ 30 s, ≤ 1024 MB)",
+                f"{rows:>9} rows, {size:6.1f} MB: {seconds:6.2f} s ({work:.2f} s of work), "
+                f"{megabytes:6.0f} MB (wanted ≤ 30 s, ≤ 1024 MB)",
                 flush=True,
             )
     return 0

@@ -1,12 +1,13 @@
 """Rows of inverse kinematics on the paper-sized network: letters, beside SciPy and the paper's way.
 
-The peer that the promise of five times is about is `scipy.optimize.least_squares(method="lm")`, MINPACK's
-Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by differences: what whoever has
-the network and not the core would write. SciPy on the core's own passes and exact slopes is no peer but a part of
-ours; that row tells the search from the passes. There the ratio has an end: a waypoint costs nothing but passes, three
-or four with slopes (a Newton step of the 0.1 mm that one waypoint of this network is off leaves 0.006 mm, the next
-2e-5), and SciPy's own are passes of the same core. SciPy stays mm away at a few waypoints in a hundred, in folds that
-ours leaves by other starts. Pinned by tests/benches/test_benches.py.
+The peer that the promise of five times is about is `scipy.optimize.least_squares(method="lm")`,
+MINPACK's Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by
+differences: what whoever has the network and not the core would write. SciPy on the core's own
+passes and exact slopes is no peer but a part of ours; that row tells the search from the passes.
+There the ratio has an end: a waypoint costs nothing but passes, three or four with slopes (a Newton
+step of the 0.1 mm that one waypoint of this network is off leaves 0.006 mm, the next 2e-5), and
+SciPy's own are passes of the same core. SciPy stays mm away at a few waypoints in a hundred, in
+folds that ours leaves by other starts. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ CLOSE = 1e-8  # relative, of commands and of squared distances: SciPy's own usua
 
 
 def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
-    """Return the time of a waypoint, of so many a letter, beside SciPy's, and by how much distances are above those of
-    the paper's way."""
+    """Return the time of a waypoint, of so many a letter, beside SciPy's, and by how much distances
+    are above those of the paper's way.
+    """
     made = paper_sized()
     kinematics = Kinematics(made.model, axes="xy")
     targets, rows = letters(kinematics, waypoints), []
@@ -55,19 +57,33 @@ def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
 
     name = "inverse kinematics of a waypoint, paper-sized network"
     peers: list[tuple[str, str, Callable[[], Floats]]] = [
-        ("SciPy's LM, onnxruntime", "wanted ≥ 5, aim ≤ 1 ms", lambda: by_scipy(by_onnxruntime, differences, targets)),
-        ("SciPy's LM, on our passes", "stated: the search alone", lambda: by_scipy(by_core, slopes, targets)),
+        (
+            "SciPy's LM, onnxruntime",
+            "wanted ≥ 5, aim ≤ 1 ms",
+            lambda: by_scipy(by_onnxruntime, differences, targets),
+        ),
+        (
+            "SciPy's LM, on our passes",
+            "stated: the search alone",
+            lambda: by_scipy(by_core, slopes, targets),
+        ),
         ("the paper's way", "stated", lambda: kinematics.solve(targets, method="paper").acting),
     ]
     for peer, wanted, work in peers:
         ours, theirs = side_by_side(lambda: kinematics.solve(targets), work)
         off = np.linalg.norm((kinematics.model.tip(work()) - targets)[:, :2], axis=1)
         if not np.median(off) < 1e-2:
-            raise RuntimeError(f"{peer} is {np.median(off):.2g} mm off the waypoints: a ratio would say nothing")
+            raise RuntimeError(
+                f"{peer} is {np.median(off):.2g} mm off the waypoints: a ratio would say nothing"
+            )
         rows.append(ratio(name, ours / len(targets), theirs / len(targets), peer, wanted))
     found, published = kinematics.solve(targets), kinematics.solve(targets, method="paper")
     above = float((found.distance - published.distance).max())
-    last = {"name": "its distance above that of the paper's way, at most", "value": above, "unit": "mm"}
+    last = {
+        "name": "its distance above that of the paper's way, at most",
+        "value": above,
+        "unit": "mm",
+    }
     return [*rows, last | {"wanted": "wanted ≤ 2e-5 (round-off)"}]
 
 
@@ -75,12 +91,17 @@ def letters(kinematics: Kinematics, waypoints: int = WAYPOINTS) -> Floats:
     """Return the waypoints (T, 3) mm of all letters about the tip at rest."""
     rest = kinematics.model.tip(np.zeros((1, kinematics.model.channels)))[0]
     targets = np.tile(rest, (len(LETTERS) * waypoints, 1))
-    targets[:, :2] += np.concatenate([even(figure(letter, AMPLITUDE), waypoints) for letter in LETTERS])
+    targets[:, :2] += np.concatenate(
+        [even(figure(letter, AMPLITUDE), waypoints) for letter in LETTERS]
+    )
     return targets
 
 
-def by_scipy(place: Callable[[Floats], Floats], slopes: Callable[[Floats], Floats], targets: Floats) -> Floats:
-    """Return what must act (T, 2) for each target as SciPy finds it, each from where the last one was found.
+def by_scipy(
+    place: Callable[[Floats], Floats], slopes: Callable[[Floats], Floats], targets: Floats
+) -> Floats:
+    """Return what must act (T, 2) for each target as SciPy finds it, each from where the last one
+    was found.
 
     place: the tip (3,) at a command (2,). slopes: its slopes (2, 2) there, of x and y.
     """

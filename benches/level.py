@@ -1,8 +1,9 @@
-"""Benchmark of level 1: normal equations of all families on eight folds, next to NumPy on explicit columns.
+"""Benchmark of level 1: normal equations of all families on eight folds, next to NumPy on explicit
+columns.
 
-The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one matrix product per
-set of frames. The core never forms the columns (rust/families/gram.rs). tests/benches/test_benches.py checks that both
-give the same losses.
+The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one
+matrix product per set of frames. The core never forms the columns (rust/families/gram.rs).
+tests/benches/test_benches.py checks that both give the same losses.
 """
 
 from __future__ import annotations
@@ -20,7 +21,17 @@ from softmap_edge.run.folds import Folds, run_folds
 Floats = NDArray[np.float64]
 
 FRAMES, MODES, CHANNELS, FIELDS = 374, 20, 2, 30
-FAMILIES = ("static map", "coupling", "memory", "delay", "rate", "creep", "softening", "time", "step")
+FAMILIES = (
+    "static map",
+    "coupling",
+    "memory",
+    "delay",
+    "rate",
+    "creep",
+    "softening",
+    "time",
+    "step",
+)
 PRODUCTS = 4  # rows that multiply each field
 RIDGE = 10.0
 
@@ -53,7 +64,9 @@ class Made:
         return level
 
     def grams(self) -> list[tuple[Floats, Floats]]:
-        """Return the Gram matrices (n + 1, n + 1) of the training and test frames of each fold, the residual last."""
+        """Return the Gram matrices (n + 1, n + 1) of the training and test frames of each fold, the
+        residual last.
+        """
         parts = [base[which] * weight[:, :, None] for base, which, weight in self.columns.values()]
         x = np.concatenate([*parts, self.residual[None]])
 
@@ -63,10 +76,14 @@ class Made:
 
         gram(np.arange(x.shape[1]), self.whitener.kernel)
         pairs = zip(self.folds, self.kernels)
-        return [(gram(train, before), gram(test, after)) for (train, test), (before, after) in pairs]
+        return [
+            (gram(train, before), gram(test, after)) for (train, test), (before, after) in pairs
+        ]
 
 
-def made(frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fields: int = FIELDS) -> Made:
+def made(
+    frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fields: int = FIELDS
+) -> Made:
     """Return the columns of all families for slow moves, with random slopes and fields."""
     rng = np.random.default_rng(0)
     t = np.arange(2 * frames) * 0.5
@@ -74,18 +91,29 @@ def made(frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fie
     v = 8.0 * np.sin(waves + rng.uniform(0, 6, (channels, 3))).mean(axis=2)
     half, seen = 0.5 * np.ptp(v, axis=0), t[::2]
     series = _core.Series(v, t, 0.5 * (v.max(0) + v.min(0)), half)
-    slopes, field = rng.normal(size=(channels, frames, modes)), rng.normal(size=(fields, frames, modes))
-    columns = {name: (slopes, *_core.Bank(name, channels).columns(series, seen)) for name in FAMILIES}
+    slopes, field = (
+        rng.normal(size=(channels, frames, modes)),
+        rng.normal(size=(fields, frames, modes)),
+    )
+    columns = {
+        name: (slopes, *_core.Bank(name, channels).columns(series, seen)) for name in FAMILIES
+    }
     rows = rng.normal(size=(fields * PRODUCTS, frames))
     columns["fields"] = (field, np.repeat(np.arange(fields), PRODUCTS), rows)
     command, folds = v[::2], run_folds(seen)
-    kernels = [(command_kernel(command[a], half), command_kernel(command[b], half)) for a, b in folds]
-    whitener = Whitener(np.eye(modes), np.geomspace(30.0, 0.03, modes), command_kernel(command, half))
+    kernels = [
+        (command_kernel(command[a], half), command_kernel(command[b], half)) for a, b in folds
+    ]
+    whitener = Whitener(
+        np.eye(modes), np.geomspace(30.0, 0.03, modes), command_kernel(command, half)
+    )
     return Made(columns, rng.normal(size=(frames, modes)), whitener, folds, kernels)
 
 
 def rows(made_of: Made | None = None) -> list[dict[str, object]]:
-    """Return the time of the normal equations of all families at once, and their solution, next to NumPy."""
+    """Return the time of the normal equations of all families at once, and their solution, next to
+    NumPy.
+    """
     made_of = made_of or made()
     level, names = made_of.level(), list(made_of.columns)
 

@@ -1,7 +1,8 @@
-"""Rows of the control loop on an emulated bus: how late its periods begin, at 1 kHz and while Python is busy.
+"""Rows of the control loop on an emulated bus: how late its periods begin, at 1 kHz and while
+Python is busy.
 
-There is no peer in the same run: a loop's lateness is a number of its own. The emulated servos share the machine, so
-that what is measured is an upper bound.
+There is no peer in the same run: a loop's lateness is a number of its own. The emulated servos
+share the machine, so that what is measured is an upper bound.
 """
 
 from __future__ import annotations
@@ -26,12 +27,18 @@ FAST, USUAL = (4_000_000, 1000.0), (1_000_000, 100.0)  # baud, periods a second
 
 def rows(quick: bool) -> list[dict[str, object]]:
     """Return lateness at 1 kHz and 4 Mbaud (60 s), and at 100 Hz while Python computes."""
-    return [*lateness("control loop, 1 kHz at 4 Mbaud", FAST, 5.0 if quick else 60.0, False),
-            *lateness("control loop, 100 Hz, Python busy", USUAL, 5.0 if quick else 20.0, True)]  # fmt: skip
+    return [
+        *lateness("control loop, 1 kHz at 4 Mbaud", FAST, 5.0 if quick else 60.0, False),
+        *lateness("control loop, 100 Hz, Python busy", USUAL, 5.0 if quick else 20.0, True),
+    ]
 
 
-def lateness(name: str, speed: tuple[int, float], seconds: float, busy: bool) -> list[dict[str, object]]:
-    """Drive two emulated servos for some seconds; return how late periods began and what the loop cost."""
+def lateness(
+    name: str, speed: tuple[int, float], seconds: float, busy: bool
+) -> list[dict[str, object]]:
+    """Drive two emulated servos for some seconds; return how late periods began and what the loop
+    cost.
+    """
     baud, rate = speed
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with _bench(baud, rate) as (rig, calibration, limits):
@@ -70,7 +77,9 @@ def _row(name: str, value: float, unit: str, wanted: str) -> dict[str, object]:
 def _bench(baud: int, rate: float):
     """Give the rig, the map and the limits of an emulated bus."""
     servos = [(id, NUMBER, baud, float(HOME)) for id in (1, 2)]
-    bus = _core.EmulatedBus(servos, [[(1000.0, -400.0), (2048.0, 0.0), (3000.0, 400.0)]] * 2, seed=1)
+    bus = _core.EmulatedBus(
+        servos, [[(1000.0, -400.0), (2048.0, 0.0), (3000.0, 400.0)]] * 2, seed=1
+    )
     try:
         driver = _core.ServoBus(bus.path, baud)
         for id in (1, 2):
@@ -79,9 +88,15 @@ def _bench(baud: int, rate: float):
             set_mark(driver, id, HOME)
         driver.close()
         window = (-900.0, 900.0)
-        calibration = Calibration.stated(np.eye(2) / 280.0, np.zeros(2), np.full(2, HOME), "bench", window)
+        calibration = Calibration.stated(
+            np.eye(2) / 280.0, np.zeros(2), np.full(2, HOME), "bench", window
+        )
         limits = loop_limits([servo_limits(MODEL, HOME, window)] * 2, rate)
-        yield Rig(bus.path, baud, tuple(RigServo(id, MODEL, HOME) for id in (1, 2))), calibration, limits
+        yield (
+            Rig(bus.path, baud, tuple(RigServo(id, MODEL, HOME) for id in (1, 2))),
+            calibration,
+            limits,
+        )
     finally:
         bus.unplug()
 

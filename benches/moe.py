@@ -1,9 +1,11 @@
-"""Print the table of docs/do/mesh.md: a published mesh as 10-node tetrahedra, next to itself refined and to bricks.
+"""Print the table of docs/do/mesh.md: a published mesh as 10-node tetrahedra, next to itself
+refined and to bricks.
 
-Differences are mm RMS over the vertices of the mesh that are not held (its flange never moves and would flatter every
-figure). `refined` is the same solid with eight times the cells; `bricks` the built-in finger, which has the same outer
-dimensions, modulus and routing but no channels. The tip is the mean of what lies in the last tenth of the height.
-`python -m benches.moe` (two minutes; `--quick` leaves out the refined mesh); `make data` brings the mesh.
+Differences are mm RMS over the vertices of the mesh that are not held (its flange never moves and
+would flatter every figure). `refined` is the same solid with eight times the cells; `bricks` the
+built-in finger, which has the same outer dimensions, modulus and routing but no channels. The tip
+is the mean of what lies in the last tenth of the height. `python -m benches.moe` (two minutes;
+`--quick` leaves out the refined mesh); `make data` brings the mesh.
 """
 
 from __future__ import annotations
@@ -69,9 +71,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     finger = load(folder)
     simulator = Simulator(finger)
-    print(f"{int(free(simulator).sum())} of {len(simulator.template.vertices)} vertices are not held")
+    print(
+        f"{int(free(simulator).sum())} of {len(simulator.template.vertices)} vertices are not held"
+    )
     for u, apart, moved, tip, way in zip(BRICKS_AT, *beside_bricks(simulator)):
-        print(f"bricks at {u}: {apart:.2f} of {moved:.1f} mm RMS; the tip {tip:.1f} of {way:.1f} mm ({tip / way:.0%})")
+        print(
+            f"bricks at {u}: {apart:.2f} of {moved:.1f} mm RMS; the tip {tip:.1f} of {way:.1f} mm "
+            f"({tip / way:.0%})"
+        )
     if not args.quick:
         error = beside_refined(finger, simulator)
         print(f"refined: {np.sqrt((error**2).mean()):.2f} mm RMS in all")

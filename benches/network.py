@@ -1,11 +1,13 @@
-"""Rows of the network pass: a paper-sized network beside its weights being read once, onnxruntime and torch.
+"""Rows of the network pass: a paper-sized network beside its weights being read once, onnxruntime
+and torch.
 
     2 → 256-512-1024-512-256 → 1644, BatchNorm folded, ReLU: 1.74 million numbers, 6.9 MB
 
-Its hidden layers are drawn, its last one is fitted to the built-in finger by least squares: a network of that size that
-bends as the finger does, without minutes of training. All sides run on one thread, one command at a time, alternating.
-Reading is a streaming reduction over as many bytes as the pass reads (NumPy's or BLAS's, whichever is quicker).
-Pinned by tests/benches/test_benches.py.
+Its hidden layers are drawn, its last one is fitted to the built-in finger by least squares: a
+network of that size that bends as the finger does, without minutes of training. All sides run on
+one thread, one command at a time, alternating. Reading is a streaming reduction over as many bytes
+as the pass reads (NumPy's or BLAS's, whichever is quicker). Pinned by
+tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ AGREE_MM = 1e-4
 
 @dataclass(frozen=True)
 class PaperSized:
-    """The network in torch, as the bytes of its file, in the core, and as the prior of the built-in finger."""
+    """The network in torch, as the bytes of its file, in the core, and as the prior of the built-in
+    finger.
+    """
 
     torch: Any
     content: bytes
@@ -50,7 +54,9 @@ class PaperSized:
 
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        session = onnxruntime.InferenceSession(self.content, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(
+            self.content, options, providers=["CPUExecutionProvider"]
+        )
         return lambda u: session.run(None, {"command": u})[0]
 
 
@@ -86,7 +92,9 @@ def paper_sized() -> PaperSized:
         network[-2].bias.copy_(torch.as_tensor(found[-1]))
     content = to_onnx(network, base.channels)
     arrays = dict(base.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}}
-    model = replace(base.with_structure(prior=_core.Network(content)), kind="network", arrays=arrays)
+    model = replace(
+        base.with_structure(prior=_core.Network(content)), kind="network", arrays=arrays
+    )
     return PaperSized(network, content, model)
 
 
@@ -112,7 +120,9 @@ def _tip(made: PaperSized) -> list[dict[str, object]]:
     read = reading(4 * tip.parameters)
     ours, theirs = side_by_side(_often(lambda: tip.jacobian(u)), _often(read))
     name = f"tip with exact slopes, {tip.parameters / 1e6:.2f} million numbers"
-    row = ratio(name, ours / SOME, theirs / SOME, "reading them once", "wanted ratio ≥ 0.625 (time ≤ 1.6 ×)")
+    row = ratio(
+        name, ours / SOME, theirs / SOME, "reading them once", "wanted ratio ≥ 0.625 (time ≤ 1.6 ×)"
+    )
     jacobian = torch_jacobian(made, index)
     slopes = np.asarray(jacobian(u[0]))
     same("slopes", np.asarray(tip.jacobian(u))[0], slopes, 1e-3)
@@ -138,10 +148,22 @@ def _whole(made: PaperSized) -> list[dict[str, object]]:
     rows = []
     read = reading(4 * core.parameters)
     ours, theirs = side_by_side(_often(lambda: core.evaluate(u)), _often(read))
-    rows.append(ratio("whole pass of the paper's network", ours / SOME, theirs / SOME, "reading it once", "stated"))
+    rows.append(
+        ratio(
+            "whole pass of the paper's network",
+            ours / SOME,
+            theirs / SOME,
+            "reading it once",
+            "stated",
+        )
+    )
     for name, peer in (("onnxruntime", lambda: ort(single)), ("torch", by_torch)):
         ours, theirs = side_by_side(_often(lambda: core.evaluate(u)), _often(peer))
-        rows.append(ratio("whole pass of the paper's network", ours / SOME, theirs / SOME, name, "wanted > 1"))
+        rows.append(
+            ratio(
+                "whole pass of the paper's network", ours / SOME, theirs / SOME, name, "wanted > 1"
+            )
+        )
     return rows
 
 
@@ -154,13 +176,16 @@ def torch_jacobian(made: PaperSized, index: NDArray[np.int64]) -> Callable[[Floa
     def tip(v: Any) -> Any:
         return made.torch(v[None])[0].reshape(-1, 3)[chosen].mean(dim=0)
 
-    return lambda u: torch.autograd.functional.jacobian(tip, torch.as_tensor(u, dtype=torch.float32)).numpy()
+    return lambda u: torch.autograd.functional.jacobian(
+        tip, torch.as_tensor(u, dtype=torch.float32)
+    ).numpy()
 
 
 def reading(count: int) -> Callable[[], object]:
     """Return what reads `count` bytes once, the quicker of two ways here."""
     numbers = np.random.default_rng(0).normal(size=count // 4).astype(np.float32)
-    # A number and itself is one stream: BLAS's dot product, on one thread by its own threshold or by the environment.
+    # A number and itself is one stream: BLAS's dot product, on one thread by its own threshold or
+    # by the environment.
     ways: list[Callable[[], object]] = [lambda: numbers.max(), lambda: np.dot(numbers, numbers)]
     first, second = side_by_side(*(_often(way) for way in ways))
     return ways[0] if first < second else ways[1]

@@ -1,4 +1,6 @@
-"""The elastic-tendon rod in plain NumPy: all commands at once, Newton's method with halved steps, then the arcs."""
+"""The elastic-tendon rod in plain NumPy: all commands at once, Newton's method with halved steps,
+then the arcs.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,18 @@ import numpy as np
 
 
 def markers(numbers, places, ends, u):
-    """Return the tip (n, 3) mm of a rod of `numbers` (P,) at `places`, no rest bending, at commands u (n, tendons)."""
-    slack, angle, radius, drawn, stiffness, length, _, base, tilt = (numbers[places[kind]] for kind in places)
+    """Return the tip (n, 3) mm of a rod of `numbers` (P,) at `places`, no rest bending, at commands
+    u (n, tendons).
+    """
+    slack, angle, radius, drawn, stiffness, length, _, base, tilt = (
+        numbers[places[kind]] for kind in places
+    )
     segments = len(length)
     reach = np.zeros((len(ends), 2 * segments))
     for j, end in enumerate(ends):
-        reach[j, : 2 * end + 2] = np.tile(radius[j] * np.array([np.cos(angle[j]), np.sin(angle[j])]), end + 1)
+        reach[j, : 2 * end + 2] = np.tile(
+            radius[j] * np.array([np.cos(angle[j]), np.sin(angle[j])]), end + 1
+        )
     bends = equilibrium(np.repeat(stiffness, 2), reach, u + drawn, slack[0])
     point, turn = np.tile(base, (len(u), 1)), rotations(np.tile(tilt, (len(u), 1)))
     for s in range(segments):
@@ -25,7 +33,9 @@ def markers(numbers, places, ends, u):
 
 
 def equilibrium(stiffness, reach, drawn, slack):
-    """Return the bending (n, 2S) rad of least energy for tendons drawn in by `drawn` (n, tendons) mm."""
+    """Return the bending (n, 2S) rad of least energy for tendons drawn in by `drawn` (n, tendons)
+    mm.
+    """
 
     def energy(bent, stretch):
         weight = np.where(stretch > 0, 1.0, slack)
@@ -55,5 +65,10 @@ def rotations(v):
     """Return the rotations (n, 3, 3) of bending by v (n, 2) rad."""
     beta = np.maximum(np.linalg.norm(v, axis=1), 1e-9)[:, None, None]
     cross = np.zeros((len(v), 3, 3))
-    cross[:, 0, 2], cross[:, 2, 0], cross[:, 1, 2], cross[:, 2, 1] = v[:, 0], -v[:, 0], v[:, 1], -v[:, 1]
+    cross[:, 0, 2], cross[:, 2, 0], cross[:, 1, 2], cross[:, 2, 1] = (
+        v[:, 0],
+        -v[:, 0],
+        v[:, 1],
+        -v[:, 1],
+    )
     return np.eye(3) + np.sin(beta) / beta * cross + (1 - np.cos(beta)) / beta**2 * (cross @ cross)

@@ -1,4 +1,6 @@
-"""As-rigid-as-possible surfaces by libigl (MPL 2.0): its solver, and the published registration as a loop around it."""
+"""As-rigid-as-possible surfaces by libigl (MPL 2.0): its solver, and the published registration as
+a loop around it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from pykdtree.kdtree import KDTree
 
 
 class Handles:
-    """A surface at `rest` (N, 3) mm whose `handles` (H,) go where told; spokes, as in rust/geometry/arap.rs."""
+    """A surface at `rest` (N, 3) mm whose `handles` (H,) go where told; spokes, as in
+    rust/geometry/arap.rs.
+    """
 
     def __init__(self, rest, triangles, handles, rounds):
         self.rest, self.data = rest, igl.ARAPData()
@@ -21,18 +25,30 @@ class Handles:
 
 
 class Published:
-    """Eq. 1 of the paper: every vertex asks for its nearest point of the cloud, one round of libigl's solver, again.
+    """Eq. 1 of the paper: every vertex asks for its nearest point of the cloud, one round of
+    libigl's solver, again.
 
-    libigl has no soft constraints, but its implicit time step is one: mass · |v − (v⁰ + h·velocity)|² / stiffness, with
-    h = 1 and the velocity that leads to the nearest point. Its mass is the area about a vertex: λ on average.
+    libigl has no soft constraints, but its implicit time step is one: mass · |v − (v⁰ +
+    h·velocity)|² / stiffness, with h = 1 and the velocity that leads to the nearest point. Its mass
+    is the area about a vertex: λ on average.
     """
 
     def __init__(self, rest, triangles, strength, rounds, settled_mm):
-        self.rest, self.data, self.rounds, self.settled_mm = rest, igl.ARAPData(), rounds, settled_mm
+        self.rest, self.data, self.rounds, self.settled_mm = (
+            rest,
+            igl.ARAPData(),
+            rounds,
+            settled_mm,
+        )
         a, b, c = rest[triangles].transpose(1, 0, 2)
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
         data = self.data
-        data.energy, data.max_iter, data.with_dynamics, data.h = igl.ARAP_ENERGY_TYPE_SPOKES, 1, True, 1.0
+        data.energy, data.max_iter, data.with_dynamics, data.h = (
+            igl.ARAP_ENERGY_TYPE_SPOKES,
+            1,
+            True,
+            1.0,
+        )
         data.ym = 2.0 * area / len(rest) / strength  # its energy is half of ours
         igl.arap_precomputation(rest, triangles, 3, np.zeros(0, np.int32), data)
 

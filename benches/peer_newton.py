@@ -1,7 +1,9 @@
-"""A plain NumPy/SciPy Newton step of the same finger: vectorised bricks, one sparse LU. The peer of the simulator.
+"""A plain NumPy/SciPy Newton step of the same finger: vectorised bricks, one sparse LU. The peer of
+the simulator.
 
-The same energy as rust/fem/element.rs (neo-Hookean with mean dilatation), assembled for all bricks at once with einsum
-and solved with SuperLU in its symmetric mode, which is the fastest that SciPy offers here.
+The same energy as rust/fem/element.rs (neo-Hookean with mean dilatation), assembled for all bricks
+at once with einsum and solved with SuperLU in its symmetric mode, which is the fastest that SciPy
+offers here.
 """
 
 from __future__ import annotations
@@ -12,12 +14,15 @@ from scipy.sparse.linalg import splu
 
 
 class NumpySolid:
-    """Bricks (E, 8) over nodes (n, 3) mm with Young's modulus (MPa) and Poisson's ratio; `fixed` nodes are clamped."""
+    """Bricks (E, 8) over nodes (n, 3) mm with Young's modulus (MPa) and Poisson's ratio; `fixed`
+    nodes are clamped.
+    """
 
     def __init__(self, nodes, bricks, young, poisson, fixed):
         self.nodes, self.bricks = np.asarray(nodes, float), np.asarray(bricks)
         self.mu, self.kappa = young / (2 * (1 + poisson)), young / (3 * (1 - 2 * poisson))
-        around = ((-1, -1), (1, -1), (1, 1), (-1, 1))  # counter-clockwise, as the bricks' corners are numbered
+        # counter-clockwise, as the bricks' corners are numbered
+        around = ((-1, -1), (1, -1), (1, 1), (-1, 1))
         corners = np.array([[x, y, z] for z in (-1, 1) for x, y in around], float)
         points = corners / np.sqrt(3)
         slope = np.empty((8, 8, 3))
@@ -41,7 +46,9 @@ class NumpySolid:
         self.rows, self.columns, self.dofs = rows[self.kept], columns[self.kept], dofs
 
     def tangent(self, x):
-        """Return the force (3n,) N and the stiffness (free, free) N/mm at the deformed nodes x (n, 3) mm."""
+        """Return the force (3n,) N and the stiffness (free, free) N/mm at the deformed nodes x (n,
+        3) mm.
+        """
         f = np.einsum("eai,eqaj->eqij", x[self.bricks], self.gradient)
         j = np.linalg.det(f)
         theta = np.einsum("eq,eq->e", self.weight, j) / self.volume

@@ -1,4 +1,6 @@
-"""Plain NumPy rollouts of the same effects: a Python loop over time, vectorised over parameter sets and channels."""
+"""Plain NumPy rollouts of the same effects: a Python loop over time, vectorised over parameter sets
+and channels.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +10,20 @@ EFFECTS = ["backlash", "creep"]
 
 
 def numbers(chain, params):
-    """Return the numbers of a chain of both effects for `backlash_and_creep`, copied from `params` (B, P)."""
+    """Return the numbers of a chain of both effects for `backlash_and_creep`, copied from `params`
+    (B, P).
+    """
     groups = np.array(chain.group_labels)
     gap, strength, tau, spread = (
-        params[:, groups == label].copy() for label in ("backlash.gap", "creep.strength", "creep.tau", "creep.spread")
+        params[:, groups == label].copy()
+        for label in ("backlash.gap", "creep.strength", "creep.tau", "creep.spread")
     )
     return gap, strength, tau[:, 0], spread[:, 0]
 
 
 def backlash_and_creep(gap, strength, tau, spread, u, t):
-    """Return (B, T, C) mm: play of full width `gap` (B, C) mm, then `strength` (B, C) times two relaxations' mean.
+    """Return (B, T, C) mm: play of full width `gap` (B, C) mm, then `strength` (B, C) times two
+    relaxations' mean.
 
     Their times `tau · spread` and `tau / spread` (B,) are in s.
     """
@@ -31,7 +37,8 @@ def backlash_and_creep(gap, strength, tau, spread, u, t):
         before, played = played, np.clip(played, u[k] - half, u[k] + half)
         part = ((t[k] - t[k - 1]) / times)[:, :, None]
         kept = np.exp(-part)
-        mean = (1 - kept) / part  # exact for what is linear between samples, as in rust/effects/lag.rs
+        # exact for what is linear between samples, as in rust/effects/lag.rs
+        mean = (1 - kept) / part
         crept = kept * crept + (mean - kept) * before + (1 - mean) * played
         out[:, k] = played + 0.5 * strength * (crept[0] + crept[1])
     return out

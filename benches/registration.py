@@ -1,7 +1,8 @@
-"""Print the table of docs/do/registration.md: how far laid vertices are off, by default and by the published objective.
+"""Print the table of docs/do/registration.md: how far laid vertices are off, by default and by the
+published objective.
 
-Twelve finite-element shapes of another finger than the model's (`benches.geometry.truths`), each seen as four kinds of
-clouds; median and worst of the mean distances to the true vertices, mm.
+Twelve finite-element shapes of another finger than the model's (`benches.geometry.truths`), each
+seen as four kinds of clouds; median and worst of the mean distances to the true vertices, mm.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ def main() -> None:
     few = replace(model, handles=handles_of(Finger.builtin().replace(handles=HANDLES), model.rest))
     for kind, cameras in CAMERAS.items():
         rng = np.random.default_rng(1)
-        turned = (replace(cameras, views=tuple(v + rng.uniform(0, 360) for v in cameras.views)) for _ in shapes)
+        turned = (
+            replace(cameras, views=tuple(v + rng.uniform(0, 360) for v in cameras.views))
+            for _ in shapes
+        )
         clouds = [each.look(shape, model.triangles, rng) for each, shape in zip(turned, shapes)]
         cells = []
         for one, mode in ((model, "robust"), (model, "paper"), (few, "paper")):

@@ -1,11 +1,12 @@
-"""Print every number of docs/learn/tdcr.md: a nine-tendon robot seen at its tip, its elastic rod and general
-regressors.
+"""Print every number of docs/learn/tdcr.md: a nine-tendon robot seen at its tip, its elastic rod
+and general regressors.
 
-Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out whole moves (the labels of the log,
-dealt out to ten folds, frames within 2 s apart left out); `unseen` is `val.csv`, moves of all three segments at once,
-which `train.csv` has none of. The regressors get the nine tendon lengths at unit variance, the tip as target and their
-settings from `trunk.py` but for the Gaussian process. The published simulator is quoted, not run. Times are of the
-processor, all cores together. `python -m benches.tdcr` (some minutes); `make data` brings the logs.
+Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out whole moves (the
+labels of the log, dealt out to ten folds, frames within 2 s apart left out); `unseen` is `val.csv`,
+moves of all three segments at once, which `train.csv` has none of. The regressors get the nine
+tendon lengths at unit variance, the tip as target and their settings from `trunk.py` but for the
+Gaussian process. The published simulator is quoted, not run. Times are of the processor, all cores
+together. `python -m benches.tdcr` (some minutes); `make data` brings the logs.
 """
 
 from __future__ import annotations
@@ -34,11 +35,14 @@ from softmap_edge.run.folds import folds
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]
 
-# On new moves a Matérn kernel of one length errs less than the usual one (8 against 9.6 mm): the stronger rival counts.
+# On new moves a Matérn kernel of one length errs less than the usual one (8 against 9.6 mm): the
+# stronger rival counts.
 PEERS = USUAL | {"Gaussian process": lambda: Process(Matern(3.0, (0.1, 100.0), nu=2.5))}
 BLOCKS, GAP_S = 5, 2.0
 SIMULATOR_MM = (
-    12.1  # on val.csv: the calibrated simulator of ContinuumRoboticsLab/opencr-mujoco, where the logs are from
+    # on val.csv: the calibrated simulator of ContinuumRoboticsLab/opencr-mujoco, where the logs are
+    # from
+    12.1
 )
 
 
@@ -65,22 +69,36 @@ def error(model: Model, run: Run) -> float:
     return rms(model.predict(run) - np.asarray(run.markers))
 
 
-def rods(train: Run, unseen: Run, only: Sequence[str] = ()) -> Iterator[tuple[Row, LearnedRod, Model]]:
-    """Yield a line of the table for each law of the tendons (or for some), the fit behind it, and its model."""
+def rods(
+    train: Run, unseen: Run, only: Sequence[str] = ()
+) -> Iterator[tuple[Row, LearnedRod, Model]]:
+    """Yield a line of the table for each law of the tendons (or for some), the fit behind it, and
+    its model.
+    """
     for name, robot in robots().items():
         if only and name not in only:
             continue
         start = time.process_time()
         learned = learn(train, robot=robot)
         seconds, model = time.process_time() - start, learned_model(train, learned)
-        errors = {"train_mm": error(model, train), "cv_mm": learned.error_mm, "unseen_mm": error(model, unseen)}
-        yield {"model": name, "numbers": len(learned.numbers), **errors, "seconds": seconds}, learned, model
+        errors = {
+            "train_mm": error(model, train),
+            "cv_mm": learned.error_mm,
+            "unseen_mm": error(model, unseen),
+        }
+        yield (
+            {"model": name, "numbers": len(learned.numbers), **errors, "seconds": seconds},
+            learned,
+            model,
+        )
 
 
 def peers(train: Run, unseen: Run) -> Iterator[Row]:
     """Yield a line of the table for each regressor."""
     parts = folds(train.t_seen, BLOCKS, GAP_S, train.block)
-    (x, y), (ahead, seen) = ((run.commands("goal"), np.asarray(run.markers)) for run in (train, unseen))
+    (x, y), (ahead, seen) = (
+        (run.commands("goal"), np.asarray(run.markers)) for run in (train, unseen)
+    )
     scaler = StandardScaler().fit(x)
     for name, make in PEERS.items():
         start = time.process_time()
@@ -102,14 +120,19 @@ def quoted() -> Row:
 
 def line(row: Row) -> str:
     """Return a row as a line of text."""
-    numbers = [(row["numbers"], "8.0f"), *((row[key], "9.1f") for key in ("train_mm", "cv_mm", "unseen_mm", "seconds"))]
+    numbers = [
+        (row["numbers"], "8.0f"),
+        *((row[key], "9.1f") for key in ("train_mm", "cv_mm", "unseen_mm", "seconds")),
+    ]
     return f"{row['model']:<26}" + "".join(
         f"{'–':>9}" if value is None else f"{value:9{f[1:]}}" for value, f in numbers
     )
 
 
 def slack_share(model: Model, run: Run) -> tuple[float, float]:
-    """Return which share of the paid-out tendons carries tension, and which of the drawn-in ones is slack."""
+    """Return which share of the paid-out tendons carries tension, and which of the drawn-in ones is
+    slack.
+    """
     u = run.commands("goal")
     taut = model.prior.state(np.ascontiguousarray(u))[1] > 0
     return float(taut[u < -0.2].mean()), float((~taut[u > 0.2]).mean())
@@ -124,7 +147,9 @@ def story(model: Model, train: Run, unseen: Run) -> Iterator[Diagnosis]:
 
 
 def main() -> int:
-    """Print the table, the cables' numbers and what is diagnosed from two-sided tendons; `--json`: the table alone."""
+    """Print the table, the cables' numbers and what is diagnosed from two-sided tendons; `--json`:
+    the table alone.
+    """
     parser = argparse.ArgumentParser(prog="benches.tdcr", description=__doc__)
     parser.add_argument("--data", type=Path, help="folder of the logs (default data/tdcr)")
     parser.add_argument("--json", action="store_true")
@@ -146,7 +171,8 @@ def main() -> int:
         print(line(row))
     _, learned, model = found[1]
     print(
-        f"\n{learned}\npaid out and taut, drawn in and slack: {slack_share(model, train)}\n\n{compare(model, unseen)}"
+        f"\n{learned}\npaid out and taut, drawn in and slack: "
+        f"{slack_share(model, train)}\n\n{compare(model, unseen)}"
     )
     for diagnosis in story(found[0][2], train, unseen):
         print(f"\n{diagnosis}")

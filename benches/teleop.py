@@ -1,8 +1,9 @@
-"""Rows of teleoperation: from a picture of a hand to the period of the control loop whose target it first is.
+"""Rows of teleoperation: from a picture of a hand to the period of the control loop whose target it
+first is.
 
-The whole chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand frame, filter, map,
-the loop's process; from when the picture is due to the `now` of the period that hears the command, by the recording.
-`python -m benches.teleop` runs it alone.
+The whole chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand
+frame, filter, map, the loop's process; from when the picture is due to the `now` of the period that
+hears the command, by the recording. `python -m benches.teleop` runs it alone.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from softmap_edge.robot.teleop.hand_source import HandSource, camera_hand_source
 from softmap_edge.robot.teleop.keys import Controls
 from softmap_edge.robot.teleop.mapping import DirectMapping
 
-MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)  # of the tests; where --fetch-model puts it
+# of the tests; where --fetch-model puts it
+MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)
 RATE = 100.0  # periods a second
 
 
@@ -76,9 +78,14 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
             camera_hand_source(video, model, View()) as eyes,
         ):
             drive = Drive(
-                robot, kinematics, DirectMapping(kinematics), eyes, [Held(eyes)], rule="key",
+                robot,
+                kinematics,
+                DirectMapping(kinematics),
+                eyes,
+                [Held(eyes)],
+                rule="key",
                 sent=lambda t, u: sent.append((t, tuple(u))),
-            )  # fmt: skip
+            )
             account = drive.run()
         heard: dict[tuple[float, ...], list[float]] = {}
         for period in read_recording(record).periods:
@@ -96,8 +103,16 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     return [
         _row(f"{name}: median", float(np.median(ms)), "ms", "wanted ≤ 60"),
         _row(f"{name}: p95", float(np.quantile(ms, 0.95)), "ms", "stated"),
-        _row(f"pictures with a hand, of {eyes.taken} seen; {account.ended[-30:]}", eyes.hands, "", "wanted ≥ 600"),
-        *[_row(f"driving ended: {why[:60]}", count, "", "0") for why, count in account.lost.items()],
+        _row(
+            f"pictures with a hand, of {eyes.taken} seen; {account.ended[-30:]}",
+            eyes.hands,
+            "",
+            "wanted ≥ 600",
+        ),
+        *[
+            _row(f"driving ended: {why[:60]}", count, "", "0")
+            for why, count in account.lost.items()
+        ],
     ]
 
 

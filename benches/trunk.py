@@ -1,9 +1,11 @@
-"""Print every number of docs/learn/own_log.md; first the rod on the trunk robot, compared with general regressors.
+"""Print every number of docs/learn/own_log.md; first the rod on the trunk robot, compared with
+general regressors.
 
-Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the trunk logs. Commands
-reach every model after the drive's delay and lag as the rod found them; encoders are un-held. The regressors get the
-nine marker coordinates as targets and inputs of unit variance: same frames, blocks and inputs for all. What the load
-changes is in `trunk_load.py`. Run `python -m benches.trunk` (some minutes); `make data` brings the logs.
+Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the
+trunk logs. Commands reach every model after the drive's delay and lag as the rod found them;
+encoders are un-held. The regressors get the nine marker coordinates as targets and inputs of unit
+variance: same frames, blocks and inputs for all. What the load changes is in `trunk_load.py`. Run
+`python -m benches.trunk` (some minutes); `make data` brings the logs.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ INPUTS: tuple[tuple[Source, str], ...] = (("goal", "delayed commands"), ("presen
 
 
 class Process:
-    """A Gaussian process; without a `kernel` with one length scale an input, shared by the outputs."""
+    """A Gaussian process; without a `kernel` with one length scale an input, shared by the
+    outputs.
+    """
 
     def __init__(self, kernel: Any = None) -> None:
         self.kernel = kernel
@@ -61,7 +65,9 @@ PEERS: dict[str, Callable[[], Any]] = {
     "ridge, linear": lambda: Ridge(1.0),
     "ridge, quadratic": lambda: make_pipeline(PolynomialFeatures(2), Ridge(10.0)),
     "ridge, cubic": lambda: make_pipeline(PolynomialFeatures(3), Ridge(10.0)),
-    "gradient boosting": lambda: MultiOutputRegressor(HistGradientBoostingRegressor(random_state=SEED)),
+    "gradient boosting": lambda: MultiOutputRegressor(
+        HistGradientBoostingRegressor(random_state=SEED)
+    ),
     "Gaussian process": Process,
 }
 
@@ -78,7 +84,11 @@ def main() -> int:
     run = read(folder, FREE)
     if args.json:
         rows = list(table(run))
-        print(json.dumps({"schema": "softmap.trunk_bench/1", "blocks": BLOCKS, "gap_s": GAP_S, "rows": rows}))
+        print(
+            json.dumps(
+                {"schema": "softmap.trunk_bench/1", "blocks": BLOCKS, "gap_s": GAP_S, "rows": rows}
+            )
+        )
         return 0
     print_table(run)
     print()
@@ -96,7 +106,9 @@ def print_table(run: Run) -> None:
 
 
 def table(run: Run) -> Iterator[dict[str, float | str]]:
-    """Yield the cross-validation errors of the rod and of its peers, on commands and on encoders."""
+    """Yield the cross-validation errors of the rod and of its peers, on commands and on
+    encoders.
+    """
     for source, name in INPUTS:
         start = time.perf_counter()
         rod = learn(run, source, BLOCKS, GAP_S)
@@ -118,19 +130,26 @@ def inputs(run: Run, rod: LearnedRod) -> Floats:
 
 
 def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:
-    """Return predicted − seen (n, K, 3) mm, each block predicted from the frames beyond its gaps."""
+    """Return predicted − seen (n, K, 3) mm, each block predicted from the frames beyond its
+    gaps.
+    """
     residuals = np.empty_like(y)
     for train, test in parts:
         scaler = StandardScaler().fit(x[train])
         model = make().fit(scaler.transform(x[train]), y[train].reshape(len(train), -1))
-        residuals[test] = model.predict(scaler.transform(x[test])).reshape(len(test), -1, 3) - y[test]
+        residuals[test] = (
+            model.predict(scaler.transform(x[test])).reshape(len(test), -1, 3) - y[test]
+        )
     return residuals
 
 
 def row(model: str, source: str, residuals: Floats, seconds: float) -> dict[str, float | str]:
     """Return one line of the table."""
     square = (residuals**2).sum(axis=2)
-    errors = {"rms_mm": float(np.sqrt(square.mean())), "tip_mm": float(np.sqrt(square[:, -1].mean()))}
+    errors = {
+        "rms_mm": float(np.sqrt(square.mean())),
+        "tip_mm": float(np.sqrt(square[:, -1].mean())),
+    }
     return {"model": model, "input": source, **errors, "seconds": seconds}
 
 

@@ -1,7 +1,9 @@
-"""Numbers of docs/learn/own_log.md beyond its first table: the drive, withheld seconds, and the changes by the load.
+"""Numbers of docs/learn/own_log.md beyond its first table: the drive, withheld seconds, and the
+changes by the load.
 
-`python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers. "Later" is the last
-30 % of a run; effects see only the first 60 % of the loaded one, and the rod none of the unloaded run's later moves.
+`python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers.
+"Later" is the last 30 % of a run; effects see only the first 60 % of the loaded one, and the rod
+none of the unloaded run's later moves.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ HALVES = {
     "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
     "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
 }
-OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}  # s, which the page names as an alternative to a pure delay
+# s, which the page names as an alternative to a pure delay
+OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}
 SETS: tuple[tuple[str, ...], ...] = (
     (),
     ("offset",),
@@ -45,11 +48,15 @@ SETS: tuple[tuple[str, ...], ...] = (
 
 def read(folder: Path, observations: str) -> Run:
     """Return one recording as a run, by the example's mapping."""
-    return import_logs([folder / COMMANDS, folder / observations], read_mapping(ROOT / "examples/trunk.toml")).run
+    return import_logs(
+        [folder / COMMANDS, folder / observations], read_mapping(ROOT / "examples/trunk.toml")
+    ).run
 
 
 def reference(free: Run) -> tuple[Model, Model]:
-    """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it with free tendons."""
+    """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it
+    with free tendons.
+    """
     model = learn_model(free, hold_out=[HOLD_OUT])
     slack = replace(RodParameters.from_arrays(model.arrays["prior"]), lock=0.0)
     return model, model.with_structure(fields=slack.fields())
@@ -62,14 +69,22 @@ def error(model: Model, run: Run) -> float:
 
 
 def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
-    """Return the model with `effects` fitted to the run's frames before `FITTED` by plain least squares."""
+    """Return the model with `effects` fitted to the run's frames before `FITTED` by plain least
+    squares.
+    """
     early = run.at(run.t_seen < FITTED)
     now = model.with_effects((*model.chain_names, *effects), model.params)
-    free = {label: some[0] for label, some in grouped(now.chain).items() if label.split(".")[0] in effects}
+    free = {
+        label: some[0]
+        for label, some in grouped(now.chain).items()
+        if label.split(".")[0] in effects
+    }
     if not free:
         return model
     first = [*free.values()]
-    low, high, start = (np.asarray(getattr(now.chain, name), float)[first] for name in ("low", "high", "start"))
+    low, high, start = (
+        np.asarray(getattr(now.chain, name), float)[first] for name in ("low", "high", "start")
+    )
     start = np.clip(start, low + 1e-3 * (high - low), high - 1e-3 * (high - low))
 
     def at(x: np.ndarray) -> Model:
@@ -82,27 +97,42 @@ def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
     return at(least_squares(off, start, bounds=(low, high), x_scale=high - low, diff_step=1e-4).x)
 
 
-def load_table(model: Model, loaded: Run, sets: Sequence[tuple[str, ...]] = SETS) -> Iterator[tuple[str, int, float]]:
+def load_table(
+    model: Model, loaded: Run, sets: Sequence[tuple[str, ...]] = SETS
+) -> Iterator[tuple[str, int, float]]:
     """Yield (effects, numbers fitted, later error in mm) for each set of effects."""
     for effects in sets:
         fitted = fit(model, loaded, effects)
-        yield " + ".join(effects) or "none", len(fitted.params) - len(model.params), error(fitted, loaded)
+        yield (
+            " + ".join(effects) or "none",
+            len(fitted.params) - len(model.params),
+            error(fitted, loaded),
+        )
 
 
 def rods(free: Run) -> dict[str, float]:
-    """Return the rod's error (mm) and its drive (s) from commands and from encoders, and the rival drive's error."""
+    """Return the rod's error (mm) and its drive (s) from commands and from encoders, and the rival
+    drive's error.
+    """
     found = {}
     for source in ("goal", "present"):
         rod = learn(free, source, BLOCKS, GAP_S)
         tip = float(np.sqrt((rod.residuals[:, -1] ** 2).sum(axis=1).mean()))
-        found |= {f"{source}: rod, cross-validation, mm": rod.error_mm, f"{source}: at the tip, mm": tip}
+        found |= {
+            f"{source}: rod, cross-validation, mm": rod.error_mm,
+            f"{source}: at the tip, mm": tip,
+        }
         numbers = [number for one in rod.learned_in for number in one.params]
         found |= {f"{source}: {number.label}, {number.unit}": number.value for number in numbers}
         if source == "goal":
             (frames,) = rod.frames
             seen = free.t_seen[frames]
-            regression = Regression(np.asarray(free.markers)[frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
-            u = Drive(Record(free.commands("goal"), free.t, seen)).acting(("latency", "lag"), OTHER_DRIVE)
+            regression = Regression(
+                np.asarray(free.markers)[frames], np.zeros(3), folds(seen, BLOCKS, GAP_S)
+            )
+            u = Drive(Record(free.commands("goal"), free.t, seen)).acting(
+                ("latency", "lag"), OTHER_DRIVE
+            )
             basis = Basis(rod.made_from["degree"], rod.made_from["pulled"])
             other = rms(regression.cross_validate(u, basis, rod.made_from["ridge"]))
             found["goal: delay 0.175 s and lag 0.05 s, error ratio"] = other / rod.error_mm
@@ -110,15 +140,21 @@ def rods(free: Run) -> dict[str, float]:
 
 
 def diagnosed(model: Model, loaded: Run, reference: Run | None = None) -> Diagnosis:
-    """Return the diagnosis of the loaded run's frames before `FITTED`, relative to a `reference` if one is given."""
+    """Return the diagnosis of the loaded run's frames before `FITTED`, relative to a `reference` if
+    one is given.
+    """
     return diagnose(model, loaded.at(loaded.t_seen < FITTED), reference=reference)
 
 
 def without_load(free: Run) -> Iterator[tuple[str, Diagnosis]]:
-    """Yield what is claimed on either half of the unloaded run, with a rod that was learned from the other half."""
+    """Yield what is claimed on either half of the unloaded run, with a rod that was learned from
+    the other half.
+    """
     for name, (kept_from_rod, seen, judge) in HALVES.items():
         model = learn_model(free, hold_out=[kept_from_rod])
-        part, later = (free.at((free.t_seen >= low) & (free.t_seen < high)) for low, high in (seen, judge))
+        part, later = (
+            free.at((free.t_seen >= low) & (free.t_seen < high)) for low, high in (seen, judge)
+        )
         yield name, diagnose(model, part, held_out=later)
 
 

@@ -1,7 +1,9 @@
-"""Make the pictures of the pages: a second finger with hidden backlash, found and added; the protocol; a mesh.
+"""Make the pictures of the pages: a second finger with hidden backlash, found and added; the
+protocol; a mesh.
 
-`python docs/figures.py` writes them into `docs/pictures/`; `--out` names another folder, `--seed` another finger. The
-picture of the mesh needs its data (`make data`) and is left as it is without them.
+`python docs/figures.py` writes them into `docs/pictures/`; `--out` names another folder, `--seed`
+another finger. The picture of the mesh needs its data (`make data`) and is left as it is without
+them.
 """
 
 from __future__ import annotations
@@ -21,7 +23,18 @@ from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
-from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time, svg
+from softmap_edge.report.figures import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    INK,
+    STYLE,
+    WIDE,
+    body,
+    ladder_bars,
+    over_time,
+    svg,
+)
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.synthetic.finger import hide
 
@@ -29,7 +42,9 @@ SEED = 1  # of the second finger; any other gives the same picture with other nu
 
 
 def plan(protocol: Protocol) -> bytes:
-    """Draw the commands of a protocol in its first orientation, its parts shaded and named (SVG)."""
+    """Draw the commands of a protocol in its first orientation, its parts shaded and named
+    (SVG).
+    """
     turned = protocol.t[np.flatnonzero(np.any(protocol.gravity != protocol.gravity[0], axis=1))[0]]
     rows, frames = protocol.t < turned, protocol.t_seen < turned
     t, seen = protocol.t[rows], protocol.t_seen[frames]
@@ -50,14 +65,20 @@ def plan(protocol: Protocol) -> bytes:
         for low, high, kind in zip(edges[:-1], edges[1:], kinds[starts]):
             name = kind.replace(" ", "\n") if high - low < 12 else kind
             panels[0].annotate(
-                name, ((low + high) / 2, 1.03), xycoords=("data", "axes fraction"), ha="center", size=7.5
+                name,
+                ((low + high) / 2, 1.03),
+                xycoords=("data", "axes fraction"),
+                ha="center",
+                size=7.5,
             )
         panels[-1].set_xlabel("time, s")
         return svg(figure)
 
 
 def mesh_and_bricks(folder: Path) -> bytes:
-    """Draw the mesh finger, and the built-in finger of the same dimensions, bent by 0, 8 and 16 mm (SVG)."""
+    """Draw the mesh finger, and the built-in finger of the same dimensions, bent by 0, 8 and 16 mm
+    (SVG).
+    """
     commands = np.array([[0.0, 0.0], [8.0, 0.0], [16.0, 0.0]])
     meshed, bricks = Simulator(load(folder)), Simulator(Finger.builtin())
     rest = bricks.template.vertices
@@ -65,7 +86,9 @@ def mesh_and_bricks(folder: Path) -> bytes:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
-        for axes, command, points, outline in zip(panels, commands, meshed.path(commands), bricks.path(commands)):
+        for axes, command, points, outline in zip(
+            panels, commands, meshed.path(commands), bricks.path(commands)
+        ):
             dots = axes.plot(points[:, 0], points[:, 2], ".", color=AFTER, markersize=2.0)[0]
             for side in (np.argmax, np.argmin):
                 line = np.array([outline[level[side(rest[level, 0])]] for level in levels])
@@ -74,7 +97,10 @@ def mesh_and_bricks(folder: Path) -> bytes:
             axes.set_title(f"{command[0]:g} mm of the first pair", size=9.0)
             axes.set_xlabel("x, mm")
         panels[0].set_ylabel("z, mm")
-        names = ["mesh of 10-node tetrahedra, its surface vertices", "bricks of the same dimensions, their outline"]
+        names = [
+            "mesh of 10-node tetrahedra, its surface vertices",
+            "bricks of the same dimensions, their outline",
+        ]
         figure.legend([dots, edge], names, loc="outside lower center", ncols=2, frameon=False)
         return svg(figure)
 

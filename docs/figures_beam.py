@@ -1,7 +1,8 @@
-"""Make the picture of docs/learn/beam.md: a silicone beam from the side, measured markers and prediction.
+"""Make the picture of docs/learn/beam.md: a silicone beam from the side, measured markers and
+prediction.
 
-`python docs/figures_beam.py` writes it into `docs/pictures/`; `--out` names another folder. It needs the recordings
-(`make data`) and says so where they are absent.
+`python docs/figures_beam.py` writes it into `docs/pictures/`; `--out` names another folder. It
+needs the recordings (`make data`) and says so where they are absent.
 """
 
 from __future__ import annotations
@@ -40,26 +41,38 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def side(beam: Finger, runs: dict[str, Run]) -> bytes:
-    """Draw the middle plane of the beam under each load: outline predicted, markers predicted and seen (SVG)."""
+    """Draw the middle plane of the beam under each load: outline predicted, markers predicted and
+    seen (SVG).
+    """
     solid = Simulator(beam)
     rest = solid.template.vertices
     shown = {load: name for name, load in LOADS_G.items()}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 3.0), layout="constrained")
         for axes, (load, name) in zip(figure.subplots(1, len(shown)), shown.items()):
-            shape = solid.path(np.zeros((1, 0)), load=load * NEWTON_PER_G * np.array(beam.gravity))[0]
+            shape = solid.path(np.zeros((1, 0)), load=load * NEWTON_PER_G * np.array(beam.gravity))[
+                0
+            ]
             for height in (rest[:, 0].min(), rest[:, 0].max()):
-                line = np.flatnonzero(np.isclose(rest[:, 0], height) & np.isclose(rest[:, 1], rest[:, 1].min()))
+                line = np.flatnonzero(
+                    np.isclose(rest[:, 0], height) & np.isclose(rest[:, 1], rest[:, 1].min())
+                )
                 line = line[np.argsort(rest[line, 2])]
                 axes.plot(rest[line, 2], rest[line, 0], color=FAINT)
                 axes.plot(shape[line, 2], shape[line, 0], color=INK, linewidth=1.2)
             places = np.asarray(runs[name].marker_rest)
             predicted = attach(places, rest) @ shape
             seen = np.nanmean(np.asarray(runs[name].markers), axis=0)
-            axes.scatter(predicted[:, 2], predicted[:, 0], s=26, color=AFTER, label="predicted", zorder=3)
-            axes.scatter(seen[:, 2], seen[:, 0], s=26, color=BEFORE, marker="x", label="seen", zorder=4)
+            axes.scatter(
+                predicted[:, 2], predicted[:, 0], s=26, color=AFTER, label="predicted", zorder=3
+            )
+            axes.scatter(
+                seen[:, 2], seen[:, 0], s=26, color=BEFORE, marker="x", label="seen", zorder=4
+            )
             axes.set(
-                title="own weight" if not load else f"{load:g} g", xlabel="along the beam, mm", ylabel="height, mm"
+                title="own weight" if not load else f"{load:g} g",
+                xlabel="along the beam, mm",
+                ylabel="height, mm",
             )
             axes.set(xlim=(-4.0, 112.0), ylim=(-52.0, 24.0))
             axes.set_aspect("equal")

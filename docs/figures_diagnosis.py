@@ -1,6 +1,7 @@
 """Make the picture of docs/understand/diagnosis.md: the steps from a run to a verdict.
 
-`python docs/figures_diagnosis.py` writes diagnosis.svg into `docs/pictures/`; `--out` names another folder.
+`python docs/figures_diagnosis.py` writes diagnosis.svg into `docs/pictures/`; `--out` names another
+folder.
 """
 
 from __future__ import annotations
@@ -16,9 +17,17 @@ from matplotlib.patches import FancyBboxPatch
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, svg
 
 STEPS = (  # title, text, condition that leads on
-    ("1 · Clean", "model − run = error\nleave out faulty frames\nestimate the noise", "error above\nthe noise"),
+    (
+        "1 · Clean",
+        "model − run = error\nleave out faulty frames\nestimate the noise",
+        "error above\nthe noise",
+    ),
     ("2 · Family", "fit every family\nof effects, compare\nheld-out error", "best family\ncounts"),
-    ("3 · Law", "fit the known laws\nof this family;\nas good as the family?", "no further\nfamily"),
+    (
+        "3 · Law",
+        "fit the known laws\nof this family;\nas good as the family?",
+        "no further\nfamily",
+    ),
     ("4 · Validate", "fit each claim to the\nother blocks, test it on\nwithheld blocks", ""),
 )
 VERDICTS = (  # where a step ends, and why
@@ -37,9 +46,24 @@ def picture() -> bytes:
         axes = figure.subplots()
         for k, (title, text, question) in enumerate(STEPS):
             left = k * (WIDTH + GAP)
-            box = FancyBboxPatch((left, 0.0), WIDTH, HEIGHT, boxstyle="round,pad=0.05", facecolor=FAINT, edgecolor=INK)
+            box = FancyBboxPatch(
+                (left, 0.0),
+                WIDTH,
+                HEIGHT,
+                boxstyle="round,pad=0.05",
+                facecolor=FAINT,
+                edgecolor=INK,
+            )
             axes.add_patch(box)
-            axes.text(left + WIDTH / 2, HEIGHT - 0.12, title, ha="center", va="top", weight="bold", size=10)
+            axes.text(
+                left + WIDTH / 2,
+                HEIGHT - 0.12,
+                title,
+                ha="center",
+                va="top",
+                weight="bold",
+                size=10,
+            )
             axes.text(left + WIDTH / 2, 0.12, text, ha="center", va="bottom", size=8.5)
             _arrow(axes, (left + WIDTH / 2, -0.08), (left + WIDTH / 2, -0.55))
             colour = AFTER if k == len(STEPS) - 1 else BEFORE
@@ -47,15 +71,28 @@ def picture() -> bytes:
             axes.text(left + WIDTH / 2, -0.62, verdict, ha="center", va="top", size=9, color=colour)
             axes.text(left + WIDTH / 2, -0.85, why, ha="center", va="top", size=8)
             if question:
-                axes.text(left + WIDTH + GAP / 2, HEIGHT + 0.12, question, ha="center", va="bottom", size=8.5)
-                _arrow(axes, (left + WIDTH + 0.08, HEIGHT / 2), (left + WIDTH + GAP - 0.08, HEIGHT / 2))
+                axes.text(
+                    left + WIDTH + GAP / 2,
+                    HEIGHT + 0.12,
+                    question,
+                    ha="center",
+                    va="bottom",
+                    size=8.5,
+                )
+                _arrow(
+                    axes, (left + WIDTH + 0.08, HEIGHT / 2), (left + WIDTH + GAP - 0.08, HEIGHT / 2)
+                )
         third = 2 * (WIDTH + GAP) + 0.3
         second = third - WIDTH - GAP + 0.6
         axes.annotate(
             "next family",
             xy=(second, HEIGHT + 0.06),
             xytext=(third, HEIGHT + 0.75),
-            arrowprops={"arrowstyle": "->", "connectionstyle": "angle,angleA=180,angleB=90", "color": INK},
+            arrowprops={
+                "arrowstyle": "->",
+                "connectionstyle": "angle,angleA=180,angleB=90",
+                "color": INK,
+            },
             size=8.5,
             ha="left",
             va="center",
@@ -65,7 +102,9 @@ def picture() -> bytes:
         return svg(figure)
 
 
-def _arrow(axes: matplotlib.axes.Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
+def _arrow(
+    axes: matplotlib.axes.Axes, start: tuple[float, float], end: tuple[float, float]
+) -> None:
     axes.annotate("", xy=end, xytext=start, arrowprops={"arrowstyle": "->", "color": INK})
 
 

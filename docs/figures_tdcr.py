@@ -1,7 +1,8 @@
-"""Make the pictures of docs/learn/tdcr.md: the tip of a nine-tendon robot on moves that its rods were not fitted to.
+"""Make the pictures of docs/learn/tdcr.md: the tip of a nine-tendon robot on moves that its rods
+were not fitted to.
 
-`python docs/figures_tdcr.py` writes them into `docs/pictures/`; `--out` names another folder. It needs the logs (`make
-data`) and says so where they are absent.
+`python docs/figures_tdcr.py` writes them into `docs/pictures/`; `--out` names another folder. It
+needs the logs (`make data`) and says so where they are absent.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from softmap_edge.rod.regression import rms
 
 Floats = NDArray[np.float64]
 LAWS = {"elastic rod, two-sided": ("two-sided", BEFORE), "elastic rod, cables": ("cables", AFTER)}
-MOVES = ("rep1_all3_same_dir300", "rep1_all3_scurve_dir60", "rep1_all3_spiral_dir300")  # one of each kind
+# one of each kind
+MOVES = ("rep1_all3_same_dir300", "rep1_all3_scurve_dir60", "rep1_all3_spiral_dir300")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,7 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if folder is None:
         return 0
     train, unseen = read(folder)
-    predicted = {str(row["model"]): model.predict(unseen)[:, 0] for row, _, model in rods(train, unseen, tuple(LAWS))}
+    predicted = {
+        str(row["model"]): model.predict(unseen)[:, 0]
+        for row, _, model in rods(train, unseen, tuple(LAWS))
+    }
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "tdcr_paths.svg").write_bytes(paths(unseen, predicted))
     (args.out / "tdcr_moves.svg").write_bytes(moves(unseen, predicted))
@@ -53,7 +58,9 @@ def tip(run: Run) -> Floats:
 
 
 def paths(run: Run, predicted: Mapping[str, Floats]) -> bytes:
-    """Draw three moves from above and from the side: measured, and as each law of the tendons predicts them (SVG)."""
+    """Draw three moves from above and from the side: measured, and as each law of the tendons
+    predicts them (SVG).
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 6.2), layout="constrained")
         panels = figure.subplots(2, len(MOVES))
@@ -61,11 +68,22 @@ def paths(run: Run, predicted: Mapping[str, Floats]) -> bytes:
             frames = np.asarray(run.block) == move
             for axes, (first, second) in zip(column, ((0, 1), (0, 2))):
                 seen = tip(run)[frames]
-                axes.plot(seen[:, first], seen[:, second], color=INK, linewidth=1.0, marker=".", label="measured")
+                axes.plot(
+                    seen[:, first],
+                    seen[:, second],
+                    color=INK,
+                    linewidth=1.0,
+                    marker=".",
+                    label="measured",
+                )
                 for name, points in predicted.items():
                     law, colour = LAWS[name]
                     axes.plot(
-                        points[frames][:, first], points[frames][:, second], color=colour, linewidth=1.4, label=law
+                        points[frames][:, first],
+                        points[frames][:, second],
+                        color=colour,
+                        linewidth=1.4,
+                        label=law,
                     )
                 axes.set(xlabel=f"{'xyz'[first]}, mm", ylabel=f"{'xyz'[second]}, mm")
                 axes.set_aspect("equal", adjustable="datalim")
@@ -86,8 +104,16 @@ def moves(run: Run, predicted: Mapping[str, Floats]) -> bytes:
         for side, (name, points) in zip((-0.2, 0.2), predicted.items()):
             law, colour = LAWS[name]
             off = points - tip(run)
-            errors = [rms(off[np.array([label == move for label in labels])][:, None]) for move in names]
-            axes.bar(place + side, errors, 0.4, color=colour, label=f"{law}: {rms(off[:, None]):.1f} mm in all")
+            errors = [
+                rms(off[np.array([label == move for label in labels])][:, None]) for move in names
+            ]
+            axes.bar(
+                place + side,
+                errors,
+                0.4,
+                color=colour,
+                label=f"{law}: {rms(off[:, None]):.1f} mm in all",
+            )
         axes.set_xticks(place, [shown(name) for name in names], rotation=45, ha="right")
         axes.set_ylabel("tip error, mm RMS")
         axes.grid(axis="y", color=FAINT, linewidth=0.8)

@@ -1,8 +1,9 @@
-"""Make the picture of the page that drives by hand: an emulated finger, and the hand of a clip before the camera.
+"""Make the picture of the page that drives by hand: an emulated finger, and the hand of a clip
+before the camera.
 
-`python docs/figures_teleop.py` writes teleop.jpg into `docs/pictures/`; `--out` names another folder. It needs the
-command chromium (a browser that draws without a screen), the clip (`make data`) and the model of hands (`softmap teleop
---fetch-model`), and says in one line what is absent.
+`python docs/figures_teleop.py` writes teleop.jpg into `docs/pictures/`; `--out` names another
+folder. It needs the command chromium (a browser that draws without a screen), the clip (`make
+data`) and the model of hands (`softmap teleop --fetch-model`), and says in one line what is absent.
 """
 
 from __future__ import annotations
@@ -81,18 +82,27 @@ def browser(url: str) -> Iterator[ClientConnection]:
 
 
 def look(page: ClientConnection) -> tuple[str, float]:
-    """Return what kind of state the page shows, and the larger command, mm; "" before it is there."""
-    bars = "[...document.querySelectorAll('.bar .value')].map(v => Math.abs(parseFloat(v.textContent)) || 0)"
+    """Return what kind of state the page shows, and the larger command, mm; "" before it is
+    there.
+    """
+    bars = (
+        "[...document.querySelectorAll('.bar .value')].map(v => "
+        "Math.abs(parseFloat(v.textContent)) || 0)"
+    )
     asked = f"[document.body?.dataset.level || '', Math.max(0, ...{bars})]"
     try:
-        level, largest = ask(page, "Runtime.evaluate", expression=asked, returnByValue=True)["result"]["value"]
+        level, largest = ask(page, "Runtime.evaluate", expression=asked, returnByValue=True)[
+            "result"
+        ]["value"]
     except (ChromiumError, KeyError):
         return "", 0.0
     return level, largest
 
 
 def teleop_page(clip: Path) -> bytes | None:
-    """Drive by the hand of a clip, and return the page as a JPEG while it drives; None where something ended that."""
+    """Drive by the hand of a clip, and return the page as a JPEG while it drives; None where
+    something ended that.
+    """
     command = [sys.executable, "-c", "from softmap_edge.cli import main; raise SystemExit(main())"]
     command += ["teleop", "--sim", "--camera", str(clip), "--page", "0"]
     program = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -108,9 +118,13 @@ def teleop_page(clip: Path) -> bytes | None:
             while time.monotonic() < until:
                 ask(page, "Input.dispatchKeyEvent", type="rawKeyDown", **SPACE)
                 pressed = time.monotonic()
-                while (now := look(page))[0] == "driving" or time.monotonic() < min(pressed + PATIENT, until):
+                while (now := look(page))[0] == "driving" or time.monotonic() < min(
+                    pressed + PATIENT, until
+                ):
                     if now[0] == "driving" and now[1] > BENT_MM:
-                        picture = ask(page, "Page.captureScreenshot", format="jpeg", quality=QUALITY)["data"]
+                        picture = ask(
+                            page, "Page.captureScreenshot", format="jpeg", quality=QUALITY
+                        )["data"]
                         if look(page)[0] == "driving":
                             return base64.b64decode(picture)
                     time.sleep(0.1)
@@ -125,17 +139,29 @@ def teleop_page(clip: Path) -> bytes | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Take the picture, where everything that it needs is here."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("pictures"), help="folder for the picture")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path(__file__).with_name("pictures"),
+        help="folder for the picture",
+    )
     args = parser.parse_args(argv)
     folder = find("hand")
     if shutil.which("chromium") is None or folder is None:
-        absent = "the clip of a hand (make data brings it)" if folder is None else "the command chromium"
+        absent = (
+            "the clip of a hand (make data brings it)" if folder is None else "the command chromium"
+        )
         print(f"teleop.jpg is not drawn again: {absent} is absent")
         return 0
     args.out.mkdir(parents=True, exist_ok=True)
-    picture = next((made for _ in range(TRIES) if (made := teleop_page(folder / "hand.mp4")) is not None), None)
+    picture = next(
+        (made for _ in range(TRIES) if (made := teleop_page(folder / "hand.mp4")) is not None), None
+    )
     if picture is None:
-        print(f"teleop.jpg is not drawn again: driving ended early {TRIES} times; try when the computer is less busy")
+        print(
+            f"teleop.jpg is not drawn again: driving ended early {TRIES} times; try when the "
+            "computer is less busy"
+        )
         return 1
     (args.out / "teleop.jpg").write_bytes(picture)
     return 0

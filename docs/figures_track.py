@@ -1,8 +1,9 @@
-"""Make the picture of docs/do/track.md: an S on an emulated finger that hides backlash and creep, and through them.
+"""Make the picture of docs/do/track.md: an S on an emulated finger that hides backlash and creep,
+and through them.
 
-`python docs/figures_track.py` writes track_s.svg into `docs/pictures/`; `--out` names another folder. It runs in real
-time, a minute, on emulated servos: a busy computer may end it. The numbers are those of tests/robot/test_track.py's
-promise.
+`python docs/figures_track.py` writes track_s.svg into `docs/pictures/`; `--out` names another
+folder. It runs in real time, a minute, on emulated servos: a busy computer may end it. The numbers
+are those of tests/robot/test_track.py's promise.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ def found(model: Model, laws: Sequence[Any]) -> Model:
     at_frames = np.stack([np.interp(plan.t_seen, plan.t, column) for column in acting.T], axis=1)
     points = np.asarray(model.prior.evaluate(at_frames)).reshape(len(at_frames), -1, 3)
     points = points + np.random.default_rng(0).normal(0, 0.1, points.shape)
-    answer = diagnose(model, Run(t=plan.t, command=plan.command, t_seen=plan.t_seen, vertices=points))
+    answer = diagnose(
+        model, Run(t=plan.t, command=plan.command, t_seen=plan.t_seen, vertices=points)
+    )
     print(answer.sentence)
     return answer.added(model, [entry.name for entry in answer.effects])
 
@@ -48,12 +51,19 @@ def found(model: Model, laws: Sequence[Any]) -> Model:
 def tracked(model: Model, laws: Sequence[Any]) -> tuple[Course, Tracked]:
     """Track an S on an emulated finger through the effects of a model."""
     kinematics, map_ = Kinematics(model, axes="xy"), plain_map(model)
-    limits: dict[str, Any] = {"slew": [SLEW] * model.channels, "acceleration": [ACCELERATION] * model.channels}
-    made = course(kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, calibration=map_, **limits)
+    limits: dict[str, Any] = {
+        "slew": [SLEW] * model.channels,
+        "acceleration": [ACCELERATION] * model.channels,
+    }
+    made = course(
+        kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, calibration=map_, **limits
+    )
     with (
         tempfile.TemporaryDirectory() as folder,
         emulated_bench(model, map_, laws, rate=100.0) as (_, rig, limits, finger),
-        Controller(rig, map_, limits, kinematics=kinematics, record=Path(folder) / "s.mcap") as robot,
+        Controller(
+            rig, map_, limits, kinematics=kinematics, record=Path(folder) / "s.mcap"
+        ) as robot,
     ):
         return made, track(robot, kinematics, made, finger.seen)
 
@@ -61,11 +71,19 @@ def tracked(model: Model, laws: Sequence[Any]) -> tuple[Course, Tracked]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Diagnose, track twice, and draw both."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("pictures"), help="folder for the picture")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path(__file__).with_name("pictures"),
+        help="folder for the picture",
+    )
     args = parser.parse_args(argv)
     model = builtin_model()
     laws = hidden_laws(HIDDEN, model.channels, SEED, SIZE)
-    shown = [("effects unknown", BEFORE, model), ("through what was found", AFTER, found(model, laws))]
+    shown = [
+        ("effects unknown", BEFORE, model),
+        ("through what was found", AFTER, found(model, laws)),
+    ]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.4))

@@ -1,9 +1,11 @@
-"""Write docs/reference/effects.md and its pictures from the registry: `python docs/make_effects.py`.
+"""Write docs/reference/effects.md and its pictures from the registry: `python
+docs/make_effects.py`.
 
-A picture shows one recording without and with the effect. Effects on commands, at their start: the commanded and
-the effective command over time, then what the effect adds, over the command. If one channel moves the other, the plane
-of both channels is shown. Effects on the shape and on sensing, at their typical strength: postures of the built-in
-finger, then what is added at its tip. Those that change a number of the prior: on an elastic rod of the same length.
+A picture shows one recording without and with the effect. Effects on commands, at their start: the
+commanded and the effective command over time, then what the effect adds, over the command. If one
+channel moves the other, the plane of both channels is shown. Effects on the shape and on sensing,
+at their typical strength: postures of the built-in finger, then what is added at its tip. Those
+that change a number of the prior: on an elastic rod of the same length.
 """
 
 from __future__ import annotations
@@ -80,8 +82,8 @@ NEWTON_PER_GRAM = 9.80665e-3
 
 
 def load_errors() -> dict[str, tuple[float, float, float]]:
-    """Return for each load how far the model misses the simulator, how far without a second level, and how far the load
-    moves the hanging finger: mm RMS.
+    """Return for each load how far the model misses the simulator, how far without a second level,
+    and how far the load moves the hanging finger: mm RMS.
     """
     model, simulator = builtin_model(), Simulator(Finger.builtin())
     u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
@@ -106,19 +108,26 @@ def _rms(moved: Floats) -> float:
 def load_table(errors: dict[str, tuple[float, float, float]]) -> str:
     """Return the table of `load_errors`."""
     rows = [
-        f"| {name} | {miss:.2f} mm | {linear:.2f} mm | {of:.1f} mm |" for name, (miss, linear, of) in errors.items()
+        f"| {name} | {miss:.2f} mm | {linear:.2f} mm | {of:.1f} mm |"
+        for name, (miss, linear, of) in errors.items()
     ]
     return "\n".join(["| load | error | linear | of |", "|---|---|---|---|", *rows])
 
 
-# --- pictures --------------------------------------------------------------------------------------------------------
+# --- pictures -------------------------------------------------------------------------------------
 
-# mm of both channels; a dwell is a knot twice. One channel at a time, growing, so that crosstalk and history show.
+# mm of both channels; a dwell is a knot twice. One channel at a time, growing, so that crosstalk
+# and history show.
 FIRST = [0, 5, -5, 11, 11, -11, 7, 7, 0, 0, 0, 0, 0, 0]
 SECOND = [0, 0, 0, 0, 0, 0, 0, 0, 0, 9, 9, -9, 0, 0]
 KNOTS = np.array([FIRST, SECOND], float).T
 # Two cameras that look along −x and −y at a place 30 mm above the base, from 200 mm away.
-CAMERAS = np.array([[[0, 1, 0, 0], [0, 0, -1, 30], [-1, 0, 0, 200]], [[-1, 0, 0, 0], [0, 0, -1, 30], [0, -1, 0, 200]]])
+CAMERAS = np.array(
+    [
+        [[0, 1, 0, 0], [0, 0, -1, 30], [-1, 0, 0, 200]],
+        [[-1, 0, 0, 0], [0, 0, -1, 30], [0, -1, 0, 200]],
+    ]
+)
 LASTS = {"delay": 7.0, "slow drift": 200.0}  # s, by family; others:
 USUAL = 60.0
 POSTURES = (0, 4, 13)  # knots seen from the side: at home, at 11 mm, home again
@@ -146,31 +155,67 @@ def pictured(effect: dict[str, Any]) -> bytes:
             if effect["role"] == "prior":
                 frames = _rod().predict(chain, sets, _core.Inputs(u, t, t))
             else:
-                frames = model.predict_features((effect["name"],), sets, run)[:, :, model.structure.positions]
+                frames = model.predict_features((effect["name"],), sets, run)[
+                    :, :, model.structure.positions
+                ]
             _seen(figure, t, moments, frames[0], frames[1])
-        units = dict(zip([*chain.labels, *chain.group_labels], ["" if u == "1" else f" {u}" for u in chain.units] * 2))
-        given = ", ".join(f"{n.split('.')[1]} {v:.3g}{units[n]}" for n, v in named(chain, params).items())
+        units = dict(
+            zip(
+                [*chain.labels, *chain.group_labels],
+                ["" if u == "1" else f" {u}" for u in chain.units] * 2,
+            )
+        )
+        given = ", ".join(
+            f"{n.split('.')[1]} {v:.3g}{units[n]}" for n, v in named(chain, params).items()
+        )
         figure.suptitle(given, size=9.0, x=0.01, ha="left")
         target = io.BytesIO()
-        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+        figure.savefig(
+            target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None}
+        )
         return target.getvalue()
 
 
 def _rod() -> _core.Predictor:
-    """Return an elastic rod of 105 mm, bent by four tendons 6 mm off its axis that push as they pull."""
+    """Return an elastic rod of 105 mm, bent by four tendons 6 mm off its axis that push as they
+    pull.
+    """
     quarter = np.pi / 2 * np.arange(4.0)
-    numbers = [[1.0], quarter, [6.0] * 4, np.zeros(4), [30.0], [105.0], np.zeros(2), np.zeros(3), np.zeros(2)]
+    numbers = [
+        [1.0],
+        quarter,
+        [6.0] * 4,
+        np.zeros(4),
+        [30.0],
+        [105.0],
+        np.zeros(2),
+        np.zeros(3),
+        np.zeros(2),
+    ]
     tendons = [0] * 4, [0, 1, 0, 1], [1.0, 1.0, -1.0, -1.0]
-    rod = _core.ElasticRod(1, 2, *tendons, list(np.linspace(0.0, 1.0, 10)[1:]), np.concatenate(numbers))
+    rod = _core.ElasticRod(
+        1, 2, *tendons, list(np.linspace(0.0, 1.0, 10)[1:]), np.concatenate(numbers)
+    )
     return _core.Predictor(rod, {}, [True] * 9, np.array([0.0, 0.0, 1.0]))
 
 
 def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
-    """Draw the commanded u and the effective command `acts` (T, 2) mm over t (T,) s, and what the effect adds."""
+    """Draw the commanded u and the effective command `acts` (T, 2) mm over t (T,) s, and what the
+    effect adds.
+    """
     time, plane = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
     for c, line in enumerate(("-", (0, (3, 2)))):
-        time.plot(t, u[:, c], color=BEFORE, linewidth=1.0, linestyle=line, label=f"commanded, channel {c}")
-        time.plot(t, acts[:, c], color=AFTER, linewidth=1.4, linestyle=line, label=f"effective, channel {c}")
+        time.plot(
+            t, u[:, c], color=BEFORE, linewidth=1.0, linestyle=line, label=f"commanded, channel {c}"
+        )
+        time.plot(
+            t,
+            acts[:, c],
+            color=AFTER,
+            linewidth=1.4,
+            linestyle=line,
+            label=f"effective, channel {c}",
+        )
     time.set(xlabel="time, s", ylabel="mm")
     time.legend(loc="lower left", ncols=2, frameon=False, fontsize=7.5)
     time.set_ylim(np.min([u, acts]) - 7.0, None)
@@ -190,7 +235,9 @@ def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
 
 
 def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Floats) -> None:
-    """Draw section middles (T, S, 3) mm from the side at three moments, and what is added at the tip over time."""
+    """Draw section middles (T, S, 3) mm from the side at three moments, and what is added at the
+    tip over time.
+    """
     side, time = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
     for frames, colour in ((before, BEFORE), (after, AFTER)):
         for knot in POSTURES:
@@ -210,7 +257,10 @@ def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Flo
 def page(loads: str) -> str:
     """Return the page as text; `loads` is the table of the errors under loads."""
     effects = _core.effects()
-    rows = [f"| [{e['name']}](#{e['name']}) | {e['stage']} | {e['family']} | `{e['formula']}` |" for e in effects]
+    rows = [
+        f"| [{e['name']}](#{e['name']}) | {e['stage']} | {e['family']} | `{e['formula']}` |"
+        for e in effects
+    ]
     index = "\n".join(["| effect | stage | family | form |", "|---|---|---|---|", *rows])
     return "\n".join([HEAD.replace("@LOADS@", loads), index, "", *(_section(e) for e in effects)])
 
@@ -222,8 +272,9 @@ def _section(effect: dict[str, Any]) -> str:
     if effect["kind"] == "fault":
         facts += "; a fault of the measurement, not of the robot"
     parameters = [
-        f"| `{effect['name']}.{p['name']}`{_each(p)} | {p['unit']} | {p['null']:g} "
-        f"| {p['start']:g} | {p['low']:g} to {p['high']:g}{' (log)' if p['log'] else ''}{_reach(p)} | {p['doc']} |"
+        f"| `{effect['name']}.{p['name']}`{_each(p)} | {p['unit']} | {p['null']:g} | "
+        f"{p['start']:g} | {p['low']:g} to {p['high']:g}{' (log)' if p['log'] else ''}{_reach(p)} "
+        f"| {p['doc']} |"
         for p in effect["parameters"]
     ]
     return "\n".join(
@@ -252,7 +303,13 @@ def _section(effect: dict[str, Any]) -> str:
 
 def _reach(parameter: dict[str, Any]) -> str:
     half, lengths = parameter["half_ranges"], parameter["lengths"]
-    return f", at most {half:g} half ranges" if half else f", at most {lengths:g} lengths" if lengths else ""
+    return (
+        f", at most {half:g} half ranges"
+        if half
+        else f", at most {lengths:g} lengths"
+        if lengths
+        else ""
+    )
 
 
 def _each(parameter: dict[str, Any]) -> str:
@@ -262,7 +319,8 @@ def _each(parameter: dict[str, Any]) -> str:
         "per_channel": " per channel",
         "per_pair": " per pair",
     }
-    words = [word for key, word in each.items() if parameter[key]][:1]  # the first key that holds is the most exact
+    # the first key that holds is the most exact
+    words = [word for key, word in each.items() if parameter[key]][:1]
     return "".join(words + [" integer"] * parameter["integer"])
 
 

@@ -1,7 +1,9 @@
-"""Write the generated pages of docs/reference/: commands, Python names, finger.toml, schemas, confounds.
+"""Write the generated pages of docs/reference/: commands, Python names, finger.toml, schemas,
+confounds.
 
-`python docs/make_reference.py` writes them; `make docs` runs it before it builds the site. `pages()` returns the texts,
-which tests/project/test_reference.py compares with the committed pages.
+`python docs/make_reference.py` writes them; `make docs` runs it before it builds the site.
+`pages()` returns the texts, which tests/project/test_reference.py compares with the committed
+pages.
 """
 
 from __future__ import annotations
@@ -72,11 +74,14 @@ BETWEEN = {  # what in a run distinguishes two effects of the same form
 
 
 def alike_page() -> str:
-    """Return the page of effects and families that look the same, its tables made from the registries."""
+    """Return the page of effects and families that look the same, its tables made from the
+    registries.
+    """
     rows = ["| effect | looks like | separated by |", "|---|---|---|"]
     for effect in _core.effects():
         rows += [
-            f"| `{effect['name']}` | `{other}` | {BETWEEN[key]} |" for other, key in sorted(effect["alike"].items())
+            f"| `{effect['name']}` | `{other}` | {BETWEEN[key]} |"
+            for other, key in sorted(effect["alike"].items())
         ]
     families = ["| family | imitated by | moves that separate them |", "|---|---|---|"]
     for family in _core.families():
@@ -93,16 +98,23 @@ def architecture_page() -> str:
     modules = [*sorted((ROOT / "rust").rglob("mod.rs")), ROOT / "rust/servo/lib.rs"]
     python = ["| package | purpose |", "|---|---|"]
     for folder in sorted(packages):
-        doc = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
+        doc = (
+            ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
+        )
         python.append(f"| `{folder.relative_to(ROOT)}/` | {_cell(doc.split(chr(10) * 2)[0])} |")
     core = ["| folder | purpose |", "|---|---|"]
-    core += [f"| `{file.parent.relative_to(ROOT)}/` | {_cell(_first_sentence(file))} |" for file in sorted(modules)]
+    core += [
+        f"| `{file.parent.relative_to(ROOT)}/` | {_cell(_first_sentence(file))} |"
+        for file in sorted(modules)
+    ]
     return filled((ROOT / ARCHITECTURE).read_text(encoding="utf-8"), packages=python, core=core)
 
 
 def _first_sentence(file: Path) -> str:
     """Return the first sentence of a Rust module's documentation."""
-    lines = itertools.takewhile(lambda line: line.startswith("//!"), file.read_text(encoding="utf-8").splitlines())
+    lines = itertools.takewhile(
+        lambda line: line.startswith("//!"), file.read_text(encoding="utf-8").splitlines()
+    )
     text = " ".join(line.removeprefix("//!").strip() or "\n" for line in lines).split("\n")[0]
     return re.split(r"(?<=\.) ", text)[0].strip()
 
@@ -123,7 +135,9 @@ def commands_page() -> str:
     for group in dict.fromkeys(one.group for one in commands):
         parts += [f"| {group} | |", "|---|---|"]
         parts += [
-            f"| [{v.name}](#{v.name.replace(' ', '-')}) | {_cell(v.help)} |" for v in commands if v.group == group
+            f"| [{v.name}](#{v.name.replace(' ', '-')}) | {_cell(v.help)} |"
+            for v in commands
+            if v.group == group
         ]
         parts.append("")
     for one in commands:
@@ -153,7 +167,13 @@ def _command(command: Command) -> str:
         if isinstance(action, argparse._SubParsersAction):
             helps = {one.dest: one.help or "" for one in action._choices_actions}
             for name, below in action.choices.items():
-                lines += [f"### {command.name} {name}", "", _sentence(helps.get(name, "")), "", *_options(below)]
+                lines += [
+                    f"### {command.name} {name}",
+                    "",
+                    _sentence(helps.get(name, "")),
+                    "",
+                    *_options(below),
+                ]
     return "\n".join(lines)
 
 
@@ -184,7 +204,10 @@ def _shape(action: argparse.Action) -> str:
         values = f"{values} …"
     elif isinstance(action.nargs, int) and not isinstance(name, tuple):
         values = " ".join([values] * action.nargs)
-    forms = [" ".join(part for part in (option, values) if part) for option in action.option_strings or [""]]
+    forms = [
+        " ".join(part for part in (option, values) if part)
+        for option in action.option_strings or [""]
+    ]
     return ", ".join("`" + form.replace("|", "/") + "`" for form in forms)
 
 
@@ -214,7 +237,9 @@ def names_page() -> str:
     homes, parts = public_names(), [NAMES_HEAD]
     left = dict(homes)
     for topic, rooms in GROUPS.items():
-        chosen = {name: home for name, home in left.items() if set(home.split(".")[1:]) & set(rooms)}
+        chosen = {
+            name: home for name, home in left.items() if set(home.split(".")[1:]) & set(rooms)
+        }
         if topic == "Models":
             chosen = {name: home for name, home in chosen.items() if "user_effect" not in home}
         parts += [f"## {topic}", "", "| name | purpose |", "|---|---|"]
@@ -230,11 +255,11 @@ def names_page() -> str:
 
 
 def _purpose(home: str, name: str) -> str:
-    """Return the first line of a docstring, for readers of the page without the site."""
+    """Return the first paragraph of a docstring, for readers of the page without the site."""
     if name == "__version__":
         return "The version of the package, as text."
     doc = inspect.getdoc(getattr(importlib.import_module(home), name)) or ""
-    return _cell(doc.splitlines()[0])
+    return _cell(doc.split("\n\n")[0])
 
 
 def finger_page() -> str:
@@ -248,7 +273,9 @@ def schema_texts() -> dict[str, str]:
     found = {}
     for name, schema in SCHEMAS.items():
         head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name}
-        found[re.sub(r"[./]", "-", name) + ".json"] = json.dumps(head | schema, indent=1, ensure_ascii=False) + "\n"
+        found[re.sub(r"[./]", "-", name) + ".json"] = (
+            json.dumps(head | schema, indent=1, ensure_ascii=False) + "\n"
+        )
     return found
 
 

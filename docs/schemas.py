@@ -1,7 +1,9 @@
-"""JSON schemas of the documents that other programs read most; `docs/make_reference.py` writes them.
+"""JSON schemas of the documents that other programs read most; `docs/make_reference.py` writes
+them.
 
-That of a diagnosis is made from its dataclasses. A document may hold further keys: a reader ignores those that it does
-not know. Documents of real runs are checked against the schemas by tests/project/test_reference.py.
+That of a diagnosis is made from its dataclasses. A document may hold further keys: a reader ignores
+those that it does not know. Documents of real runs are checked against the schemas by
+tests/project/test_reference.py.
 """
 
 from __future__ import annotations
@@ -90,7 +92,9 @@ def of_type(hint: Any) -> Schema:
     if isinstance(hint, type) and is_dataclass(hint):
         hints = get_type_hints(hint)
         found = {f.name: of_type(hints[f.name]) for f in fields(hint)}
-        needed = [f.name for f in fields(hint) if f.default is MISSING and f.default_factory is MISSING]
+        needed = [
+            f.name for f in fields(hint) if f.default is MISSING and f.default_factory is MISSING
+        ]
         doc = " ".join((hint.__doc__ or "").split("\n\n")[0].split())
         return {"type": "object", "properties": found, "required": needed} | _described(doc)
     kinds = {str: "string", bool: "boolean", int: "integer", float: "number"}
@@ -151,7 +155,10 @@ SCHEMAS: dict[str, Schema] = {
                 frames=integer(minimum=0),
             )
         ),
-        where=table(rows(BIN), "the error by condition: section, direction, speed, dwell, history, command, time, …"),
+        where=table(
+            rows(BIN),
+            "the error by condition: section, direction, speed, dwell, history, command, time, …",
+        ),
         worst=record(
             bins=rows(record(where=text("condition"), label=text(), n=integer(), rms_mm=number())),
             frame=record(index=integer(), t_s=number(), rms_mm=number()),
@@ -198,7 +205,9 @@ SCHEMAS: dict[str, Schema] = {
                 block=text("what to record"),
                 minutes=number(minimum=0),
                 settles=rows(text(), "alternatives and untestable effects"),
-                separation=maybe(number("expected chi² between the hypotheses; 25 or more is decisive")),
+                separation=maybe(
+                    number("expected chi² between the hypotheses; 25 or more is decisive")
+                ),
             )
         ),
         blocks=rows(text(), "blocks in the command file"),
@@ -225,14 +234,24 @@ SCHEMAS: dict[str, Schema] = {
     ),
     "softmap.bundle/manifest": record(
         "`manifest.json` of a bundle",
-        optional=("input", "stiffness_known", "held_out_error_per_g_mm", "made_from", "output", "own_effects"),
+        optional=(
+            "input",
+            "stiffness_known",
+            "held_out_error_per_g_mm",
+            "made_from",
+            "output",
+            "own_effects",
+        ),
         schema=integer("of the bundle; an older one is read as well", minimum=1, maximum=BUNDLE),
         kind={"enum": list(KINDS), "description": "of the prior"},
         robot=text(maxLength=100),
         channels=integer("number of commands", minimum=0, maximum=64),
         command_unit=text(maxLength=100),
         length_unit=constant("mm"),
-        input={"enum": ["present", "goal"], "description": "whether commands are measured or commanded positions"},
+        input={
+            "enum": ["present", "goal"],
+            "description": "whether commands are measured or commanded positions",
+        },
         command_range=rows(SPAN, "low and high of each channel, in the command's unit"),
         gravity_reference=rows(number(), "in the base frame, in g", minItems=3, maxItems=3),
         held_out_error_mm=number("the model's own error, mm RMS", minimum=0),

@@ -1,4 +1,6 @@
-"""The site as `make docs` leaves it in out/docs: nothing is loaded from the network, the search works from a disk."""
+"""The site as `make docs` leaves it in out/docs: nothing is loaded from the network, the search
+works from a disk.
+"""
 
 import re
 import shutil
@@ -12,7 +14,8 @@ PAGES = sorted(SITE.rglob("*.html"))
 
 def test_every_page_is_built():
     pages = {
-        path.relative_to(Path(__file__).parent).with_suffix(".html") for path in SITE.parents[1].glob("docs/**/*.md")
+        path.relative_to(Path(__file__).parent).with_suffix(".html")
+        for path in SITE.parents[1].glob("docs/**/*.md")
     }
     assert pages and pages <= {path.relative_to(SITE) for path in PAGES}
 
@@ -21,7 +24,9 @@ def test_every_page_is_built():
 def test_nothing_is_loaded_from_the_network(page):
     text = page.read_text(encoding="utf-8")
     loaded = re.findall(r"<(?:script|img|iframe|source)[^>]*\ssrc=\"([^\"]*)\"", text)
-    loaded += re.findall(r"<link[^>]*rel=\"(?:stylesheet|preconnect|icon)\"[^>]*href=\"([^\"]*)\"", text)
+    loaded += re.findall(
+        r"<link[^>]*rel=\"(?:stylesheet|preconnect|icon)\"[^>]*href=\"([^\"]*)\"", text
+    )
     assert loaded and not [address for address in loaded if re.match(r"(?:https?:)?//", address)]
 
 

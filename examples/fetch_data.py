@@ -1,9 +1,10 @@
-"""Brings the public measurements used by the examples and tests into a folder: `python examples/fetch_data.py data`.
+"""Brings the public measurements used by the examples and tests into a folder: `python
+examples/fetch_data.py data`.
 
-They are taken from `../shared/data` where that folder exists, else from the public commits below, and never
-trusted: every file must have the SHA-256 written here. Nothing of it belongs to this project; each set keeps
-its own licence, which is copied beside it. A set can be chosen by name: `python examples/fetch_data.py data
-trunk`.
+They are taken from `../shared/data` where that folder exists, else from the public commits below,
+and never trusted: every file must have the SHA-256 written here. Nothing of it belongs to this
+project; each set keeps its own licence, which is copied beside it. A set can be chosen by name:
+`python examples/fetch_data.py data trunk`.
 """
 
 from __future__ import annotations
@@ -52,12 +53,16 @@ _MOE = "envs/MOE/sim_scripts/SIM_SCENE_MESH"
 SOURCES = [
     Source(
         "trunk",
-        "ASL Trunk, six motors: commands, encoders and three tracked bodies at 100 Hz, unloaded and with 100 g",
+        "ASL Trunk, six motors: commands, encoders and three tracked bodies at 100 Hz, unloaded "
+        "and with 100 g",
         "StanfordASL/trunk-stack",
         "8b4b9234b287a0403d1844821bfad79e36e1f66f",
         "MIT",
         {
-            "LICENSE": ("LICENSE", "5f5be48a7cc2bf2b583446059d9f0dac0851191f03375de4a4b54cfb56042bb0"),
+            "LICENSE": (
+                "LICENSE",
+                "5f5be48a7cc2bf2b583446059d9f0dac0851191f03375de4a4b54cfb56042bb0",
+            ),
             "control_inputs_controlled_1.csv": (
                 f"{_TRUNK}/control_inputs_controlled_1.csv",
                 "3ad99980da3ad5182f2ff694fad10b2a23d680b90606b665229b2b20cb56ed43",
@@ -79,7 +84,10 @@ SOURCES = [
         "17fff8b125dbb702c8688e1d8ffd723050c284c1",
         "MIT",
         {
-            "LICENSE": ("LICENSE", "66bb402ecef5c4982dffee51187722cae4fac50d75a71ad4457b1684ccf2a203"),
+            "LICENSE": (
+                "LICENSE",
+                "66bb402ecef5c4982dffee51187722cae4fac50d75a71ad4457b1684ccf2a203",
+            ),
             "keypoints.csv": (
                 f"{_TDCR}_keypoints.csv",
                 "80a4b16c32ea20c13bc2952039188b642db59633df10fe3e54a85ac7b270a38c",
@@ -92,7 +100,10 @@ SOURCES = [
                 f"{_TDCR}_train.csv",
                 "1eddfda64b3cf51a7f6cdf3e88f088cbb70baa944be4e5ebb30ef397f76590af",
             ),
-            "val.csv": (f"{_TDCR}_val.csv", "a69fd0e11c7e8ddbeb6828d7ca604f01e6c6bc45ea92311ae632e88302a751fe"),
+            "val.csv": (
+                f"{_TDCR}_val.csv",
+                "a69fd0e11c7e8ddbeb6828d7ca604f01e6c6bc45ea92311ae632e88302a751fe",
+            ),
         },
     ),
     Source(
@@ -102,7 +113,10 @@ SOURCES = [
         "825e7b7c4638d18f0b35707eb192bedf955a7157",
         "MIT",
         {
-            "LICENSE": ("LICENSE", "37bbcf94b41e1a91a01b6f6baa1067e4bba0d582f26be36176d7e8dc6bb5a167"),
+            "LICENSE": (
+                "LICENSE",
+                "37bbcf94b41e1a91a01b6f6baa1067e4bba0d582f26be36176d7e8dc6bb5a167",
+            ),
             "beam_gravity_V2_a.c3d": (
                 f"{_BEAM}/beam_gravity_V2_a.c3d",
                 "c457a77b67925b9a9d66bbdbd4424a2b8a27e7dfeea2355d75cdc80b1b2e4361",
@@ -157,7 +171,10 @@ SOURCES = [
         "3f56141bc8bd2760d5e452e382937269554ebb21",
         "MIT",
         {
-            "LICENSE": ("LICENSE", "9fe9a2d1a06b91db137b5f50ee4e3914b0b8c1df523b81bdd0a9d930e1ce6106"),
+            "LICENSE": (
+                "LICENSE",
+                "9fe9a2d1a06b91db137b5f50ee4e3914b0b8c1df523b81bdd0a9d930e1ce6106",
+            ),
             "hand.mp4": (
                 "example/vector_retargeting/data/human_hand_video.mp4",
                 "d306af128862940fc6e3c737a42ec6b00a137fff1c37b10805fe2c143c62ddb8",
@@ -167,8 +184,11 @@ SOURCES = [
 ]
 
 
-def fetch(folder: Path, sources: list[Source], base_url: str = BASE_URL, nearby: Path | None = NEARBY) -> list[str]:
-    """Bring every file of `sources` into `folder/SET/`; files already there with the right checksum stay.
+def fetch(
+    folder: Path, sources: list[Source], base_url: str = BASE_URL, nearby: Path | None = NEARBY
+) -> list[str]:
+    """Bring every file of `sources` into `folder/SET/`; files already there with the right checksum
+    stay.
 
     Args:
         folder: where to; made if absent.
@@ -198,7 +218,10 @@ def fetch(folder: Path, sources: list[Source], base_url: str = BASE_URL, nearby:
                 _place(_download(source.url(name, base_url), sha256), target)
                 count["downloaded"] += 1
         done = ", ".join(f"{number} {how}" for how, number in count.items() if number)
-        report.append(f"{source.name:<11} {done}; licence {source.licence}; {source.repository} at {source.commit[:7]}")
+        report.append(
+            f"{source.name:<11} {done}; licence {source.licence}; {source.repository} at "
+            f"{source.commit[:7]}"
+        )
     return report
 
 
@@ -207,11 +230,14 @@ def _download(url: str, sha256: str) -> bytes:
         with urllib.request.urlopen(url, timeout=TIMEOUT) as answer:
             content: bytes = answer.read(LARGEST + 1)
     except (urllib.error.URLError, OSError, ValueError) as cause:
-        raise FetchError(f"{url}: cannot be had ({cause}); try again, or copy the file there by hand") from cause
+        raise FetchError(
+            f"{url}: cannot be had ({cause}); try again, or copy the file there by hand"
+        ) from cause
     found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise FetchError(
-            f"{url}: SHA-256 {found[:16]}… of {len(content)} bytes, expected {sha256[:16]}…; nothing was kept"
+            f"{url}: SHA-256 {found[:16]}… of {len(content)} bytes, expected {sha256[:16]}…; "
+            "nothing was kept"
         )
     return content
 
@@ -232,17 +258,26 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command; 0 when every file is there, 1 when one could not be had, 2 for wrong use."""
     parser = argparse.ArgumentParser(description="Bring the public measurements into a folder.")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("sets", nargs="*", help=f"which sets (default: all): {', '.join(s.name for s in SOURCES)}")
-    parser.add_argument("--base-url", default=BASE_URL, help="a mirror of raw.githubusercontent.com")
+    parser.add_argument(
+        "sets", nargs="*", help=f"which sets (default: all): {', '.join(s.name for s in SOURCES)}"
+    )
+    parser.add_argument(
+        "--base-url", default=BASE_URL, help="a mirror of raw.githubusercontent.com"
+    )
     parser.add_argument("--no-nearby", action="store_true", help="do not look into ../shared/data")
     args = parser.parse_args(argv)
     unknown = [name for name in args.sets if name not in {source.name for source in SOURCES}]
     if unknown:
-        print(f"fetch_data: no set '{unknown[0]}'; there are {', '.join(s.name for s in SOURCES)}", file=sys.stderr)
+        print(
+            f"fetch_data: no set '{unknown[0]}'; there are {', '.join(s.name for s in SOURCES)}",
+            file=sys.stderr,
+        )
         return 2
     chosen = [source for source in SOURCES if not args.sets or source.name in args.sets]
     try:
-        print("\n".join(fetch(args.folder, chosen, args.base_url, None if args.no_nearby else NEARBY)))
+        print(
+            "\n".join(fetch(args.folder, chosen, args.base_url, None if args.no_nearby else NEARBY))
+        )
     except (FetchError, OSError) as fault:
         print(f"fetch_data: {fault}", file=sys.stderr)
         return 1

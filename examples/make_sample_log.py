@@ -1,8 +1,9 @@
-"""Make the sample logs of docs/learn/own_csv.md: a finger with a hidden effect, as a CSV that a lab might write.
+"""Make the sample logs of docs/learn/own_csv.md: a finger with a hidden effect, as a CSV that a lab
+might write.
 
-`python examples/make_sample_log.py FOLDER` writes sample_log.csv and sample_other.csv there: time, two commands and six
-markers at 5 Hz. The finger is a simulated one on another mesh, of another batch of silicone, with play in its tendons.
-The same call gives the same bytes.
+`python examples/make_sample_log.py FOLDER` writes sample_log.csv and sample_other.csv there: time,
+two commands and six markers at 5 Hz. The finger is a simulated one on another mesh, of another
+batch of silicone, with play in its tendons. The same call gives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ def write(path: Path, truth: Truth, protocol: Protocol, seed: int) -> None:
     chosen = markers()
     run = truth.measure(protocol, seed=seed)
     seen: NDArray[np.float64] = np.asarray(run.vertices)[:, chosen]
-    command = np.stack([np.interp(run.t_seen, run.t, run.command[:, c]) for c in range(run.channels)], axis=1)
+    command = np.stack(
+        [np.interp(run.t_seen, run.t, run.command[:, c]) for c in range(run.channels)], axis=1
+    )
     names = ["time_s", *(f"command_{c}_mm" for c in range(run.channels))]
     names += [f"marker_{k}_{axis}_mm" for k in range(len(chosen)) for axis in "xyz"]
     columns = np.column_stack([run.t_seen, command, seen.reshape(len(seen), -1)])

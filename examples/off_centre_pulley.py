@@ -1,4 +1,6 @@
-"""off_centre_pulley: a spool that turns about a point off its middle, so that a turn winds more here and less there."""
+"""off_centre_pulley: a spool that turns about a point off its middle, so that a turn winds more
+here and less there.
+"""
 
 import numpy as np
 
@@ -10,14 +12,44 @@ EFFECT = {
     "doc": "The spool of each channel turns about a point off its middle.",
     "signature": "Periodic in the command, the same in loading and unloading.",
     "parameters": [
-        {"name": "a", "unit": "mm", "null": 0, "start": 0.3, "low": -2, "high": 2, "doc": "odd", "per_channel": True},
-        {"name": "b", "unit": "mm", "null": 0, "start": 0.3, "low": -2, "high": 2, "doc": "even", "per_channel": True},
-        {"name": "radius", "unit": "mm", "null": 6, "start": 6, "low": 3, "high": 12, "doc": "of the spool"},
+        {
+            "name": "a",
+            "unit": "mm",
+            "null": 0,
+            "start": 0.3,
+            "low": -2,
+            "high": 2,
+            "doc": "odd",
+            "per_channel": True,
+        },
+        {
+            "name": "b",
+            "unit": "mm",
+            "null": 0,
+            "start": 0.3,
+            "low": -2,
+            "high": 2,
+            "doc": "even",
+            "per_channel": True,
+        },
+        {
+            "name": "radius",
+            "unit": "mm",
+            "null": 6,
+            "start": 6,
+            "low": 3,
+            "high": 12,
+            "doc": "of the spool",
+        },
     ],
 }
 
 
 def rollout(params, u, t, ctx):
     channels = u.shape[2]
-    a, b, radius = params[:, None, :channels], params[:, None, channels:-1], params[:, -1, None, None]
+    a, b, radius = (
+        params[:, None, :channels],
+        params[:, None, channels:-1],
+        params[:, -1, None, None],
+    )
     return u + a * np.sin(u / radius) + b * (np.cos(u / radius) - 1.0)

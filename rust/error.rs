@@ -1,6 +1,7 @@
 //! The one error type of the core: what was wrong, with numbers; what is allowed; what to do.
 
-/// Everything that can go wrong in the core. Each message is complete: the front prints it as it is.
+/// Everything that can go wrong in the core. Each message is complete: the front prints it as it
+/// is.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// The caller's numbers are outside what is allowed.

@@ -1,13 +1,17 @@
-//! How much memory one answer may take, asked before it is allocated: an allocation that fails ends the whole process.
+//! How much memory one answer may take, asked before it is allocated: an allocation that fails ends
+//! the whole process.
 
 use crate::error::{Result, invalid};
 
-/// No answer is larger, bytes; an array archive is not read beyond this either (`softmap_edge/files/npz.py`).
+/// No answer is larger, bytes; an array archive is not read beyond this either
+/// (`softmap_edge/files/npz.py`).
 const MOST: usize = 4 << 30;
-/// From this size on the system is asked whether it has the memory, bytes; below, asking would cost more than it saves.
+/// From this size on the system is asked whether it has the memory, bytes; below, asking would cost
+/// more than it saves.
 const LARGE: usize = 64 << 20;
 
-/// The product of `lengths`, refused where so many float64 are more than one answer may take or the machine has.
+/// The product of `lengths`, refused where so many float64 are more than one answer may take or the
+/// machine has.
 pub fn room(what: &str, lengths: &[usize]) -> Result<usize> {
     let refused = |why: &str| {
         let bytes = lengths.iter().map(|&n| n as f64).product::<f64>() * 8.0;
@@ -36,7 +40,8 @@ pub fn zeros(what: &str, lengths: &[usize]) -> Result<Vec<f64>> {
 /// Numbers of a piece of work that live on the stack, up to this many.
 const FEW: usize = 128;
 
-/// Work with `count` zeros, on the stack where they are few: what is asked at every frame must not ask for memory each time.
+/// Work with `count` zeros, on the stack where they are few: what is asked at every frame must not
+/// ask for memory each time.
 #[inline(always)]
 pub fn with_few<R>(count: usize, work: impl FnOnce(&mut [f64]) -> R) -> R {
     if count <= FEW {

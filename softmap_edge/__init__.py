@@ -1,7 +1,7 @@
 """Simulate, compare and diagnose tendon-driven soft robots.
 
-Each public name is imported on first use, so that `import softmap_edge` stays quick. The names and their modules are
-listed once, in `__init__.pyi`, which type checkers and editors read as well.
+Each public name is imported on first use, so that `import softmap_edge` stays quick. The names and
+their modules are listed once, in `__init__.pyi`, which type checkers and editors read as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ __all__ = sorted(_HOMES)
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'softmap_edge' has no attribute '{name}'; there are {', '.join(__all__)}")
+        raise AttributeError(
+            f"module 'softmap_edge' has no attribute '{name}'; there are {', '.join(__all__)}"
+        )
     value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value  # the next use is a plain attribute
     return value

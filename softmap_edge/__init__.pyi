@@ -1,4 +1,4 @@
-"""The public names of the package and where they are defined; `__init__.py` imports each on first use."""
+"""The public names and where they are defined; `__init__.py` imports each on first use."""
 
 from softmap_edge._core import effects as effects
 from softmap_edge.adaptation.adapt import adapt as adapt

@@ -123,7 +123,9 @@ def tensor_splines(x: _Floats, intervals: int) -> _Floats: ...
 
 @final
 class Table(Shape):
-    def __new__(cls, axes: Sequence[_Floats], coefficients: _Floats, mean: _Floats, modes: _Floats) -> Self: ...
+    def __new__(
+        cls, axes: Sequence[_Floats], coefficients: _Floats, mean: _Floats, modes: _Floats
+    ) -> Self: ...
     @property
     def axes(self) -> list[_Floats]: ...
     @property
@@ -137,7 +139,13 @@ class Table(Shape):
 @final
 class Scattered(Shape):
     def __new__(
-        cls, nodes: _Floats, scale: _Floats, power: int, coefficients: _Floats, mean: _Floats, modes: _Floats
+        cls,
+        nodes: _Floats,
+        scale: _Floats,
+        power: int,
+        coefficients: _Floats,
+        mean: _Floats,
+        modes: _Floats,
     ) -> Self: ...
     def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
 
@@ -202,7 +210,9 @@ class Reading:
     def __new__(cls, path: str) -> Self: ...
     def more(self) -> tuple[list[tuple[str, int, bytes]], bool]: ...
 
-def replay(table: LoopLimits, periods: Sequence[tuple[Any, ...]]) -> list[tuple[str, str, bool, list[int]]]: ...
+def replay(
+    table: LoopLimits, periods: Sequence[tuple[Any, ...]]
+) -> list[tuple[str, str, bool, list[int]]]: ...
 
 @final
 class EmulatedBus:
@@ -225,7 +235,13 @@ class EmulatedBus:
     def there(self, window: float | None) -> float: ...
     def waiting(self) -> bool: ...
     def faults(
-        self, *, drop: float = 0.0, damage: float = 0.0, junk: float = 0.0, slow: float = 0.0, unpowered: bool = False
+        self,
+        *,
+        drop: float = 0.0,
+        damage: float = 0.0,
+        junk: float = 0.0,
+        slow: float = 0.0,
+        unpowered: bool = False,
     ) -> None: ...
     def damage(
         self,
@@ -290,7 +306,9 @@ class Bank:
     def columns(self, series: Series, at: _Floats) -> tuple[NDArray[np.int64], _Floats]: ...
     def applied(self, series: Series, theta: _Floats) -> _Floats: ...
     def modulation(self, series: Series, at: _Floats) -> _Floats: ...
-    def signals(self, series: Series, at: _Floats, wide: bool) -> tuple[NDArray[np.int64], _Floats]: ...
+    def signals(
+        self, series: Series, at: _Floats, wide: bool
+    ) -> tuple[NDArray[np.int64], _Floats]: ...
 
 @final
 class Level:
@@ -298,7 +316,9 @@ class Level:
         cls,
         form: _Floats,
         kernel: tuple[_Floats, _Floats],
-        folds: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], _Floats, _Floats, _Floats, _Floats]],
+        folds: Sequence[
+            tuple[NDArray[np.int64], NDArray[np.int64], _Floats, _Floats, _Floats, _Floats]
+        ],
     ) -> Self: ...
     @property
     def names(self) -> list[str]: ...
@@ -409,7 +429,9 @@ class Chain:
 
 @final
 class Cables:
-    def __new__(cls, stiffness: _Floats, pull: Table, stretch: Table, fields: Sequence[Table]) -> Self: ...
+    def __new__(
+        cls, stiffness: _Floats, pull: Table, stretch: Table, fields: Sequence[Table]
+    ) -> Self: ...
     def project(self, weights: _Floats, offset: _Floats) -> Cables: ...
 
 @final
@@ -434,12 +456,18 @@ class Predictor:
         gravity_reference: _Floats,
         cables: Cables | None = None,
         declared_loads: bool = True,
-        contact: tuple[Shape, dict[str, Shape], Cables | None, Second | None, Sequence[float]] | None = None,
+        contact: tuple[Shape, dict[str, Shape], Cables | None, Second | None, Sequence[float]]
+        | None = None,
         second: Second | None = None,
     ) -> Self: ...
     def through(self, weights: _Floats) -> Predictor | None: ...
     def still(
-        self, chain: Chain, params: _Floats, gravity: _Floats, load: float = 0.0, temperature: float = ...
+        self,
+        chain: Chain,
+        params: _Floats,
+        gravity: _Floats,
+        load: float = 0.0,
+        temperature: float = ...,
     ) -> Shape: ...
     def predict(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
     def acting(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
@@ -460,7 +488,9 @@ class Inputs:
 
 @final
 class Reach:
-    def __new__(cls, shape: Shape, low: Sequence[float], high: Sequence[float], axes: Sequence[bool]) -> Self: ...
+    def __new__(
+        cls, shape: Shape, low: Sequence[float], high: Sequence[float], axes: Sequence[bool]
+    ) -> Self: ...
     @property
     def samples(self) -> tuple[_Floats, _Floats]: ...
     def path(
@@ -487,7 +517,9 @@ class Inverse:
 @final
 class Mesh:
     @staticmethod
-    def finger(profile: list[tuple[float, float]], breaks: list[float], core: int, rings: int, layers: int) -> Mesh: ...
+    def finger(
+        profile: list[tuple[float, float]], breaks: list[float], core: int, rings: int, layers: int
+    ) -> Mesh: ...
     @staticmethod
     def block(size: tuple[float, float, float], cells: tuple[int, int, int]) -> Mesh: ...
     @staticmethod
@@ -506,12 +538,20 @@ class Solid:
         poisson: float,
         density: float,
         regions: Sequence[
-            tuple[tuple[float, float, float], tuple[float, float, float], float | None, float, list[bool] | None]
+            tuple[
+                tuple[float, float, float],
+                tuple[float, float, float],
+                float | None,
+                float,
+                list[bool] | None,
+            ]
         ],
         cable_stiffness: float,
         ring: float,
         disc: float,
-        routes: Sequence[tuple[float, float, list[tuple[float, float]]] | list[tuple[float, float, float]]],
+        routes: Sequence[
+            tuple[float, float, list[tuple[float, float]]] | list[tuple[float, float, float]]
+        ],
         drive: list[list[float]],
         by_tension: bool = False,
         pretension: float = 0.0,
@@ -573,7 +613,9 @@ class Surface:
 
 @final
 class Registration:
-    def __new__(cls, rest: _Floats, triangles: list[list[int]], base: list[int]) -> Registration: ...
+    def __new__(
+        cls, rest: _Floats, triangles: list[list[int]], base: list[int]
+    ) -> Registration: ...
     def edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64], _Floats]: ...
     def deformed(self, goals: _Floats, strength: _Floats, rounds: int) -> _Floats: ...
     def robust(

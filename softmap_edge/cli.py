@@ -1,4 +1,6 @@
-"""The `softmap` command: finds the command, runs it, turns errors into one line and an exit code."""
+"""The `softmap` command: finds the command, runs it, turns errors into one line and an exit
+code.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
+    """Run one command; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130
+    when interrupted.
+    """
     argv = sys.argv[1:] if argv is None else argv
     live = "--live" in argv  # it ends with its reader
     with nullcontext() if live else outliving(), _printable():
@@ -61,7 +65,10 @@ def _main(argv: list[str]) -> int:
         return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
     if argv[0] in RENAMED:
         new = RENAMED[argv[0]]
-        print(f"softmap: '{argv[0]}' is now '{new}'; the old name is gone after 0.1.0", file=sys.stderr)
+        print(
+            f"softmap: '{argv[0]}' is now '{new}'; the old name is gone after 0.1.0",
+            file=sys.stderr,
+        )
         argv = [*new.split(), *argv[1:]]
     name = " ".join(argv[:2]) if " ".join(argv[:2]) in known else argv[0]
     if name not in known:
@@ -75,17 +82,23 @@ def _main(argv: list[str]) -> int:
 
 def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
     """Print the actions of a group that stands alone, or that there is no such command."""
-    actions = [command for name, command in known.items() if name.split()[0] == argv[0] and " " in name]
+    actions = [
+        command for name, command in known.items() if name.split()[0] == argv[0] and " " in name
+    ]
     given = argv[1] if len(argv) > 1 else ""
     if actions and (not given or given in ("-h", "--help")):
         print("\n".join([f"usage: softmap {argv[0]} ACTION [options]", "", *map(_line, actions)]))
         return DONE if given else WRONG_USE
     if actions:
-        fault = no_name(f"action of '{argv[0]}'", given, [command.name.split()[1] for command in actions])
+        fault = no_name(
+            f"action of '{argv[0]}'", given, [command.name.split()[1] for command in actions]
+        )
     elif argv[0] in ELSEWHERE:
         fault = f"'{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}"
     else:
-        fault = no_name("command", argv[0], dict.fromkeys([*(name.split()[0] for name in known), HELP]))
+        fault = no_name(
+            "command", argv[0], dict.fromkeys([*(name.split()[0] for name in known), HELP])
+        )
         full = {name.split()[1]: name for name in known if " " in name}
         if "did you mean" not in fault and (near := nearest(argv[0], list(full))):
             fault += f"; did you mean '{full[near[0]]}'?"
@@ -103,13 +116,19 @@ def parser_of(command: Command) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     getattr(module, f"{command.function}_arguments")(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON document instead of text"
+    )
     return parser
 
 
 def _epilog(command: Command) -> str:
     """Return what stands below the options: examples, further actions, the page."""
-    lines = ["Examples:", *(f"  softmap {example}" for example in command.examples)] if command.examples else []
+    lines = (
+        ["Examples:", *(f"  softmap {example}" for example in command.examples)]
+        if command.examples
+        else []
+    )
     more = [one.name for one in commands_here() if one.name.startswith(f"{command.name} ")]
     lines += [f"More actions: {', '.join(more)} (softmap help ACTION)"] if more else []
     lines += [f"Page in the docs: {command.page}"] if command.page else []
@@ -146,7 +165,10 @@ def _run(command: Command, argv: list[str]) -> int:
         print(one_line(f"softmap {command.name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
-        print(f"softmap {command.name}: more memory is needed than is free; take something smaller", file=sys.stderr)
+        print(
+            f"softmap {command.name}: more memory is needed than is free; take something smaller",
+            file=sys.stderr,
+        )
         return WRONG_USE
     except OSError as error:
         print(one_line(f"softmap {command.name}: {_of_the_system(error)}"), file=sys.stderr)
@@ -162,7 +184,9 @@ def _of_the_system(error: OSError) -> str:
 
 
 def _plugged_in() -> list[Command]:
-    return [command for point in entry_points(group="softmap.commands") for command in point.load()()]
+    return [
+        command for point in entry_points(group="softmap.commands") for command in point.load()()
+    ]
 
 
 def _line(command: Command) -> str:

@@ -71,11 +71,15 @@ class ServoError(SoftmapError):
 
 
 class RecordingBroken(ServoError):
-    """A recording ended before the robot stopped (a full disk, for example); the part until then is kept."""
+    """A recording ended before the robot stopped (a full disk, for example); the part until then is
+    kept.
+    """
 
 
 class SessionWarning(UserWarning):
-    """The last session of a bench ended without shutting down: it was killed, or the computer stopped."""
+    """The last session of a bench ended without shutting down: it was killed, or the computer
+    stopped.
+    """
 
 
 class NoAnswer(ServoError):
@@ -111,7 +115,8 @@ class NoSuchRate(ServoError):
 class LimitError(ServoError):
     """A limit that the guard refuses.
 
-    `.name` is its name in the table of limits, `.servo` its place among the servos (from 0), None for the robot's own.
+    `.name` is its name in the table of limits, `.servo` its place among the servos (from 0), None
+    for the robot's own.
     """
 
     def __init__(self, text: str, name: str, servo: int | None) -> None:
@@ -142,13 +147,17 @@ def no_name(what: str, name: str, known: Iterable[str], most: int | None = None)
     """
     names = list(known)
     near = next(iter(nearest(name, names)), None)
-    listed = ", ".join(names[:most]) + (f", … ({len(names)} in all)" if most is not None and len(names) > most else "")
+    listed = ", ".join(names[:most]) + (
+        f", … ({len(names)} in all)" if most is not None and len(names) > most else ""
+    )
     hint = f"; did you mean '{near}'?" if near else ""
     return f"no {what} '{name:.60}'; there are {listed or 'none'}{hint}"
 
 
 def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
-    """Return the known names that are spelt most like `name`, the nearest first; none if none is near."""
+    """Return the known names that are spelt most like `name`, the nearest first; none if none is
+    near.
+    """
     from difflib import get_close_matches
 
     names = {one.lower(): one for one in known}

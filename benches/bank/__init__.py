@@ -1,1 +1,3 @@
-"""The benchmark bank: hidden laws with other formulas than the library's, and the score of a diagnosis."""
+"""The benchmark bank: hidden laws with other formulas than the library's, and the score of a
+diagnosis.
+"""

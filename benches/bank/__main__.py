@@ -1,13 +1,18 @@
-"""Run the bank: make cases once, diagnose and score them, write one small JSON a case, print the table.
+"""Run the bank: make cases once, diagnose and score them, write one small JSON a case, print the
+table.
 
 python -m benches.bank --share 0.1            a tenth of the development seeds
-python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (docs/benchmarks/bank.md)
-python -m benches.bank --make                 only make the cases; --judge: only score those that are made
+python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set
+                                              (docs/benchmarks/bank.md)
+python -m benches.bank --make  only make the cases; --judge: only score those that are made
 python -m benches.bank --table                print the table of the rows that exist
-python -m benches.bank --set FORM=0.1 --out OTHER       score with another constant of decision.py, for the next line
-python -m benches.bank --left-out OTHER,THIRD           each slice with the constants that are best on the other slices
+python -m benches.bank --set FORM=0.1 --out OTHER       score with another constant of decision.py,
+                                                        for the next line
+python -m benches.bank --left-out OTHER,THIRD           each slice with the constants that are best
+                                                        on the other slices
 
-An interrupted run continues where it stopped. After a change of the diagnosis only the diagnosis is repeated.
+An interrupted run continues where it stopped. After a change of the diagnosis only the diagnosis is
+repeated.
 """
 
 from __future__ import annotations
@@ -31,10 +36,22 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS"):
 
 Part = tuple[str, str]  # slice, level
 
-SIZES = {"null": 300, "single": 300, "pair": 200, "unknown": 100, "removed": 100, "untestable": 100, "rivals": 100}
+SIZES = {
+    "null": 300,
+    "single": 300,
+    "pair": 200,
+    "unknown": 100,
+    "removed": 100,
+    "untestable": 100,
+    "rivals": 100,
+}
 SHARES: dict[Part, float] = {
-    ("A", "easy"): 0.2, ("A", "real"): 0.4, ("A", "hard"): 0.2, ("B", "real"): 0.2, ("B", "clouds"): 0.15,
-}  # fmt: skip
+    ("A", "easy"): 0.2,
+    ("A", "real"): 0.4,
+    ("A", "hard"): 0.2,
+    ("B", "real"): 0.2,
+    ("B", "clouds"): 0.15,
+}
 SLICES: dict[Part, dict[str, int]] = {
     ("shop", "floor"): {"null": 100, "single": 150, "pair": 60, "unknown": 60},
     ("odd", "maps"): {"unknown": 60},
@@ -68,26 +85,42 @@ def rows_in(out: Path, seeds: str) -> list[dict[str, Any]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the bank."""
-    parser = argparse.ArgumentParser(prog="benches.bank", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="benches.bank", description=__doc__.split("\n\n")[0])
     parser.add_argument("--seeds", choices=("development", "reporting"), default="development")
     parser.add_argument("--share", type=float, default=1.0, help="of the full sizes (1)")
     parser.add_argument("--kinds", default=",".join(KINDS), help="some of the kinds, with commas")
-    parser.add_argument("--parts", default=",".join("/".join(p) for p in PARTS), help="slice/level, with commas")
+    parser.add_argument(
+        "--parts", default=",".join("/".join(p) for p in PARTS), help="slice/level, with commas"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the scored cases")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/bank"), help="folder of the scored cases"
+    )
     parser.add_argument("--cases", type=Path, help="folder of the cases that were made (OUT/cases)")
     step = parser.add_mutually_exclusive_group()
     step.add_argument("--make", action="store_true", help="only make the cases")
-    step.add_argument("--judge", action="store_true", help="only diagnose and score cases that are made")
+    step.add_argument(
+        "--judge", action="store_true", help="only diagnose and score cases that are made"
+    )
     step.add_argument("--table", action="store_true", help="only print the table")
-    step.add_argument("--left-out", metavar="OUTS", help="folders of rows with other constants, with commas")
-    parser.add_argument("--set", default="", metavar="NAME=VALUE", help="other constants of decision.py, with commas")
+    step.add_argument(
+        "--left-out", metavar="OUTS", help="folders of rows with other constants, with commas"
+    )
+    parser.add_argument(
+        "--set",
+        default="",
+        metavar="NAME=VALUE",
+        help="other constants of decision.py, with commas",
+    )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     parts, kinds = [tuple(p.split("/")) for p in args.parts.split(",")], args.kinds.split(",")
     wrong = [k for k in kinds if k not in KINDS] + ["/".join(p) for p in parts if p not in PARTS]
     if wrong:
-        parser.error(f"no '{wrong[0]}'; kinds are {', '.join(KINDS)}, parts {', '.join('/'.join(p) for p in PARTS)}")
+        parser.error(
+            f"no '{wrong[0]}'; kinds are {', '.join(KINDS)}, parts "
+            f"{', '.join('/'.join(p) for p in PARTS)}"
+        )
     try:
         decided(args.set)
     except ValueError as error:
@@ -99,7 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         every = [rows_in(out, args.seeds) for out in outs]
         if not all(every):
             parser.error(
-                f"no rows of {args.seeds} seeds in {outs[every.index([])]}; score cases with --out there first"
+                f"no rows of {args.seeds} seeds in {outs[every.index([])]}; score cases with "
+                "--out there first"
             )
         print(left_out.text({set_of(rows): rows for rows in every}))
         return 0
@@ -116,7 +150,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows = rows_in(args.out, args.seeds)
     if args.json:
         told = {part: table(mine) for part, mine in parts_of(rows).items()}
-        print(json.dumps({"schema": "softmap.bank/2", "seeds": args.seeds, "cases": len(rows), "parts": told}))
+        print(
+            json.dumps(
+                {"schema": "softmap.bank/2", "seeds": args.seeds, "cases": len(rows), "parts": told}
+            )
+        )
     else:
         print(text(rows))
     return 0
@@ -124,7 +162,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _make(wanted: list[Task], cases: Path, jobs: int) -> None:
     """Make the missing cases."""
-    left = [(task, str(cases), "", "") for task in wanted if not Kept(cases / name_of(task)).is_current]
+    left = [
+        (task, str(cases), "", "") for task in wanted if not Kept(cases / name_of(task)).is_current
+    ]
     print(f"{len(wanted)} cases, {len(left)} to make, {jobs} at a time → {cases}", file=sys.stderr)
     _each(make, left, jobs, lambda row: f"{row['hidden']} {row['seconds']} s")
 
@@ -134,8 +174,12 @@ def set_of(rows: Sequence[dict[str, Any]]) -> str:
     return str(rows[0]["code"]).partition(" ")[2] or "shipped"
 
 
-def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool, constants: str) -> None:
-    """Diagnose and score the cases without a row of this code; make missing cases first unless `only_made`."""
+def _judge(
+    wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool, constants: str
+) -> None:
+    """Diagnose and score the cases without a row of this code; make missing cases first unless
+    `only_made`.
+    """
     now = f"{code()} {constants}".strip()
 
     def finished(task: Task) -> bool:
@@ -145,12 +189,20 @@ def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: boo
         row = json.loads(path.read_text(encoding="utf-8"))
         case = Kept(cases / name_of(task))
         there = case.is_made and (only_made or case.is_current)
-        return there and "failed" not in row and row["code"] == now and row["made_by"] == case.truth["made_by"]
+        return (
+            there
+            and "failed" not in row
+            and row["code"] == now
+            and row["made_by"] == case.truth["made_by"]
+        )
 
     wanted = [task for task in wanted if not only_made or Kept(cases / name_of(task)).is_made]
     left = [(task, str(cases), str(out), now) for task in wanted if not finished(task)]
     print(f"{len(wanted)} cases, {len(left)} to score, {jobs} at a time → {out}", file=sys.stderr)
-    what, said = judge if only_made else work, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}"
+    what, said = (
+        judge if only_made else work,
+        lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}",
+    )
     _each(what, left, jobs, said, constants)
 
 
@@ -165,12 +217,17 @@ def _each(
     started = time.monotonic()
     fresh = multiprocessing.get_context("spawn")
     count = max(1, min(jobs, len(left)))
-    with ProcessPoolExecutor(count, mp_context=fresh, initializer=decided, initargs=(constants,)) as pool:
+    with ProcessPoolExecutor(
+        count, mp_context=fresh, initializer=decided, initargs=(constants,)
+    ) as pool:
         running = [pool.submit(what, job) for job in left]
         for count, job in enumerate(as_completed(running), start=1):
             row = job.result()
             line = row.get("failed") or said(row)
-            print(f"[{count}/{len(left)} {time.monotonic() - started:.0f} s] {row['case']}: {line}", file=sys.stderr)
+            print(
+                f"[{count}/{len(left)} {time.monotonic() - started:.0f} s] {row['case']}: {line}",
+                file=sys.stderr,
+            )
 
 
 if __name__ == "__main__":

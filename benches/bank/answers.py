@@ -1,8 +1,9 @@
 """The right answers for a hidden law: families, names of effects, verdicts.
 
-The hidden laws of slices A and B have the library's names. Those of the other slices define their answers here. Names
-are patterns of `fnmatch`, because the library's name of friction along the body was not decided. `FAMILY` holds the
-families of DISCOVERY §7; a law that two of them describe has both.
+The hidden laws of slices A and B have the library's names. Those of the other slices define their
+answers here. Names are patterns of `fnmatch`, because the library's name of friction along the body
+was not decided. `FAMILY` holds the families of DISCOVERY §7; a law that two of them describe has
+both.
 """
 
 from __future__ import annotations
@@ -17,19 +18,49 @@ Names = tuple[str, ...]
 MAP: Names = ("static map",)
 SHAPE: Names = ("body", "static shape")
 FAMILY: dict[str, Names] = {
-    "offset": (*MAP, "static shape"), "gain": MAP, "cable_gain": MAP, "latency": ("delay",), "lag": ("delay",),
-    "rate_limit": ("delay", "rate"), "saturation": MAP, "eccentric_pulley": MAP,
+    "offset": (*MAP, "static shape"),
+    "gain": MAP,
+    "cable_gain": MAP,
+    "latency": ("delay",),
+    "lag": ("delay",),
+    "rate_limit": ("delay", "rate"),
+    "saturation": MAP,
+    "eccentric_pulley": MAP,
     "servo_swap": ("coupling", "static map"),
-    "backlash": ("memory",), "friction": ("memory",), "body_friction": ("memory",), "dead_zone": MAP,
-    "tendon_stretch": MAP, "tendon_creep": ("creep",), "coupling": ("coupling", "static shape"),
-    "anchor_slip": ("step", "time"), "hysteresis": ("memory",), "creep": ("creep",), "mullins": ("softening", "memory"),
-    "thermal_softening": ("temperature",), "asymmetry": MAP, "gravity": ("load",), "payload": ("load",),
-    "stiffness_gradient": SHAPE, "stiff_section": SHAPE, "one_sided_stiffness": SHAPE, "twist": SHAPE,
-    "pre_curve": SHAPE, "kink": SHAPE, "routing": (*SHAPE, "coupling"), "contact": SHAPE, "mount": ("frame",),
-    "scale": ("frame",), "camera_drift": ("frame drift",), "clock_shift": ("delay",),
-    "frayed_cable": ("step", "time"), "chatter": ("memory", "rate", "delay"), "leaking_cell": ("memory", "creep"),
-    "magnet": (*SHAPE, "load"), "crack": SHAPE, "gate": ("coupling", "memory"),
-}  # fmt: skip
+    "backlash": ("memory",),
+    "friction": ("memory",),
+    "body_friction": ("memory",),
+    "dead_zone": MAP,
+    "tendon_stretch": MAP,
+    "tendon_creep": ("creep",),
+    "coupling": ("coupling", "static shape"),
+    "anchor_slip": ("step", "time"),
+    "hysteresis": ("memory",),
+    "creep": ("creep",),
+    "mullins": ("softening", "memory"),
+    "thermal_softening": ("temperature",),
+    "asymmetry": MAP,
+    "gravity": ("load",),
+    "payload": ("load",),
+    "stiffness_gradient": SHAPE,
+    "stiff_section": SHAPE,
+    "one_sided_stiffness": SHAPE,
+    "twist": SHAPE,
+    "pre_curve": SHAPE,
+    "kink": SHAPE,
+    "routing": (*SHAPE, "coupling"),
+    "contact": SHAPE,
+    "mount": ("frame",),
+    "scale": ("frame",),
+    "camera_drift": ("frame drift",),
+    "clock_shift": ("delay",),
+    "frayed_cable": ("step", "time"),
+    "chatter": ("memory", "rate", "delay"),
+    "leaking_cell": ("memory", "creep"),
+    "magnet": (*SHAPE, "load"),
+    "crack": SHAPE,
+    "gate": ("coupling", "memory"),
+}
 NAMES: dict[str, Names] = {
     "cable_gain": ("gain", "asymmetry", "cable_gain"),
     "body_friction": ("friction", "*_friction"),
@@ -43,8 +74,8 @@ LAW_OPEN: Names = ("partly_explained", "ambiguous")
 
 @dataclass(frozen=True)
 class Answer:
-    """The right answer for one hidden law: any of `families`, any of `names` (none: no name of the library is right),
-    names that are allowed in addition, and the verdicts.
+    """The right answer for one hidden law: any of `families`, any of `names` (none: no name of the
+    library is right), names that are allowed in addition, and the verdicts.
     """
 
     families: Names
@@ -61,7 +92,9 @@ def answer_for(law: str, known: bool = True) -> Answer:
     """Return the right answer for a law by its name; `known` to the library."""
     if not known:
         return Answer(FAMILY.get(law, ()), verdicts=UNKNOWN_VERDICTS)
-    return Answer(FAMILY.get(law, ()), NAMES.get(law, (law,)), ALSO.get(law, ()), ("identified", "ambiguous"))
+    return Answer(
+        FAMILY.get(law, ()), NAMES.get(law, (law,)), ALSO.get(law, ()), ("identified", "ambiguous")
+    )
 
 
 def matches(name: str, patterns: Names | list[str]) -> bool:

@@ -1,4 +1,6 @@
-"""The two bodies of the bank with one interface: the Cosserat rod (slices A, shop, odd); finite elements (slice B)."""
+"""The two bodies of the bank with one interface: the Cosserat rod (slices A, shop, odd); finite
+elements (slice B).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
 
 
 class Body(Protocol):
-    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that it `can` have.
+    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that
+    it `can` have.
 
     On `every`-th frames of the standard protocol it is found out how far a law moves it.
     """
@@ -33,7 +36,12 @@ class Body(Protocol):
     def place(self) -> Floats: ...
 
     def points(
-        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+        self,
+        laws: Sequence[Law],
+        pull: Floats,
+        gravity: Floats,
+        marked: bool,
+        past: Past | None = None,
     ) -> Floats:
         """Return points (K, N, 3) mm under pulls (K, 2C) mm and declared gravity (K, 3) g.
 
@@ -65,7 +73,12 @@ class RodBody:
         return body_rod.template()[0]
 
     def points(
-        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+        self,
+        laws: Sequence[Law],
+        pull: Floats,
+        gravity: Floats,
+        marked: bool,
+        past: Past | None = None,
     ) -> Floats:
         where = body_rod.markers() if marked else body_rod.template()
         return body_rod.solved(laws, pull, gravity, past).points(finger(1), *where)

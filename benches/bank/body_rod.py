@@ -1,9 +1,10 @@
 """Slice A: the rod finger as a body that laws change.
 
-Every frame of every case is solved to an equilibrium, so that nothing is interpolated in what is seen; a table of
-strains over commands only says where Newton starts, and how strong a law of the command has to be. The rod has 16 + 3
-elements, with which its tip is 0.06 mm from where it would be with four times as many: truth and model share that body.
-Units: mm, g, N. Pinned by tests/benches/test_bank.py.
+Every frame of every case is solved to an equilibrium, so that nothing is interpolated in what is
+seen; a table of strains over commands only says where Newton starts, and how strong a law of the
+command has to be. The rod has 16 + 3 elements, with which its tip is 0.06 mm from where it would be
+with four times as many: truth and model share that body. Units: mm, g, N. Pinned by
+tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -25,7 +26,15 @@ from benches.bank.section import finger
 
 NAME = "rod-finger"
 REACH = 16.0
-SOURCES = ("section.py", "rod.py", "newton_step.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
+SOURCES = (
+    "section.py",
+    "rod.py",
+    "newton_step.py",
+    "rotations.py",
+    "body_rod.py",
+    "model_rod.py",
+    "second_rod.py",
+)
 HANGING = np.array([0.0, 0.0, 1.0])
 RINGS, AROUND = 14, 12
 GRID = 9  # commands a channel from which Newton starts
@@ -33,7 +42,9 @@ KEPT = Path("out/bank/kept")  # sweeps of clean fingers, which every process wou
 
 
 def template() -> tuple[Floats, Floats]:
-    """Return the seen points of the finger: place (N,) mm along it and offset (N, 2) mm from its axis."""
+    """Return the seen points of the finger: place (N,) mm along it and offset (N, 2) mm from its
+    axis.
+    """
     design = finger(1)
     place = np.repeat(np.linspace(0.0, design.place[-1], RINGS), AROUND)
     radius = np.interp(place, design.middle, design.radius)
@@ -56,7 +67,9 @@ def rest(points: tuple[Floats, Floats]) -> Floats:
 
 
 def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, past: Past | None = None) -> Poses:
-    """Return the finger in equilibrium under pulls (K, 4) mm and declared gravity (K, 3) g, as `laws` make it."""
+    """Return the finger in equilibrium under pulls (K, 4) mm and declared gravity (K, 3) g, as
+    `laws` make it.
+    """
     design = finger(1)
     for law in laws:
         design = law.design(design)
@@ -75,7 +88,9 @@ def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, past: Past | None
 
 
 def guessed(pull: Floats) -> Poses:
-    """Return about where the plain finger is under pulls (K, 4) mm: strains interpolated in a small table."""
+    """Return about where the plain finger is under pulls (K, 4) mm: strains interpolated in a small
+    table.
+    """
     from scipy.interpolate import RegularGridInterpolator
 
     half = pull.shape[1] // 2
@@ -90,7 +105,9 @@ def guessed(pull: Floats) -> Poses:
 def _table() -> tuple[Floats, Floats]:
     axis = np.linspace(-18.0, 18.0, GRID)
     table = kept(
-        "rod-start", (sources(), GRID), lambda: {"strain": strains(finger(1), settle(finger(1), hanging(grid(axis))))}
+        "rod-start",
+        (sources(), GRID),
+        lambda: {"strain": strains(finger(1), settle(finger(1), hanging(grid(axis))))},
     )
     return axis, table["strain"].reshape(GRID, GRID, -1)
 

@@ -1,10 +1,12 @@
-"""Slice B: the built-in finger as finite elements on another mesh, of softer silicone, diagnosed with its own bundle.
+"""Slice B: the built-in finger as finite elements on another mesh, of softer silicone, diagnosed
+with its own bundle.
 
-Shapes come from dense sweeps of that other finger, one for each orientation of the protocols, interpolated by splines
-in their leading modes; `interpolation_mm` measures by how much that misses an equilibrium. Where a law changes weights,
-modulus, cables or their routes, every frame is solved. A pair of cables is one command here: what a law does to single
-cables counts where they pull. Curvature and twist at rest, a plane and torn fibres are for slice A alone.
-Units: mm, g, N. Pinned by tests/benches/test_bank.py.
+Shapes come from dense sweeps of that other finger, one for each orientation of the protocols,
+interpolated by splines in their leading modes; `interpolation_mm` measures by how much that misses
+an equilibrium. Where a law changes weights, modulus, cables or their routes, every frame is solved.
+A pair of cables is one command here: what a law does to single cables counts where they pull.
+Curvature and twist at rest, a plane and torn fibres are for slice A alone. Units: mm, g, N. Pinned
+by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ SOFTER = 0.94  # modulus against the first finger's
 LAYERS = 0.8  # layers against the first finger's
 REACH, STEPS = 18.0, 25  # mm; commands a channel
 NEAR = 0.02  # g: gravity this near to that of a sweep is that of the sweep
-SAME = 2  # decimals of a command, mm, that are told apart: points are off by 0.008 mm RMS, the tip by 0.04 at most
+# decimals of a command, mm, that are told apart: points are off by 0.008 mm RMS, the tip by 0.04 at
+# most
+SAME = 2
 MODES = 40
 ONLY_A = ("magnet", "crack", "contact", "twist", "pre_curve", "kink")
 SLICES = 12  # of the body, each of one modulus, of two where a side differs
@@ -56,9 +60,17 @@ class SolidBody:
         return rest[_markers()] if marked else rest
 
     def points(
-        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+        self,
+        laws: Sequence[Law],
+        pull: Floats,
+        gravity: Floats,
+        marked: bool,
+        past: Past | None = None,
     ) -> Floats:
-        u, loads = _commands(pull), Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3)))
+        u, loads = (
+            _commands(pull),
+            Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3))),
+        )
         for law in laws:
             loads = law.loads(loads, None)
         other = _made(tuple(law for law in laws if law.SHAPE))
@@ -67,7 +79,9 @@ class SolidBody:
         kinds, which = np.unique(weights, axis=0, return_inverse=True)
         for i, kind in enumerate(kinds):
             rows = np.flatnonzero(which.reshape(-1) == i)
-            swept = [k for k, g in enumerate((HANGING, LEANING)) if np.linalg.norm(kind[:3] - g) < NEAR]
+            swept = [
+                k for k, g in enumerate((HANGING, LEANING)) if np.linalg.norm(kind[:3] - g) < NEAR
+            ]
             if other is None and swept and not kind[3:].any():
                 out[rows] = _swept(swept[0], STEPS)(u[rows])
             else:
@@ -82,7 +96,9 @@ class SolidBody:
 
 
 def interpolation_mm(count: int = 20, seed: int = 0) -> float:
-    """Return the RMS distance between what is interpolated and equilibria at commands off the grid."""
+    """Return the RMS distance between what is interpolated and equilibria at commands off the
+    grid.
+    """
     u = np.random.default_rng(seed).uniform(-12.0, 12.0, (count, 2))
     off = _swept(0, STEPS)(u) - _solved(_second(), u, np.array(HANGING), np.zeros(3))
     return float(np.sqrt(np.mean(np.sum(off**2, axis=2))))
@@ -111,7 +127,9 @@ def _second() -> Simulator:
 
 @lru_cache(maxsize=2)
 def _made(laws: tuple[Law, ...]) -> Simulator | None:
-    """Return the second finger as `laws` make it, read off the rod's design; None where they leave its body."""
+    """Return the second finger as `laws` make it, read off the rod's design; None where they leave
+    its body.
+    """
     before = after = section.finger(1)
     for law in laws:
         after = law.design(after)
@@ -127,11 +145,24 @@ def _made(laws: tuple[Law, ...]) -> Simulator | None:
         here = (before.middle >= low) & (before.middle < high)
         for mask, angle in ((towards, side), (~towards, side + 180.0)):
             young = finger.young_mpa * np.exp(ratio[here][mask[here]].mean())
-            regions.append(Region(float(young), z=(float(low), float(high)), side_deg=(angle + 180.0) % 360.0 - 180.0))
-    turned = [np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0]) for a, b in zip(after.guide, before.guide)]
+            regions.append(
+                Region(
+                    float(young),
+                    z=(float(low), float(high)),
+                    side_deg=(angle + 180.0) % 360.0 - 180.0,
+                )
+            )
+    turned = [
+        np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0])
+        for a, b in zip(after.guide, before.guide)
+    ]
     tendons = []
     for tendon, angle in zip(finger.tendons, np.degrees(np.angle(np.exp(1j * np.array(turned))))):
-        tendons.append(replace(tendon, angle_deg=tendon.angle_deg + angle[0], turn_deg=float(angle[-1] - angle[0])))
+        tendons.append(
+            replace(
+                tendon, angle_deg=tendon.angle_deg + angle[0], turn_deg=float(angle[-1] - angle[0])
+            )
+        )
     changed = finger.replace(
         regions=tuple(regions) if np.ptp(ratio) > 1e-9 else (),
         tendons=tuple(tendons),
@@ -157,7 +188,9 @@ def _markers() -> Any:
 
 
 def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Floats:
-    """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one; those of the last loads are known."""
+    """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one; those of the last
+    loads are known.
+    """
     places, which = np.unique(np.round(u, SAME), axis=0, return_inverse=True)
     known = _known(simulator, tuple(gravity), tuple(tip))
     new = np.array([place for place in places if tuple(place) not in known]).reshape(-1, 2)
@@ -168,26 +201,35 @@ def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Fl
 
 
 @lru_cache(maxsize=4)
-def _known(simulator: Simulator, gravity: tuple[float, ...], tip: tuple[float, ...]) -> dict[tuple[float, ...], Floats]:
-    """Return the equilibria (N, 3) mm found so far, by commands: one run is often part of the next."""
+def _known(
+    simulator: Simulator, gravity: tuple[float, ...], tip: tuple[float, ...]
+) -> dict[tuple[float, ...], Floats]:
+    """Return the equilibria (N, 3) mm found so far, by commands: one run is often part of the
+    next.
+    """
     return {}
 
 
 @lru_cache(maxsize=4)
 def _swept(orientation: int, steps: int) -> Any:
-    """Return the function from commands (K, 2) mm to points (K, N, 3) mm in one orientation of the protocols."""
+    """Return the function from commands (K, 2) mm to points (K, N, 3) mm in one orientation of the
+    protocols.
+    """
     from scipy.interpolate import RectBivariateSpline
 
     axis = np.linspace(-REACH, REACH, steps)
 
     def make() -> dict[str, Any]:
         gravity = np.array((HANGING, LEANING)[orientation])
-        values = np.asarray(_second().sweep([axis, axis], gravity=gravity).vertices, float).reshape(steps**2, -1)
+        values = np.asarray(_second().sweep([axis, axis], gravity=gravity).vertices, float).reshape(
+            steps**2, -1
+        )
         mean = values.mean(axis=0)
         left, size, modes = np.linalg.svd(values - mean, full_matrices=False)
         return {"mean": mean, "weights": (left * size)[:, :MODES], "modes": modes[:MODES]}
 
-    probe = np.round(_second().path(np.array([[9.0, -4.0]])), 4).tobytes()  # another simulator, another sweep
+    # another simulator, another sweep
+    probe = np.round(_second().path(np.array([[9.0, -4.0]])), 4).tobytes()
     table = kept(f"solid-{orientation}", (steps, SOFTER, LAYERS, REACH, probe), make)
     splines = [RectBivariateSpline(axis, axis, w.reshape(steps, steps)) for w in table["weights"].T]
 

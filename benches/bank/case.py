@@ -1,13 +1,13 @@
 """One case of the bank: a pure function of (set of seeds, slice, level, kind, number).
 
     null        nothing is hidden                      unknown      a law that no library has
-    single      one law                                removed      one law, diagnosed without its effect
-    pair        two laws                               untestable   a law that this very run cannot show, or not alone
+    single  one law  removed  one law, diagnosed without its effect
+    pair  two laws  untestable  a law that this very run cannot show, or not alone
     rivals      as untestable, then with the run that was asked for
 
-Development seeds are for setting thresholds, reporting seeds for figures; no threshold may be set on the latter.
-The strength of each law is scaled until the section centroids move by what the level says on the standard protocol.
-Units: s, mm, g, °C. Pinned by tests/benches/test_bank.py.
+Development seeds are for setting thresholds, reporting seeds for figures; no threshold may be set
+on the latter. The strength of each law is scaled until the section centroids move by what the level
+says on the standard protocol. Units: s, mm, g, °C. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ PAIRS = 4  # pairs that are drawn until each law does something beside the other
 
 
 def temperature(t: Floats) -> Floats:
-    """Return the declared room temperature (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
+    """Return the declared room temperature (T,) °C: it warms by 9 K, halts, and cools again by
+    half, slowly.
+    """
     knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
     return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
 
@@ -59,7 +61,8 @@ class Case:
     moved_mm: tuple[float, ...]  # by each hidden law alone, section centroids
     seed: int
     marked: bool  # seen by markers, not as a surface
-    answers: tuple[Answer, ...] = ()  # the right answer for each hidden law, or for the complete run
+    # the right answer for each hidden law, or for the complete run
+    answers: tuple[Answer, ...] = ()
     room: Callable[[Floats], Floats] = temperature  # (T,) s to °C, as the run declares it
 
     @property
@@ -68,17 +71,29 @@ class Case:
         return names(self.laws)
 
     def run(self, protocol: Protocol, laws: Sequence[Law] | None = None) -> Run:
-        """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same noise for both."""
+        """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same
+        noise for both.
+        """
         rng = np.random.default_rng([self.seed, protocol.frames])
         acting = (*self.small, *(self.laws if laws is None else laws))
         points = seen(self.body, acting, protocol, self.marked, room=self.room)
         noisy, visible = looked(points, protocol.t_seen, self.level, rng)
-        kind = {"markers": noisy, "marker_rest": self.body.rest(True)} if self.marked else {"vertices": noisy}
+        kind = (
+            {"markers": noisy, "marker_rest": self.body.rest(True)}
+            if self.marked
+            else {"vertices": noisy}
+        )
         return Run(
-            t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
-            block=protocol.block, temperature=self.room(protocol.t), robot=self.body.name,
-            visible=None if visible.all() else visible, **kind,
-        )  # fmt: skip
+            t=protocol.t,
+            command=protocol.command,
+            gravity=protocol.gravity,
+            t_seen=protocol.t_seen,
+            block=protocol.block,
+            temperature=self.room(protocol.t),
+            robot=self.body.name,
+            visible=None if visible.all() else visible,
+            **kind,
+        )
 
     @property
     def seen_as(self) -> str:
@@ -86,10 +101,14 @@ class Case:
         return "clouds" if self.level.clouds else "markers" if self.marked else "vertices"
 
     def background_mm(self) -> float:
-        """Return the displacement of the section centroids by the background on the standard protocol, in mm RMS."""
+        """Return the displacement of the section centroids by the background on the standard
+        protocol, in mm RMS.
+        """
         protocol, every = standard_protocol(2), 2 * self.body.every
         own = seen(self.body, self.small, protocol, False, every=every, room=self.room)
-        return rms(sections(own - seen(self.body, (), protocol, False, every=every), self.body.place))
+        return rms(
+            sections(own - seen(self.body, (), protocol, False, every=every), self.body.place)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was hidden."""
@@ -102,27 +121,40 @@ class Case:
 
 
 def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
-    """Make a case. Raises KeyError for an unknown word, ArithmeticError if a body does not settle."""
+    """Make a case. Raises KeyError for an unknown word, ArithmeticError if a body does not
+    settle.
+    """
     name = f"{seeds}-{slice_}-{level}-{kind}-{number:04d}"
     rng = stream(seeds, slice_, level, kind, number)
     body, hardness = body_of(slice_), LEVELS[level]
     small = background(hardness, rng, body.channels)
     for _ in range(PAIRS):
-        wanted = [LAWS[one] if one in LAWS else UNKNOWN[one] for one in _wanted(kind, number, rng, body)]
+        wanted = [
+            LAWS[one] if one in LAWS else UNKNOWN[one] for one in _wanted(kind, number, rng, body)
+        ]
         found = [drawn(one, body, hardness, rng) for one in wanted]
         if len(found) < 2 or each_moves([law for law, _ in found], body, hardness):
             break
     found.sort(key=lambda pair: place_of(pair[0]))
     return Case(
-        name, hardness, kind, body, tuple(law for law, _ in found), small, tuple(mm for _, mm in found),
-        int(rng.integers(2**31)), bool(rng.integers(MARKED) == 0) and not hardness.clouds,
+        name,
+        hardness,
+        kind,
+        body,
+        tuple(law for law, _ in found),
+        small,
+        tuple(mm for _, mm in found),
+        int(rng.integers(2**31)),
+        bool(rng.integers(MARKED) == 0) and not hardness.clouds,
         tuple(answer_for(law.NAME, law.NAME in LAWS) for law, _ in found),
-    )  # fmt: skip
+    )
 
 
 def stream(seeds: str, slice_: str, level: str, kind: str, number: int) -> np.random.Generator:
     """Return the generator from which a case is drawn."""
-    return np.random.default_rng([SEEDS[seeds] + number, zlib.crc32(f"{slice_} {level} {kind}".encode())])
+    return np.random.default_rng(
+        [SEEDS[seeds] + number, zlib.crc32(f"{slice_} {level} {kind}".encode())]
+    )
 
 
 def place_of(law: Law) -> int:
@@ -153,7 +185,9 @@ def _wanted(kind: str, number: int, rng: np.random.Generator, body: Body) -> lis
 
 
 def protocol_of(kind: str, hidden: Sequence[str], number: int) -> Protocol:
-    """Return what is recorded for a first diagnosis: the standard protocol, or one that cannot show what is hidden."""
+    """Return what is recorded for a first diagnosis: the standard protocol, or one that cannot show
+    what is hidden.
+    """
     whole = standard_protocol(2, seed=number % 16)
     if kind in ("untestable", "rivals") and set(hidden) <= set(ONE_POSE):
         return _in_one_pose(whole)
@@ -166,16 +200,30 @@ def _in_one_pose(whole: Protocol) -> Protocol:
     start = float(whole.t[np.flatnonzero(leaning)[0]])
     later, frames = whole.t >= start, whole.t_seen >= start
     return Protocol(
-        "one orientation", whole.t[later] - start, whole.command[later], whole.gravity[later],
-        whole.t_seen[frames] - start, whole.block[frames],
-    )  # fmt: skip
+        "one orientation",
+        whole.t[later] - start,
+        whole.command[later],
+        whole.gravity[later],
+        whole.t_seen[frames] - start,
+        whole.block[frames],
+    )
 
 
 def at_rest(number: int) -> Protocol:
-    """Return a grid of commands that is seen only when all has settled: no motion, no dwell, one history."""
+    """Return a grid of commands that is seen only when all has settled: no motion, no dwell, one
+    history.
+    """
     rng = np.random.default_rng([number, 5])
-    targets = rng.permutation(np.stack(np.meshgrid(*[np.linspace(-10, 10, 7)] * 2), axis=2).reshape(-1, 2))
-    corners, times, now, looks, labels = [np.zeros(2)], [0.0], 5.0, [1.0, 2.0, 3.0, 4.0], ["home"] * 4
+    targets = rng.permutation(
+        np.stack(np.meshgrid(*[np.linspace(-10, 10, 7)] * 2), axis=2).reshape(-1, 2)
+    )
+    corners, times, now, looks, labels = (
+        [np.zeros(2)],
+        [0.0],
+        5.0,
+        [1.0, 2.0, 3.0, 4.0],
+        ["home"] * 4,
+    )
     times.append(now)
     corners.append(np.zeros(2))
     for k, target in enumerate(targets):
@@ -201,10 +249,17 @@ def judge_protocol(number: int) -> Protocol:
 
 
 def seen(
-    body: Body, laws: Sequence[Law], protocol: Protocol, marked: bool, every: int = 1,
-    rough: bool = False, room: Callable[[Floats], Floats] = temperature,
-) -> Floats:  # fmt: skip
-    """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not settled."""
+    body: Body,
+    laws: Sequence[Law],
+    protocol: Protocol,
+    marked: bool,
+    every: int = 1,
+    rough: bool = False,
+    room: Callable[[Floats], Floats] = temperature,
+) -> Floats:
+    """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not
+    settled.
+    """
     laws = sorted(laws, key=place_of)
     record = Record(protocol.t, protocol.command, room(protocol.t), protocol.gravity)
     u = protocol.command
@@ -230,7 +285,9 @@ def seen(
 
 
 def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
-    """Return whether each law still does something beside the others: half of the least that it does alone."""
+    """Return whether each law still does something beside the others: half of the least that it
+    does alone.
+    """
     protocol, rough = standard_protocol(2), not any(law.SHAPE for law in laws)
 
     def points(acting: Sequence[Law]) -> Floats:
@@ -242,12 +299,15 @@ def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
     except ArithmeticError:  # together they buckle the body
         return False
     return all(
-        rms(sections(m, body.place)) >= 0.5 * level.moves_mm[0] or law.NAME == "twist" for m, law in zip(moved, laws)
+        rms(sections(m, body.place)) >= 0.5 * level.moves_mm[0] or law.NAME == "twist"
+        for m, law in zip(moved, laws)
     )
 
 
 def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
-    """Draw a law and scale it until it moves the section centroids by the level's target, in mm RMS."""
+    """Draw a law and scale it until it moves the section centroids by the level's target, in mm
+    RMS.
+    """
     low, high = level.moves_mm
     best: tuple[Law, float] | None = None
     plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not kind.SHAPE)
@@ -256,20 +316,26 @@ def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -
         found = strengthened(character, float(rng.uniform(low, high)), body, plain)
         if kind.NAME in GROSS or low * 0.8 <= found[1] <= 1.2 * high:
             return found
-        if best is None or abs(np.log(max(found[1], 1e-6) / low)) < abs(np.log(max(best[1], 1e-6) / low)):
+        if best is None or abs(np.log(max(found[1], 1e-6) / low)) < abs(
+            np.log(max(best[1], 1e-6) / low)
+        ):
             best = found
     assert best is not None
     return best
 
 
 def strengthened(
-    character: Law, target: float, body: Body, plain: Floats, room: Callable[[Floats], Floats] = temperature
+    character: Law,
+    target: float,
+    body: Body,
+    plain: Floats,
+    room: Callable[[Floats], Floats] = temperature,
 ) -> tuple[Law, float]:
     """Return a law scaled to move the section centroids by `target` mm RMS, and its displacement.
 
-    `plain` are the points of the finger without the law on the standard protocol, every `body.every`-th frame, rough
-    where the law leaves the body unchanged. A twist turns sections without moving their centres; for it the points
-    count.
+    `plain` are the points of the finger without the law on the standard protocol, every
+    `body.every`-th frame, rough where the law leaves the body unchanged. A twist turns sections
+    without moving their centres; for it the points count.
     """
     protocol, gross = standard_protocol(2), not character.STRONG or character.NAME in GROSS
     strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and their displacements of the sections
@@ -281,7 +347,9 @@ def strengthened(
             strength *= 0.6
             continue
         moved = there - plain
-        reached = max(rms(sections(moved, body.place)), rms(moved) if character.NAME == "twist" else 0.0)
+        reached = max(
+            rms(sections(moved, body.place)), rms(moved) if character.NAME == "twist" else 0.0
+        )
         tried.append((strength, reached))
         if abs(reached - target) < NEAR * target or gross:
             break

@@ -1,8 +1,9 @@
-"""Seen as a user of two depth cameras sees: noisy clouds with a hole and outliers, the model's template laid onto them.
+"""Seen as a user of two depth cameras sees: noisy clouds with a hole and outliers, the model's
+template laid onto them.
 
-Two cameras 90° apart stand somewhere around the finger for the whole case. Every second frame of a long protocol is
-seen: laying a template onto a cloud takes 60 ms. Units: mm, degrees. Randomness only from the seed that is given.
-Pinned by tests/benches/test_bank.py.
+Two cameras 90° apart stand somewhere around the finger for the whole case. Every second frame of a
+long protocol is seen: laying a template onto a cloud takes 60 ms. Units: mm, degrees. Randomness
+only from the seed that is given. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -28,11 +29,15 @@ def thinned(protocol: Protocol) -> Protocol:
 
 
 def registered(model: Model, run: Run, seed: int) -> Run:
-    """Return a run of true vertices as registration finds them in clouds: `visible`, `sigma`, the roll not seen."""
+    """Return a run of true vertices as registration finds them in clouds: `visible`, `sigma`, the
+    roll not seen.
+    """
     rng = np.random.default_rng([seed, run.frames, 6])
     view = float(rng.uniform(0.0, 360.0))
     cameras = replace(CAMERAS, views=(view, view + 90.0))
-    clouds = [cameras.look(np.asarray(shape, float), model.triangles, rng) for shape in run.seen_points]
+    clouds = [
+        cameras.look(np.asarray(shape, float), model.triangles, rng) for shape in run.seen_points
+    ]
     points, start = np.concatenate(clouds), np.cumsum([0, *map(len, clouds)])
     seen = replace(run, vertices=None, visible=None, points=points, start=start)
     return register(model, seen).run(seen)

@@ -1,18 +1,18 @@
 """Friction of the cables in their guides along the body: hysteretic in shape, not in the command.
 
-A cable that slides towards the base over guide i passes less tension to the segment beyond. One that slides back passes
-more:
+A cable that slides towards the base over guide i passes less tension to the segment beyond. One
+that slides back passes more:
 
     T_{i+1} = T_i exp(−(μ θ_i + μ₀) z_i),     z' = x'/δ (1 − z sgn x'),     x_i = −Σ_{j≥i} ℓ_j
 
-θ_i is the bending angle of the cable at the guide, μ₀ a tight hole, ℓ_j the lengths of its segments and x_i its slide
-(Dahl: it yields a little before it slides). While the finger is loaded the base bends more, so that the tip leads.
-After a reversal the guides let go one after another from the base. The tension obeys k (Σ ℓ − Σ ℓ⁰ + d) = T₀ Σ ℓ_j
-T_j/T₀ / Σ ℓ, and the nodes are in balance with T_j. There is no energy to minimise, so plain Newton steps start from
-the frictionless rod.
-Limit: the slides are those of the finger without friction. With those of the finger with friction (`passes`) the guides
-let go in a slightly different order after a reversal: a quarter of the displacement by friction at μ = 0.1.
-Units: mm, N, rad. Pinned by tests/benches/test_bank_shop.py.
+θ_i is the bending angle of the cable at the guide, μ₀ a tight hole, ℓ_j the lengths of its segments
+and x_i its slide (Dahl: it yields a little before it slides). While the finger is loaded the base
+bends more, so that the tip leads. After a reversal the guides let go one after another from the
+base. The tension obeys k (Σ ℓ − Σ ℓ⁰ + d) = T₀ Σ ℓ_j T_j/T₀ / Σ ℓ, and the nodes are in balance
+with T_j. There is no energy to minimise, so plain Newton steps start from the frictionless rod.
+Limit: the slides are those of the finger without friction. With those of the finger with friction
+(`passes`) the guides let go in a slightly different order after a reversal: a quarter of the
+displacement by friction at μ = 0.1. Units: mm, N, rad. Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ LONGEST = (3.0, 0.1)  # mm and rad of one node in one step
 
 
 def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
-    """Return rods in balance under cables whose tension varies along them (`loads.tension`), from a near state.
+    """Return rods in balance under cables whose tension varies along them (`loads.tension`), from a
+    near state.
 
     Raises:
         ArithmeticError: a rod does not settle.
@@ -52,7 +53,9 @@ def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
             return Poses(x, frame, tension, error)
         open_, blocks = open_[going], tuple(b[going] for b in found.blocks)
         taut = found.pull[going] > 0.0
-        step = newton_step(blocks, found.slope[going], found.lengths[going], taut, design.cable, found.drawn[going])
+        step = newton_step(
+            blocks, found.slope[going], found.lengths[going], taut, design.cable, found.drawn[going]
+        )
         size = np.maximum(
             np.linalg.norm(step[..., :3], axis=2).max(axis=1) / LONGEST[0],
             np.linalg.norm(step[..., 3:], axis=2).max(axis=1) / LONGEST[1],
@@ -60,13 +63,21 @@ def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
         step *= (1.0 if count < WHOLE else 0.4) / np.maximum(size, 1.0)[:, None, None]
         x[open_, 1:] += step[..., :3]
         frame[open_, 1:] = turn(step[..., 3:]) @ frame[open_, 1:]
-    raise ArithmeticError(f"{len(open_)} of {len(x)} rods do not settle with friction: {error.max():.2g} N are left")
+    raise ArithmeticError(
+        f"{len(open_)} of {len(x)} rods do not settle with friction: {error.max():.2g} N are left"
+    )
 
 
 def along(
-    mu: Floats, tight: float, give_mm: float, past: Past, guess: Callable[[Floats], Poses], passes: int = 0
+    mu: Floats,
+    tight: float,
+    give_mm: float,
+    past: Past,
+    guess: Callable[[Floats], Poses],
+    passes: int = 0,
 ) -> Floats:
-    """Return the tension (K, 4, segments) along the cables at the seen frames, relative to that at the base.
+    """Return the tension (K, 4, segments) along the cables at the seen frames, relative to that at
+    the base.
 
     Args:
         mu: friction (4,) of each cable.
@@ -94,11 +105,14 @@ def along(
 
 
 def _shares(design: Design, poses: Poses, mu: Floats, tight: float, give_mm: float) -> Floats:
-    """Return the tension (P, 4, segments) along the cables over a path of poses, relative to that at the base."""
+    """Return the tension (P, 4, segments) along the cables over a path of poses, relative to that
+    at the base.
+    """
     line = np.diff(guides(design, poses.x, poses.frame), axis=2)
     span = np.linalg.norm(line, axis=3)
     way = line / span[..., None]
-    bent = np.arccos(np.clip(np.sum(way[:, :, 1:] * way[:, :, :-1], axis=3), -1.0, 1.0))  # (P, 4, segments - 1)
+    # (P, 4, segments - 1)
+    bent = np.arccos(np.clip(np.sum(way[:, :, 1:] * way[:, :, :-1], axis=3), -1.0, 1.0))
     beyond = np.cumsum(span[..., ::-1], axis=2)[..., ::-1][..., 1:]
     slid = -np.diff(beyond, axis=0)
     z, out = np.zeros(bent.shape[1:]), np.zeros(bent.shape)

@@ -1,13 +1,15 @@
-"""Imperfections of a finger from a workshop: several small static errors at once, 0.2 to 0.4 mm in all.
+"""Imperfections of a finger from a workshop: several small static errors at once, 0.2 to 0.4 mm in
+all.
 
     clamp       turned and shifted              curl        slightly curved at rest
     lengths     each cable has its own length   drums       each has its own radius
-    winding     u + a sin(u/R + φ) + b sin(2u/R + ψ) + c u|u|/R: rope over rope on a drum that is not round
+    winding     u + a sin(u/R + φ) + b sin(2u/R + ψ) + c u|u|/R: rope over rope on a drum that is
+                not round
     rubber      modulus that varies along the body and from side to side
 
-A trace of memory, as in every drive, is added (play of 0.02 mm, half a percent of creep). The static errors are drawn
-at sizes of equal displacement, and scaled together.
-Units: mm, degrees. Randomness only from the given generator. Pinned by tests/benches/test_bank_shop.py.
+A trace of memory, as in every drive, is added (play of 0.02 mm, half a percent of creep). The
+static errors are drawn at sizes of equal displacement, and scaled together. Units: mm, degrees.
+Randomness only from the given generator. Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations
@@ -39,19 +41,25 @@ class Winding(Law):
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         first, second, layers = (s * rng.normal(size=channels) for s in (0.08, 0.04, 0.01))
         phase = rng.uniform(0, 2 * np.pi, 2 * channels)
-        return cls(tuple(first), tuple(second), tuple(layers), float(rng.uniform(2.5, 9.0)), tuple(phase))
+        return cls(
+            tuple(first), tuple(second), tuple(layers), float(rng.uniform(2.5, 9.0)), tuple(phase)
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         one, two = np.array(self.phase).reshape(2, -1)
         turn = u / self.radius_mm
         first = np.array(self.first_mm) * (np.sin(turn + one) - np.sin(one))
         second = np.array(self.second_mm) * (np.sin(2 * turn + two) - np.sin(two))
-        return np.asarray(u + first + second + np.array(self.layers) * u * np.abs(u) / self.radius_mm)
+        return np.asarray(
+            u + first + second + np.array(self.layers) * u * np.abs(u) / self.radius_mm
+        )
 
 
 @dataclass(frozen=True)
 class Rubber(Law):
-    """log E + Σ a_k sin(kπ s/L + φ_k) + Σ b_k cos(α − ψ_k) sin(kπ s/L): along the body, and from side to side."""
+    """log E + Σ a_k sin(kπ s/L + φ_k) + Σ b_k cos(α − ψ_k) sin(kπ s/L): along the body, and from
+    side to side.
+    """
 
     NAME, STRONG, SHAPE = "uneven_rubber", ("along", "across"), True
     along: Numbers
@@ -69,7 +77,9 @@ class Rubber(Law):
         x, y, _ = design.fibres()
         at = np.pi * design.middle[:, None] / design.place[-1]
         log = np.zeros_like(x)
-        for k, (a, b, phase, side) in enumerate(zip(self.along, self.across, self.phase, self.side), start=1):
+        for k, (a, b, phase, side) in enumerate(
+            zip(self.along, self.across, self.phase, self.side), start=1
+        ):
             towards = (x * np.cos(side) + y * np.sin(side)) / design.radius[:, None]
             log = log + a * np.sin(k * at + phase) + b * towards * np.sin(k * at)
         return design.stiffer(np.exp(log))

@@ -1,10 +1,11 @@
-"""Score a diagnosis by family: the family of the law, whether anything is claimed, whether a claim is false.
+"""Score a diagnosis by family: the family of the law, whether anything is claimed, whether a claim
+is false.
 
-The document's `families` are a list of {name, …}, strongest first; a document without them names none. *Claimed* is a
-name that is more likely than not, or a static map above the finger's own background whose law is open. A verdict is
-*falsely identified* if it is `identified` and names something that is not right for the hidden law. The right answers
-stand in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by
-tests/benches/test_bank_judge.py.
+The document's `families` are a list of {name, …}, strongest first; a document without them names
+none. *Claimed* is a name that is more likely than not, or a static map above the finger's own
+background whose law is open. A verdict is *falsely identified* if it is `identified` and names
+something that is not right for the hidden law. The right answers stand in the truth of a case:
+`answers`, one for each hidden law (`answers.py`). Pinned by tests/benches/test_bank_judge.py.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ from benches.bank.answers import fits_family, matches
 
 SURE = 0.5  # probability from which a name is more than a candidate
 STATIC = "static map"
-SIZES = ("moved_mm", "displacement_mm", "size_mm")  # keys under which a family may give its displacement of the finger
+# keys under which a family may give its displacement of the finger
+SIZES = ("moved_mm", "displacement_mm", "size_mm")
 
 
 def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict[str, set[str]]:
-    """Return, for each hidden law, the names that are right: those of its answer and their equivalents."""
+    """Return, for each hidden law, the names that are right: those of its answer and their
+    equivalents.
+    """
     found = {name: set(others) for name, others in alike.items()}
     for law, answer in zip(truth["hidden"], truth["answers"]):
         right = [name for name in alike if matches(name, answer["names"])]
@@ -28,7 +32,9 @@ def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict
     return found
 
 
-def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mapping[str, set[str]]) -> dict[str, Any]:
+def by_family(
+    document: Mapping[str, Any], truth: Mapping[str, Any], like: Mapping[str, set[str]]
+) -> dict[str, Any]:
     """Return the score of a diagnosis `document` by family.
 
     Args:
@@ -49,18 +55,26 @@ def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mappi
     return {
         "families": said,
         "family_right": _family_right(said, truth["answers"]),
-        "claimed": bool(claims) or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
+        "claimed": bool(claims)
+        or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
         "identified": identified,
         "false_identified": identified and bool(wrong),
         "answered": answered,
-        "beside": _beside([e["name"] for e in named], [n for n in wrong if n in claims], truth, like, answered),
+        "beside": _beside(
+            [e["name"] for e in named], [n for n in wrong if n in claims], truth, like, answered
+        ),
     }
 
 
 def _beside(
-    named: list[str], wrong: list[str], truth: Mapping[str, Any], like: Mapping[str, set[str]], answered: bool
+    named: list[str],
+    wrong: list[str],
+    truth: Mapping[str, Any],
+    like: Mapping[str, set[str]],
+    answered: bool,
 ) -> bool | None:
-    """Return whether the known law of a pair is named, the rest left open and nothing wrong claimed.
+    """Return whether the known law of a pair is named, the rest left open and nothing wrong
+    claimed.
 
     None without an unknown law.
     """
@@ -71,7 +85,9 @@ def _beside(
 
 
 def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None:
-    """Return whether the first families are those of the hidden laws, one each; None where there is none."""
+    """Return whether the first families are those of the hidden laws, one each; None where there is
+    none.
+    """
     wanted = [answer for answer in answers if answer["families"]]
     if not wanted:
         return None

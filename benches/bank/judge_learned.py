@@ -1,7 +1,9 @@
-"""Score an answer about a robot whose law was always present, with a model learned from its recordings.
+"""Score an answer about a robot whose law was always present, with a model learned from its
+recordings.
 
-The named effects are those that `learn` added to the chain of the model, then those that the diagnosis of another run
-adds. For a memory that was always present both are right. Units: mm, s. Pinned by tests/benches/test_bank_learned.py.
+The named effects are those that `learn` added to the chain of the model, then those that the
+diagnosis of another run adds. For a memory that was always present both are right. Units: mm, s.
+Pinned by tests/benches/test_bank_learned.py.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
 
 
 def judge_learned(case: Kept) -> dict[str, Any]:
-    """Learn a model from the reference runs of a case, diagnose another run with it, and score both together."""
+    """Learn a model from the reference runs of a case, diagnose another run with it, and score both
+    together.
+    """
     from softmap_edge import _core
     from softmap_edge.diagnosis.diagnose import diagnose
 
@@ -43,11 +47,20 @@ def judge_learned(case: Kept) -> dict[str, Any]:
     }
     absorbed = bool(truth["hidden"]) and not verdict["named"] and "nothing" in truth["verdicts"]
     return {
-        **truth, **verdict, **by_family(document, truth, like), "first": verdict["first"] or absorbed,
-        "chain": list(model.chain_names), "error_mm": error, "fall": None, "frames": int(run.t_seen.size),
-        "sentence": found.sentence, "ladder": found.to_dict()["error"], "unexplained": found.to_dict()["unexplained"],
-        "learn_seconds": round(learned - started, 2), "seconds": round(finished - learned, 2),
-    }  # fmt: skip
+        **truth,
+        **verdict,
+        **by_family(document, truth, like),
+        "first": verdict["first"] or absorbed,
+        "chain": list(model.chain_names),
+        "error_mm": error,
+        "fall": None,
+        "frames": int(run.t_seen.size),
+        "sentence": found.sentence,
+        "ladder": found.to_dict()["error"],
+        "unexplained": found.to_dict()["unexplained"],
+        "learn_seconds": round(learned - started, 2),
+        "seconds": round(finished - learned, 2),
+    }
 
 
 def taught(case: Kept) -> Model:
@@ -61,8 +74,8 @@ def taught(case: Kept) -> Model:
 def together(learned: Sequence[LearnedIn], document: dict[str, Any]) -> dict[str, Any]:
     """Return a diagnosis with the effects that `learn` put into the chain before its own.
 
-    If the diagnosis finds nothing more, the verdict is that of `learn` on its laws. `learn` gives no probabilities, so
-    a law that is not identified counts as a claim of one half.
+    If the diagnosis finds nothing more, the verdict is that of `learn` on its laws. `learn` gives
+    no probabilities, so a law that is not identified counts as a claim of one half.
     """
     laws = [one for one in learned if one.name]
     doubted = [one for one in laws if one.law != "identified"]
@@ -77,6 +90,11 @@ def together(learned: Sequence[LearnedIn], document: dict[str, Any]) -> dict[str
         **document,
         "effects": [*rows, *document["effects"]],
         "families": [*families, *(document.get("families") or [])],
-        "alternatives": [*({"effects": [o], "why": "", "member": n} for n, o in others), *document["alternatives"]],
-        "verdict": ("ambiguous" if doubted else "identified") if laws and silent else document["verdict"],
+        "alternatives": [
+            *({"effects": [o], "why": "", "member": n} for n, o in others),
+            *document["alternatives"],
+        ],
+        "verdict": ("ambiguous" if doubted else "identified")
+        if laws and silent
+        else document["verdict"],
     }

@@ -1,11 +1,13 @@
-"""What a hidden law of the bank is: one cause, its place in the finger, and how it is made stronger.
+"""What a hidden law of the bank is: one cause, its place in the finger, and how it is made
+stronger.
 
-    command ─drive─> spools (T, C) ─pull─> cables (T, 4) ─rod or finite elements (body, loads)─> points ─seen─> camera
+    command ─drive─> spools (T, C) ─pull─> cables (T, 4) ─rod or finite elements (body, loads)─>
+    points ─seen─> camera
 
-A law overrides the one place where it acts. All memory starts in equilibrium with the first command held for ever.
-Units: s, mm, g, °C, degrees. Randomness only from the generator that `draw` is given. No law calls the effect library,
-and each has another form than the library's (the table in docs/benchmarks/bank.md). Pinned by
-tests/benches/test_bank.py.
+A law overrides the one place where it acts. All memory starts in equilibrium with the first command
+held for ever. Units: s, mm, g, °C, degrees. Randomness only from the generator that `draw` is
+given. No law calls the effect library, and each has another form than the library's (the table in
+docs/benchmarks/bank.md). Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Record:
-    """The inputs of a law: t (T,) s, the command u (T, C) mm, temperature (T,) °C, gravity (T, 3) g."""
+    """The inputs of a law: t (T,) s, the command u (T, C) mm, temperature (T,) °C, gravity (T, 3)
+    g.
+    """
 
     t: Floats
     u: Floats
@@ -38,7 +42,8 @@ class Record:
 class Past:
     """History of the cables up to the seen frames.
 
-    `t` (T,) s with even steps, `pull` (T, 4) mm, `gravity` (T, 3) g; `taken` (K,) s, when the frames were exposed.
+    `t` (T,) s with even steps, `pull` (T, 4) mm, `gravity` (T, 3) g; `taken` (K,) s, when the
+    frames were exposed.
     """
 
     t: Floats
@@ -49,13 +54,16 @@ class Past:
 
 @dataclass(frozen=True)
 class Law:
-    """One hidden cause. `NAME` is the library's name for it, `STRONG` the fields that grow with strength."""
+    """One hidden cause. `NAME` is the library's name for it, `STRONG` the fields that grow with
+    strength.
+    """
 
     NAME: ClassVar[str]
     STRONG: ClassVar[tuple[str, ...]]
     LIMIT: ClassVar[float] = 4.0  # the largest strength that is still plausible, of that as drawn
     ALSO: ClassVar[tuple[str, ...]] = ()  # effects of the library that it is as well
-    SHAPE: ClassVar[bool] = False  # whether the body itself is another, so that a sweep of the plain one says nothing
+    # whether the body itself is another, so that a sweep of the plain one says nothing
+    SHAPE: ClassVar[bool] = False
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -87,7 +95,9 @@ class Law:
         return loads
 
     def tension(self, past: Past) -> Floats | None:
-        """Return the tension (K, 4, segments) along each cable at the seen frames, relative to that at its base."""
+        """Return the tension (K, 4, segments) along each cable at the seen frames, relative to that
+        at its base.
+        """
         return None
 
     def seen(self, points: Floats, t: Floats) -> Floats:
@@ -100,18 +110,24 @@ class Law:
 
     def params(self) -> dict[str, Any]:
         """Return the numbers of the law, units in the names."""
-        return {k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {
+            k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()
+        }
 
 
 def per_channel(rng: np.random.Generator, channels: int, signs: bool = True) -> Numbers:
-    """Draw one number a channel, sizes within 0.5..1, the largest 1; with any signs unless told otherwise."""
+    """Draw one number a channel, sizes within 0.5..1, the largest 1; with any signs unless told
+    otherwise.
+    """
     size = rng.uniform(0.5, 1.0, channels)
     sign = rng.choice([-1.0, 1.0], channels) if signs else np.ones(channels)
     return tuple(size / size.max() * sign)
 
 
 def slow(t: Floats, x: Floats, tau: float) -> Floats:
-    """Return y (T, ...) with y' = (x − y)/τ, y(0) = x(0), exact for x linear between even steps of t."""
+    """Return y (T, ...) with y' = (x − y)/τ, y(0) = x(0), exact for x linear between even steps of
+    t.
+    """
     from scipy.signal import lfilter
 
     ratio = (t[-1] - t[0]) / (len(t) - 1) / max(tau, 1e-9)

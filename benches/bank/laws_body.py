@@ -2,7 +2,7 @@
 
 hysteresis           Bouc-Wen with different loading and unloading exponents
 creep                Prony series of three terms, from a sixth to six times the middle time
-mullins              Ogden-Roxburgh: η = 1 − erf((W_max − W)/(m + β W_max))/r, W from both bends together
+mullins  Ogden-Roxburgh: η = 1 − erf((W_max − W)/(m + β W_max))/r, W from both bends together
 thermal_softening    modulus ∝ exp(−a (T − T₀)) of a body that warms later than its sensor
 asymmetry            a smooth corner: a (√(d² + w²) − w)
 gravity, payload     other weight in the equilibrium of the rod
@@ -13,7 +13,8 @@ twist, pre_curve     curvature at rest
 kink                 one element gives way, and more on one side
 routing              guides turned by an angle that grows along the rod
 contact              a springy plane in the energy of the rod
-mount, scale, camera_drift   exact rigid motion; another scale along the axis of the camera; a slow random walk
+mount, scale, camera_drift   exact rigid motion; another scale along the axis of the camera; a slow
+                             random walk
 """
 
 from __future__ import annotations
@@ -42,7 +43,12 @@ class BoucWen(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         share = tuple(0.25 * np.array(per_channel(rng, channels, False)))
-        return cls(share, float(rng.uniform(3.0, 5.0)), float(rng.uniform(0.8, 1.5)), float(rng.uniform(0.4, 0.6)))
+        return cls(
+            share,
+            float(rng.uniform(3.0, 5.0)),
+            float(rng.uniform(0.8, 1.5)),
+            float(rng.uniform(0.4, 0.6)),
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         z, out = np.zeros(u.shape[1]), np.empty_like(u)
@@ -52,7 +58,10 @@ class BoucWen(Law):
             parts = 1 + int(np.max(np.abs(now - last)) / (0.1 * self.yield_mm))
             step = (now - last) / self.yield_mm / parts
             for _ in range(parts):
-                z = z + step * (1.0 - np.abs(z) ** self.power * (self.beta + (1.0 - self.beta) * np.sign(step * z)))
+                z = z + step * (
+                    1.0
+                    - np.abs(z) ** self.power * (self.beta + (1.0 - self.beta) * np.sign(step * z))
+                )
             out[k] = now - height * z
             last = now
         return out
@@ -116,7 +125,9 @@ class Warm(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         body = slow(record.t, record.temperature, self.tau_s)
-        return np.asarray(u * (1.0 + self.share * -np.expm1(-self.rate * (body - body[0])))[:, None])
+        return np.asarray(
+            u * (1.0 + self.share * -np.expm1(-self.rate * (body - body[0])))[:, None]
+        )
 
 
 @dataclass(frozen=True)
@@ -271,7 +282,9 @@ class Hinge(Law):
 
     def design(self, design: Design) -> Design:
         here = np.abs(design.middle - self.at_mm) <= np.abs(design.middle - self.at_mm).min() + 1e-9
-        return design.stiffer(np.exp(-self.log * here[:, None] * (1.0 + 0.5 * design.half(self.side))))
+        return design.stiffer(
+            np.exp(-self.log * here[:, None] * (1.0 + 0.5 * design.half(self.side)))
+        )
 
 
 @dataclass(frozen=True)
@@ -284,7 +297,9 @@ class TurnedGuides(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(6.0 * float(rng.choice([-1.0, 1.0])), tuple(rng.uniform(0.85, 1.15, 2 * channels)))
+        return cls(
+            6.0 * float(rng.choice([-1.0, 1.0])), tuple(rng.uniform(0.85, 1.15, 2 * channels))
+        )
 
     def design(self, design: Design) -> Design:
         along = np.linspace(0.6, 1.2, design.guide.shape[1])
@@ -344,7 +359,9 @@ class Ruler(Law):
 
 @dataclass(frozen=True)
 class Drifting(Law):
-    """A camera that creeps: a random walk through knots 20 s apart, smooth in between, from zero."""
+    """A camera that creeps: a random walk through knots 20 s apart, smooth in between, from
+    zero.
+    """
 
     NAME, STRONG, LIMIT = "camera_drift", ("turn_deg", "shift_mm"), 5.0
     turn_deg: float
@@ -369,6 +386,24 @@ class Drifting(Law):
 
 
 BODY: dict[str, type[Law]] = chosen(
-    (BoucWen, Prony, OgdenRoxburgh, Warm, Corner, OtherWeight, Hung, Falling, Sleeve, Half, Screw, Curled, Hinge,
-     TurnedGuides, Wall, Askew, Ruler, Drifting)
-)  # fmt: skip
+    (
+        BoucWen,
+        Prony,
+        OgdenRoxburgh,
+        Warm,
+        Corner,
+        OtherWeight,
+        Hung,
+        Falling,
+        Sleeve,
+        Half,
+        Screw,
+        Curled,
+        Hinge,
+        TurnedGuides,
+        Wall,
+        Askew,
+        Ruler,
+        Drifting,
+    )
+)

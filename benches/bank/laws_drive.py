@@ -44,7 +44,9 @@ class Horns(Law):
         return cls(tuple(np.concatenate([pair, -pair * rng.uniform(0.85, 1.0, channels)])))
 
     def pull(self, record: Record, d: Floats) -> Floats:
-        return np.asarray(np.round((d + np.array(self.shift_mm)) * self.steps_per_mm) / self.steps_per_mm)
+        return np.asarray(
+            np.round((d + np.array(self.shift_mm)) * self.steps_per_mm) / self.steps_per_mm
+        )
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,9 @@ class Lever(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.1 * np.array(per_channel(rng, channels))), float(rng.uniform(60.0, 90.0)))
+        return cls(
+            tuple(0.1 * np.array(per_channel(rng, channels))), float(rng.uniform(60.0, 90.0))
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         return np.asarray(u + np.array(self.excess) * self.lever_mm * np.sin(u / self.lever_mm))
@@ -80,7 +84,9 @@ class Packets(Law):
     def drive(self, record: Record, u: Floats) -> Floats:
         t = record.t
         sent = np.arange(t[0], t[-1] + self.period_s, self.period_s)
-        late = self.delay_s + self.spread_s * np.random.default_rng(self.seed).uniform(-1, 1, sent.size)
+        late = self.delay_s + self.spread_s * np.random.default_rng(self.seed).uniform(
+            -1, 1, sent.size
+        )
         arrives = np.maximum.accumulate(sent + np.maximum(late, 0.0))
         newest = np.searchsorted(arrives, t, side="right") - 1
         packets = np.stack([np.interp(sent, t, column) for column in u.T], axis=1)
@@ -89,7 +95,9 @@ class Packets(Law):
 
 @dataclass(frozen=True)
 class Loop(Law):
-    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, exact for a command linear between samples, then a drum with τ/4."""
+    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, exact for a command linear between samples, then a drum
+    with τ/4.
+    """
 
     NAME, STRONG, LIMIT = "lag", ("tau_s",), 3.0
     tau_s: float
@@ -104,7 +112,9 @@ class Loop(Law):
 
         step = (record.t[-1] - record.t[0]) / (len(record.t) - 1)
         omega = 1.0 / self.tau_s
-        b, a, _ = cont2discrete(([omega**2], [1.0, 2 * self.damping * omega, omega**2]), step, method="foh")
+        b, a, _ = cont2discrete(
+            ([omega**2], [1.0, 2 * self.damping * omega, omega**2]), step, method="foh"
+        )
         y = lfilter(np.ravel(b), a, u - u[0], axis=0) + u[0]
         return slow(record.t, y, self.tau_s / 4)
 
@@ -136,7 +146,9 @@ class Motor(Law):
 
 @dataclass(frozen=True)
 class Stops(Law):
-    """w log((1 + e^{(u+c)/w})/(1 + e^{(u−c)/w})) − c: u within ±c, soft by w; stronger is a nearer stop."""
+    """w log((1 + e^{(u+c)/w})/(1 + e^{(u−c)/w})) − c: u within ±c, soft by w; stronger is a nearer
+    stop.
+    """
 
     NAME, STRONG, LIMIT = "saturation", ("lost_mm",), 2.4
     lost_mm: Numbers  # of a reach of 12 mm
@@ -144,7 +156,9 @@ class Stops(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(4.0 * np.array(per_channel(rng, channels, False))), float(rng.uniform(0.15, 0.4)))
+        return cls(
+            tuple(4.0 * np.array(per_channel(rng, channels, False))), float(rng.uniform(0.15, 0.4))
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         c, w = 12.0 - np.array(self.lost_mm), self.soft_mm
@@ -202,7 +216,10 @@ class Gear(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.6 * np.array(per_channel(rng, channels, False))), float(rng.uniform(0.002, 0.006)))
+        return cls(
+            tuple(0.6 * np.array(per_channel(rng, channels, False))),
+            float(rng.uniform(0.002, 0.006)),
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         step = (record.t[-1] - record.t[0]) / (len(record.t) - 1)
@@ -225,14 +242,17 @@ class DahlElements(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.15 * np.array(per_channel(rng, channels, False))), float(rng.uniform(1.0, 2.5)))
+        return cls(
+            tuple(0.15 * np.array(per_channel(rng, channels, False))), float(rng.uniform(1.0, 2.5))
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         share = np.arange(1, 7) / 6.0
         z, out = np.zeros((u.shape[1], 6)), np.empty_like(u)
         out[0] = u[0]
         moved = np.diff(u, axis=0)
-        limit = np.array(self.mu)[:, None] * share * (np.abs(u)[..., None] + self.start_mm)  # (T, C, 6)
+        # (T, C, 6)
+        limit = np.array(self.mu)[:, None] * share * (np.abs(u)[..., None] + self.start_mm)
         for k, step in enumerate(moved):
             sign = np.sign(step)[:, None]
             keep = np.exp(-np.abs(step)[:, None] / limit[k + 1])
@@ -282,7 +302,8 @@ class CableCreep(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         return cls(
-            tuple(np.tile(0.12 * np.array(per_channel(rng, channels, False)), 2)), float(rng.uniform(10.0, 30.0))
+            tuple(np.tile(0.12 * np.array(per_channel(rng, channels, False)), 2)),
+            float(rng.uniform(10.0, 30.0)),
         )
 
     def pull(self, record: Record, d: Floats) -> Floats:
@@ -303,12 +324,16 @@ class Drag(Law):
         return cls(tuple(0.12 * np.array(per_channel(rng, channels))))
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        return np.asarray(u + np.array(self.share) * np.roll(u, 1, axis=1) * (1.0 + np.abs(u) / 40.0))
+        return np.asarray(
+            u + np.array(self.share) * np.roll(u, 1, axis=1) * (1.0 + np.abs(u) / 40.0)
+        )
 
 
 @dataclass(frozen=True)
 class LetsGo(Law):
-    """One cable grows longer by δ over a second of hard pulling after t*; the other is wound as before."""
+    """One cable grows longer by δ over a second of hard pulling after t*; the other is wound as
+    before.
+    """
 
     NAME, STRONG, LIMIT = "anchor_slip", ("slip_mm",), 4.0
     cable: int
@@ -345,6 +370,22 @@ class WrongClock(Law):
 
 
 DRIVE: dict[str, type[Law]] = chosen(
-    (Horns, Lever, Packets, Loop, Motor, Stops, OffCentre, Plugs, Gear, DahlElements, LongCables, SoftCables,
-     CableCreep, Drag, LetsGo, WrongClock)
-)  # fmt: skip
+    (
+        Horns,
+        Lever,
+        Packets,
+        Loop,
+        Motor,
+        Stops,
+        OffCentre,
+        Plugs,
+        Gear,
+        DahlElements,
+        LongCables,
+        SoftCables,
+        CableCreep,
+        Drag,
+        LetsGo,
+        WrongClock,
+    )
+)

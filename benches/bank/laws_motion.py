@@ -7,7 +7,8 @@
     speedy_play      play whose gap grows with speed
     snap             a buckled guide: a shift that trips at one command and returns at another
     hooked           play of one channel drags the other
-    fading_memory    u (1 + a e^{−path/p}), the path since the last reversal: a gain that recovers after a turn
+    fading_memory    u (1 + a e^{−path/p}), the path since the last reversal: a gain that recovers
+                     after a turn
     rate_square      u − c v|v|
     rate_bend        u − c v |u|
 
@@ -32,7 +33,9 @@ def step_s(record: Record) -> float:
 def speed(record: Record, u: Floats) -> Floats:
     """Return the speed (T, C) mm/s of commands, over 60 ms."""
     kernel = np.ones(3) / 3.0
-    padded = np.pad(np.diff(u, axis=0, prepend=u[:1]), ((1, 1), (0, 0)), mode="edge") / step_s(record)
+    padded = np.pad(np.diff(u, axis=0, prepend=u[:1]), ((1, 1), (0, 0)), mode="edge") / step_s(
+        record
+    )
     return np.stack([np.convolve(column, kernel, mode="valid") for column in padded.T], axis=1)
 
 
@@ -51,7 +54,11 @@ def played(u: Floats, half: Floats) -> Floats:
 
 def some(rng: np.random.Generator, channels: int) -> Numbers:
     """Draw one channel that acts alone, or all with different strengths."""
-    size = rng.uniform(0.4, 1.0, channels) if rng.uniform() < 0.5 else np.eye(channels)[int(rng.integers(channels))]
+    size = (
+        rng.uniform(0.4, 1.0, channels)
+        if rng.uniform() < 0.5
+        else np.eye(channels)[int(rng.integers(channels))]
+    )
     return tuple(size / size.max())
 
 
@@ -67,10 +74,18 @@ class Hum(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         size = np.eye(channels)[int(rng.integers(channels))]
-        return cls(tuple(size), float(0.13 * (3.0 / 0.13) ** rng.uniform()), float(rng.uniform(0, 2 * np.pi)))
+        return cls(
+            tuple(size),
+            float(0.13 * (3.0 / 0.13) ** rng.uniform()),
+            float(rng.uniform(0, 2 * np.pi)),
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        return np.asarray(u + np.array(self.size_mm) * np.sin(2 * np.pi * self.hertz * record.t + self.phase)[:, None])
+        return np.asarray(
+            u
+            + np.array(self.size_mm)
+            * np.sin(2 * np.pi * self.hertz * record.t + self.phase)[:, None]
+        )
 
 
 @dataclass(frozen=True)
@@ -128,7 +143,11 @@ class Stribeck(Law):
     def drive(self, record: Record, u: Floats) -> Floats:
         v = speed(record, u)
         return np.asarray(
-            u - np.array(self.size_mm) * np.tanh(v / 0.5) * (1 + 2 * np.exp(-((v / self.at_mm_s) ** 2))) / 3
+            u
+            - np.array(self.size_mm)
+            * np.tanh(v / 0.5)
+            * (1 + 2 * np.exp(-((v / self.at_mm_s) ** 2)))
+            / 3
         )
 
 
@@ -164,7 +183,9 @@ class Snap(Law):
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         up = float(rng.uniform(2.0, 5.0))
         c, d = int(rng.integers(channels)), int(rng.integers(channels))
-        return cls(2.0 * float(rng.choice([-1.0, 1.0])), c, d, up, up - float(rng.uniform(3.0, 6.0)))
+        return cls(
+            2.0 * float(rng.choice([-1.0, 1.0])), c, d, up, up - float(rng.uniform(3.0, 6.0))
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         on, line = float(u[0, self.watches] > self.up_mm), []

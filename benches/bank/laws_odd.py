@@ -1,4 +1,5 @@
-"""Drifts, chance, other robots and drives that are off; and the list of all laws outside the library, in case order.
+"""Drifts, chance, other robots and drives that are off; and the list of all laws outside the
+library, in case order.
 
     frame_noise      the frame wanders, with a memory or as a random walk
     bending_noise    the body bends irregularly, with a memory or as a random walk
@@ -6,7 +7,8 @@
     other_modulus, longer_body, mixed_channels   another robot than the model's
     still, stuck     the drive is off, or off for a part of the run
 
-Units: s, mm. Randomness only from the given generator, or from a stored seed. Pinned by tests/benches/test_bank_odd.py.
+Units: s, mm. Randomness only from the given generator, or from a stored seed. Pinned by
+tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -47,14 +49,17 @@ from benches.bank.section import Design
 
 
 def wandering(t: Floats, memory_s: float, count: int, seed: int) -> Floats:
-    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero; a walk for infinite memory.
+    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero; a walk for
+    infinite memory.
 
     A walk has the variance t/100 s.
     """
     rng = np.random.default_rng(seed)
     gap = np.diff(t, prepend=t[0])
     if np.isinf(memory_s):
-        return np.asarray(np.cumsum(rng.normal(size=(len(t), count)) * np.sqrt(gap / 100.0)[:, None], axis=0))
+        return np.asarray(
+            np.cumsum(rng.normal(size=(len(t), count)) * np.sqrt(gap / 100.0)[:, None], axis=0)
+        )
     out, state = np.empty((len(t), count)), rng.normal(size=count)
     for k, keep in enumerate(np.exp(-gap / memory_s)):
         state = keep * state + np.sqrt(1.0 - keep * keep) * rng.normal(size=count)
@@ -98,14 +103,20 @@ class BendingNoise(Law):
         return cls(some(rng, channels), memory, int(rng.integers(2**31)))
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        return np.asarray(u + np.array(self.size_mm) * wandering(record.t, self.memory_s, u.shape[1], self.seed))
+        return np.asarray(
+            u + np.array(self.size_mm) * wandering(record.t, self.memory_s, u.shape[1], self.seed)
+        )
 
 
 def profile(kind: str, t: Floats) -> Floats:
     """Return a course (T,) from 0 to 1 in time: a `ramp`, a `step` or an `exponential` approach."""
     share = (t - t[0]) / max(float(np.ptp(t)), 1e-9)
     return np.asarray(
-        {"ramp": share, "step": (share > 0.55).astype(float), "exponential": -np.expm1(-4.0 * share)}[kind]
+        {
+            "ramp": share,
+            "step": (share > 0.55).astype(float),
+            "exponential": -np.expm1(-4.0 * share),
+        }[kind]
     )
 
 
@@ -153,7 +164,11 @@ class LongerBody(Law):
         return cls(0.12 * float(rng.choice([-1.0, 1.0])))
 
     def design(self, design: Design) -> Design:
-        return replace(design, place=design.place * (1.0 + self.more), radius=design.radius / np.sqrt(1.0 + self.more))
+        return replace(
+            design,
+            place=design.place * (1.0 + self.more),
+            radius=design.radius / np.sqrt(1.0 + self.more),
+        )
 
 
 @dataclass(frozen=True)
@@ -169,7 +184,9 @@ class MixedChannels(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         angle = np.radians(self.turn_deg)
-        return np.asarray(np.cos(angle) * u + np.sin(angle) * np.roll(u, 1, axis=1) * np.array([-1.0, 1.0]))
+        return np.asarray(
+            np.cos(angle) * u + np.sin(angle) * np.roll(u, 1, axis=1) * np.array([-1.0, 1.0])
+        )
 
 
 @dataclass(frozen=True)
@@ -207,6 +224,24 @@ class Stuck(Law):
 
 
 UNKNOWN_LAWS: tuple[type[Law], ...] = (
-    Hum, StickSlip, WarmCreep, SpeedyPlay, RateSquare, MountedGain, Fatigue, Torn, Overshoot, Hooked, Stribeck, Snap,
-    BigCreep, Bimetal, FadingMemory, RateBend, WarmPlay, Clutch, Held, Steps,
-)  # fmt: skip
+    Hum,
+    StickSlip,
+    WarmCreep,
+    SpeedyPlay,
+    RateSquare,
+    MountedGain,
+    Fatigue,
+    Torn,
+    Overshoot,
+    Hooked,
+    Stribeck,
+    Snap,
+    BigCreep,
+    Bimetal,
+    FadingMemory,
+    RateBend,
+    WarmPlay,
+    Clutch,
+    Held,
+    Steps,
+)

@@ -1,8 +1,10 @@
-"""Hidden laws as a workshop finds them: other numbers for each servo and each cable, worn teeth, friction on the way.
+"""Hidden laws as a workshop finds them: other numbers for each servo and each cable, worn teeth,
+friction on the way.
 
 backlash          worn teeth: a gap for each servo that changes along the turn
 friction          in the sheaths: each cable Dahl's law with a limit that grows with its own pull
-body_friction     in the guides along the body, capstan by capstan: hysteretic in shape (`friction_rod.py`)
+body_friction     in the guides along the body, capstan by capstan: hysteretic in shape
+                  (`friction_rod.py`)
 hysteresis        Bouc-Wen with other shares for each servo
 dead_zone         each of the four cables too long by another length, in the equilibrium
 gain              drums of other radii, their levers arcs
@@ -29,7 +31,17 @@ import numpy as np
 from benches.bank.body_rod import guessed
 from benches.bank.friction_rod import along
 from benches.bank.law import Floats, Law, Numbers, Past, Record, slow
-from benches.bank.laws_body import Askew, BoucWen, Curled, Drifting, Falling, Hung, OgdenRoxburgh, Prony, Warm
+from benches.bank.laws_body import (
+    Askew,
+    BoucWen,
+    Curled,
+    Drifting,
+    Falling,
+    Hung,
+    OgdenRoxburgh,
+    Prony,
+    Warm,
+)
 from benches.bank.laws_drive import (
     CableCreep,
     Drag,
@@ -63,7 +75,9 @@ class WornGear(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         gap = 0.6 * np.array(unequal(rng, channels, 0.0 if rng.uniform() < 0.3 else 0.2))
-        return cls(tuple(gap), float(rng.uniform(6.0, 10.0)), tuple(rng.uniform(0, 2 * np.pi, channels)))
+        return cls(
+            tuple(gap), float(rng.uniform(6.0, 10.0)), tuple(rng.uniform(0, 2 * np.pi, channels))
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         out = np.empty_like(u)
@@ -79,7 +93,8 @@ class WornGear(Law):
 
 @dataclass(frozen=True)
 class SheathFriction(Law):
-    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 2/(1 − μ_i) of that limit; four cables, four numbers.
+    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 2/(1 − μ_i) of that limit; four cables, four
+    numbers.
 
     Over less of it, a cable would move on while its servo turns back.
     """
@@ -90,7 +105,9 @@ class SheathFriction(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.12 * np.array(unequal(rng, 2 * channels, 0.3))), float(rng.uniform(1.5, 3.0)))
+        return cls(
+            tuple(0.12 * np.array(unequal(rng, 2 * channels, 0.3))), float(rng.uniform(1.5, 3.0))
+        )
 
     def pull(self, record: Record, d: Floats) -> Floats:
         limit = np.array(self.mu) * (np.maximum(d, 0.0) + self.start_mm)
@@ -129,7 +146,12 @@ class UnevenWen(BoucWen):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         share = tuple(0.3 * np.array(unequal(rng, channels)))
-        return cls(share, float(rng.uniform(3.0, 5.0)), float(rng.uniform(0.8, 1.5)), float(rng.uniform(0.4, 0.6)))
+        return cls(
+            share,
+            float(rng.uniform(3.0, 5.0)),
+            float(rng.uniform(0.8, 1.5)),
+            float(rng.uniform(0.4, 0.6)),
+        )
 
 
 @dataclass(frozen=True)
@@ -162,7 +184,10 @@ class CableDrums(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         sign = rng.choice([-1.0, 1.0])
-        return cls(tuple(0.12 * sign * np.array(unequal(rng, 2 * channels))), float(rng.uniform(60.0, 90.0)))
+        return cls(
+            tuple(0.12 * sign * np.array(unequal(rng, 2 * channels))),
+            float(rng.uniform(60.0, 90.0)),
+        )
 
     def pull(self, record: Record, d: Floats) -> Floats:
         return np.asarray(d + np.array(self.excess) * self.lever_mm * np.sin(d / self.lever_mm))
@@ -199,7 +224,10 @@ class UnevenLoop(Law):
         return cls(tuple(0.2 * np.array(unequal(rng, channels, 0.3))))
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        lines = [slow(record.t, slow(record.t, u[:, c], tau), tau / 3) for c, tau in enumerate(self.tau_s)]
+        lines = [
+            slow(record.t, slow(record.t, u[:, c], tau), tau / 3)
+            for c, tau in enumerate(self.tau_s)
+        ]
         return np.stack(lines, axis=1)
 
 
@@ -215,7 +243,9 @@ class WeakServo(Law):
         return cls(tuple(np.array(unequal(rng, channels, 0.4)) / 20.0))
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        return np.concatenate([Motor(s).drive(record, u[:, c : c + 1]) for c, s in enumerate(self.slowness)], axis=1)
+        return np.concatenate(
+            [Motor(s).drive(record, u[:, c : c + 1]) for c, s in enumerate(self.slowness)], axis=1
+        )
 
 
 @dataclass(frozen=True)
@@ -235,7 +265,9 @@ class UnevenCableCreep(CableCreep):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.15 * np.array(unequal(rng, 2 * channels, 0.3))), float(rng.uniform(10.0, 30.0)))
+        return cls(
+            tuple(0.15 * np.array(unequal(rng, 2 * channels, 0.3))), float(rng.uniform(10.0, 30.0))
+        )
 
 
 @dataclass(frozen=True)
@@ -259,7 +291,28 @@ class OneWayDrag(Drag):
 
 
 SHOP: tuple[type[Law], ...] = (
-    WornGear, SheathFriction, UnevenSlack, Drums, GuideFriction, UnevenWen, UnevenLoop, CableDrums, UnevenProny,
-    OneWayDrag, UnevenStretch, CutLengths, UnevenStops, Packets, OgdenRoxburgh, UnevenCableCreep, LetsGo, WeakServo,
-    Hung, Warm, Curled, Askew, Drifting, Falling,
-)  # fmt: skip
+    WornGear,
+    SheathFriction,
+    UnevenSlack,
+    Drums,
+    GuideFriction,
+    UnevenWen,
+    UnevenLoop,
+    CableDrums,
+    UnevenProny,
+    OneWayDrag,
+    UnevenStretch,
+    CutLengths,
+    UnevenStops,
+    Packets,
+    OgdenRoxburgh,
+    UnevenCableCreep,
+    LetsGo,
+    WeakServo,
+    Hung,
+    Warm,
+    Curled,
+    Askew,
+    Drifting,
+    Falling,
+)

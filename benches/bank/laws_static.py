@@ -1,7 +1,9 @@
-"""Smooth static maps of the command in no library: 15 forms, each on both channels, on one, or with other signs.
+"""Smooth static maps of the command in no library: 15 forms, each on both channels, on one, or with
+other signs.
 
-u + a h f(u/h; b, φ), h = 12 mm: a is the amount, b > 0 the sharpness, φ a phase. Each is zero at home. `bent` is the
-part that offsets and gains cannot represent. It makes a map non-linear, and it is what is scaled.
+u + a h f(u/h; b, φ), h = 12 mm: a is the amount, b > 0 the sharpness, φ a phase. Each is zero at
+home. `bent` is the part that offsets and gains cannot represent. It makes a map non-linear, and it
+is what is scaled.
 
 Units: mm. Randomness only from the given generator. Pinned by tests/benches/test_bank_odd.py.
 """
@@ -18,7 +20,8 @@ from benches.bank.law import Floats, Law, Numbers, Record
 
 H = 12.0  # mm
 LEAST_SLOPE = 0.1  # mm/mm
-Form = Callable[[Floats, float, float], Floats]  # x (T, C), sharpness, phase → added mm per mm of amount
+# x (T, C), sharpness, phase → added mm per mm of amount
+Form = Callable[[Floats, float, float], Floats]
 
 
 def _knee(x: Floats, b: float, phase: float) -> Floats:
@@ -64,7 +67,9 @@ FORMS: dict[str, Form] = {
     "two slopes": _slopes,
     "polynomial": _mix,
     "crank": _crank,
-    "gain by distance": lambda x, b, p: x * np.sum(x * x, axis=1, keepdims=True) ** (b / 2) / 2.0 ** (b / 2),
+    "gain by distance": lambda x, b, p: (
+        x * np.sum(x * x, axis=1, keepdims=True) ** (b / 2) / 2.0 ** (b / 2)
+    ),
 }
 CROSSED: dict[str, Callable[[Floats, Floats, float], Floats]] = {
     "other squared": lambda x, y, b: y * y,
@@ -77,7 +82,9 @@ CROSSED: dict[str, Callable[[Floats, Floats, float], Floats]] = {
 
 
 def bent(plain: Floats, mapped: Floats) -> float:
-    """Return the part of mapped − plain (T, C) mm that offsets and gains of the channels cannot represent, in RMS."""
+    """Return the part of mapped − plain (T, C) mm that offsets and gains of the channels cannot
+    represent, in RMS.
+    """
     more = mapped - plain
     left = np.empty_like(more)
     for c, (u, d) in enumerate(zip(plain.T, more.T)):
@@ -87,7 +94,9 @@ def bent(plain: Floats, mapped: Floats) -> float:
 
 
 def rises(law: SmoothMap) -> bool:
-    """Return whether a map rises with the command everywhere: a drive that runs backwards is no smooth map."""
+    """Return whether a map rises with the command everywhere: a drive that runs backwards is no
+    smooth map.
+    """
     u = np.linspace(-H, H, 241)[:, None] * np.ones((1, len(law.amount)))
     return bool(np.min(np.diff(u + law.added(u), axis=0)) > LEAST_SLOPE * 2 * H / 240)
 
@@ -105,23 +114,36 @@ class SmoothMap(Law):
 
     @classmethod
     def of(cls, number: int, rng: np.random.Generator, channels: int) -> Self:
-        """Draw map `number`: the forms go round, then the patterns (both alike, one alone, unlike, one side)."""
+        """Draw map `number`: the forms go round, then the patterns (both alike, one alone, unlike,
+        one side).
+        """
         names = list(FORMS)
         pattern = number // len(names) % 4
-        size = np.array([np.ones(channels), np.eye(channels)[number % channels], 1.0 - 1.6 * np.eye(channels)[0],
-                         rng.uniform(0.4, 1.0, channels)])[pattern]  # fmt: skip
+        size = np.array(
+            [
+                np.ones(channels),
+                np.eye(channels)[number % channels],
+                1.0 - 1.6 * np.eye(channels)[0],
+                rng.uniform(0.4, 1.0, channels),
+            ]
+        )[pattern]
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(
-            names[number % len(names)], tuple(0.1 * sign * size), float(rng.uniform(0.6, 2.2)),
-            float(rng.uniform(0, 2 * np.pi)), pattern == 3,
-        )  # fmt: skip
+            names[number % len(names)],
+            tuple(0.1 * sign * size),
+            float(rng.uniform(0.6, 2.2)),
+            float(rng.uniform(0, 2 * np.pi)),
+            pattern == 3,
+        )
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         return cls.of(int(rng.integers(60)), rng, channels)
 
     def scaled(self, s: float) -> Self:
-        """Return the same map, s times as strong, or at the largest strength at which it still rises."""
+        """Return the same map, s times as strong, or at the largest strength at which it still
+        rises.
+        """
         law = super().scaled(s)
         while not rises(law):
             law = Law.scaled(law, 0.9)
@@ -129,7 +151,9 @@ class SmoothMap(Law):
 
     def added(self, u: Floats) -> Floats:
         """Return what the map adds (T, C) mm to u."""
-        return np.asarray(np.array(self.amount) * H * FORMS[self.form](u / H, self.sharp, self.phase))
+        return np.asarray(
+            np.array(self.amount) * H * FORMS[self.form](u / H, self.sharp, self.phase)
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         return u if self.cable else np.asarray(u + self.added(u))

@@ -1,11 +1,14 @@
-"""What no library knows: causes by which the bank asks whether a diagnosis says that something is left unexplained.
+"""What no library knows: causes by which the bank asks whether a diagnosis says that something is
+left unexplained.
 
-    frayed_cable   one cable rubs through and grows longer by a step after each so many mm of travel under load
+    frayed_cable   one cable rubs through and grows longer by a step after each so many mm of travel
+                   under load
     chatter        stick-slip: after each reversal the drive rings at a few hertz and dies out
     leaking_cell   a cell on one side, filled by each stroke beyond a size, leaks for half a minute
     magnet         a magnet beside the tip: a force that falls with the fourth power of the distance
-    crack          one element torn on one side: its fibres carry nothing when drawn, all when pressed
-    gate           a cam that shifts the spool only while both channels are pulled and the last move was outwards
+    crack  one element torn on one side: its fibres carry nothing when drawn, all when pressed
+    gate           a cam that shifts the spool only while both channels are pulled and the last move
+                   was outwards
 
 Units: s, mm, N. Pinned by tests/benches/test_bank.py.
 """
@@ -66,14 +69,20 @@ class Chatter(Law):
                 since += step
                 if abs(speed) > 2.0 and speed * way <= 0.0:
                     since, way = 0.0, np.sign(speed)
-                ring[k] = way * np.sin(2 * np.pi * self.hertz * since) * np.exp(-min(since / self.decay_s, 50.0))
+                ring[k] = (
+                    way
+                    * np.sin(2 * np.pi * self.hertz * since)
+                    * np.exp(-min(since / self.decay_s, 50.0))
+                )
             out[:, c] += self.size_mm * ring
         return out
 
 
 @dataclass(frozen=True)
 class Leak(Law):
-    """u + A p towards one side; p' = (1 − p)/0.3 s where |u| of either channel is beyond `beyond_mm`, else −p/τ."""
+    """u + A p towards one side; p' = (1 − p)/0.3 s where |u| of either channel is beyond
+    `beyond_mm`, else −p/τ.
+    """
 
     NAME, STRONG, LIMIT = "leaking_cell", ("size_mm",), 5.0
     size_mm: float
@@ -83,7 +92,12 @@ class Leak(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(3.0, float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(8.0, 10.0)), float(rng.uniform(8.0, 15.0)))
+        return cls(
+            3.0,
+            float(rng.uniform(0, 2 * np.pi)),
+            float(rng.uniform(8.0, 10.0)),
+            float(rng.uniform(8.0, 15.0)),
+        )
 
     def drive(self, record: Record, u: Floats) -> Floats:
         step = (record.t[-1] - record.t[0]) / (len(record.t) - 1)
@@ -98,7 +112,9 @@ class Leak(Law):
 
 @dataclass(frozen=True)
 class Magnet(Law):
-    """F = A (m − x)/|m − x| / (1 + (|m − x|/r)²)² on the tip, by the place of the tip without it."""
+    """F = A (m − x)/|m − x| / (1 + (|m − x|/r)²)² on the tip, by the place of the tip without
+    it.
+    """
 
     NAME, STRONG, SHAPE, LIMIT = "magnet", ("newton",), True, 6.0
     newton: float
@@ -108,7 +124,9 @@ class Magnet(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         angle = rng.uniform(0, 2 * np.pi)
-        return cls(0.5, (38 * np.cos(angle), 38 * np.sin(angle), 118.0), float(rng.uniform(12.0, 18.0)))
+        return cls(
+            0.5, (38 * np.cos(angle), 38 * np.sin(angle), 118.0), float(rng.uniform(12.0, 18.0))
+        )
 
     def loads(self, loads: Loads, poses: Poses | None) -> Loads:
         assert poses is not None
@@ -129,7 +147,9 @@ class Crack(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(1.5, float(rng.uniform(20.0, 45.0)), float(rng.choice([0.0, 0.5, 1.0, 1.5]) * np.pi))
+        return cls(
+            1.5, float(rng.uniform(20.0, 45.0)), float(rng.choice([0.0, 0.5, 1.0, 1.5]) * np.pi)
+        )
 
     def design(self, design: Design) -> Design:
         near = np.abs(design.middle - self.at_mm) < 8.0

@@ -11,7 +11,8 @@
     held             the servo takes a new command only twice a second
     steps            commands rounded to a grid
 
-Units: s, mm, °C. Randomness only from the given generator. Pinned by tests/benches/test_bank_odd.py.
+Units: s, mm, °C. Randomness only from the given generator. Pinned by
+tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -88,7 +89,9 @@ class BigCreep(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         cubed = u**3 / 144.0
-        return np.asarray(u + np.array(self.amount) * (slow(record.t, cubed, self.tau_s) - 0.5 * cubed))
+        return np.asarray(
+            u + np.array(self.amount) * (slow(record.t, cubed, self.tau_s) - 0.5 * cubed)
+        )
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,9 @@ class Fatigue(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         path = np.cumsum(np.abs(np.diff(record.u, axis=0, prepend=record.u[:1])).sum(axis=1))
-        return np.asarray(u * (1.0 - self.amount * (path / max(float(path[-1]), 1e-9)) ** self.power)[:, None])
+        return np.asarray(
+            u * (1.0 - self.amount * (path / max(float(path[-1]), 1e-9)) ** self.power)[:, None]
+        )
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,9 @@ class Torn(Law):
 
 @dataclass(frozen=True)
 class Clutch(Law):
-    """y = u − s, s follows so that |y| stays below a limit: a drum that slips and does not return."""
+    """y = u − s, s follows so that |y| stays below a limit: a drum that slips and does not
+    return.
+    """
 
     NAME, STRONG, LIMIT = "clutch", ("lost_mm",), 9.0
     lost_mm: Numbers  # of a reach of 12 mm

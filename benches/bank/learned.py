@@ -1,12 +1,14 @@
-"""Slice *learned*: robots whose law was always present, and whose model is learned from their own recordings.
+"""Slice *learned*: robots whose law was always present, and whose model is learned from their own
+recordings.
 
-A finger has play, friction, slack, creep or lag, and the static imperfections of slice *shop*. A motion capture sees it
-by five balls along its body. Its frame is turned about the axis by any angle, tilted by some degrees, and has an origin
-that is some millimetres off. A model is learned from a reference run (level *one*), or from that and a second run of
-half the size and twice the speed (level *two*). Then a run of another kind is diagnosed. One orientation, 22 °C. A law
-without memory (slack) is part of a learned static map, so nothing remains to be named. The background of a finger is
-the error of a cubic map of the commands, fitted to it without its law.
-Units: mm, s, degrees. A case is a pure function of (seeds, level, kind, number). Pinned by
+A finger has play, friction, slack, creep or lag, and the static imperfections of slice *shop*. A
+motion capture sees it by five balls along its body. Its frame is turned about the axis by any
+angle, tilted by some degrees, and has an origin that is some millimetres off. A model is learned
+from a reference run (level *one*), or from that and a second run of half the size and twice the
+speed (level *two*). Then a run of another kind is diagnosed. One orientation, 22 °C. A law without
+memory (slack) is part of a learned static map, so nothing remains to be named. The background of a
+finger is the error of a cubic map of the commands, fitted to it without its law. Units: mm, s,
+degrees. A case is a pure function of (seeds, level, kind, number). Pinned by
 tests/benches/test_bank_learned.py.
 """
 
@@ -47,15 +49,38 @@ MOVES_MM = (2.8, 5.5)
 REACH = 11.0  # mm
 CAMERA = Level("learned", 0.15, 0.0, 0.0, 0.0, 0.0, 0.0, MOVES_MM)
 SINGLES: tuple[type[Law], ...] = (
-    WornGear, SheathFriction, UnevenLoop, UnevenProny, UnevenSlack, GuideFriction, UnevenWen, Packets, WornGear,
+    WornGear,
+    SheathFriction,
+    UnevenLoop,
+    UnevenProny,
+    UnevenSlack,
+    GuideFriction,
+    UnevenWen,
+    Packets,
+    WornGear,
     OgdenRoxburgh,
-)  # fmt: skip
+)
 COUPLES: tuple[tuple[type[Law], type[Law]], ...] = (
-    (WornGear, UnevenLoop), (WornGear, UnevenProny), (SheathFriction, Packets), (UnevenWen, UnevenLoop),
-    (UnevenProny, Packets), (WornGear, Packets),
-)  # fmt: skip
-WITH_MEMORY = ("stick_slip", "overshoot", "stribeck", "speedy_play", "hooked", "fading_memory", "rate_square", "snap",
-               "big_creep", "clutch", "rate_bend")  # fmt: skip
+    (WornGear, UnevenLoop),
+    (WornGear, UnevenProny),
+    (SheathFriction, Packets),
+    (UnevenWen, UnevenLoop),
+    (UnevenProny, Packets),
+    (WornGear, Packets),
+)
+WITH_MEMORY = (
+    "stick_slip",
+    "overshoot",
+    "stribeck",
+    "speedy_play",
+    "hooked",
+    "fading_memory",
+    "rate_square",
+    "snap",
+    "big_creep",
+    "clutch",
+    "rate_bend",
+)
 STRANGE = tuple(law for law in UNKNOWN_LAWS if law.NAME in WITH_MEMORY)
 ABSORBED = ("dead_zone",)  # laws without memory: a learned static map contains them
 
@@ -64,7 +89,12 @@ class BalledBody(RodBody):
     """The rod finger, seen by five balls close to its axis."""
 
     def points(
-        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+        self,
+        laws: Sequence[Law],
+        pull: Floats,
+        gravity: Floats,
+        marked: bool,
+        past: Past | None = None,
     ) -> Floats:
         if not marked:
             return super().points(laws, pull, gravity, marked, past)
@@ -92,10 +122,16 @@ class Capture(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Capture:
         x, y, *shift = (float(v) for v in rng.normal(size=5))
-        return cls(float(rng.uniform(0, 360)), (1.5 * x, 1.5 * y), (2 * shift[0], 2 * shift[1], 2 * shift[2]))
+        return cls(
+            float(rng.uniform(0, 360)),
+            (1.5 * x, 1.5 * y),
+            (2 * shift[0], 2 * shift[1], 2 * shift[2]),
+        )
 
     def seen(self, points: Floats, t: Floats) -> Floats:
-        frame = turn(np.radians([*self.tilt_deg, 0.0])) @ turn(np.radians([0.0, 0.0, self.about_deg]))
+        frame = turn(np.radians([*self.tilt_deg, 0.0])) @ turn(
+            np.radians([0.0, 0.0, self.about_deg])
+        )
         return np.asarray(points @ frame.T + np.array(self.shift_mm))
 
 
@@ -113,21 +149,35 @@ def learned_case(seeds: str, level: str, kind: str, number: int) -> tuple[Case, 
     """
     rng = stream(seeds, "learned", level, kind, number)
     small = imperfections(body_of("shop"), float(rng.uniform(*BACKGROUND_MM)), rng)
-    found = sorted((_strong(law, rng) for law in _wanted(kind, number)), key=lambda pair: place_of(pair[0]))
+    found = sorted(
+        (_strong(law, rng) for law in _wanted(kind, number)), key=lambda pair: place_of(pair[0])
+    )
     mine = Case(
-        f"{seeds}-learned-{level}-{kind}-{number:04d}", CAMERA, kind, BalledBody(), tuple(law for law, _ in found),
-        (*small, Capture.draw(rng, 2)), tuple(mm for _, mm in found), int(rng.integers(2**31)), True,
-        tuple(_answer(law, kind) for law, _ in found), warm,
-    )  # fmt: skip
+        f"{seeds}-learned-{level}-{kind}-{number:04d}",
+        CAMERA,
+        kind,
+        BalledBody(),
+        tuple(law for law, _ in found),
+        (*small, Capture.draw(rng, 2)),
+        tuple(mm for _, mm in found),
+        int(rng.integers(2**31)),
+        True,
+        tuple(_answer(law, kind) for law, _ in found),
+        warm,
+    )
     protocols = {"taught": reference(number, 1.0, 1.0, 90.0)}
     if level == "two":
         protocols["taught_2"] = reference(number + 1, 0.5, 2.0, 60.0)
     protocols |= {"first": targets(number, 0.9, 1.0, 60.0), "judge": circles(number, 40.0)}
-    return mine, {name: replace(mine.run(protocol), marker_rest=None) for name, protocol in protocols.items()}
+    return mine, {
+        name: replace(mine.run(protocol), marker_rest=None) for name, protocol in protocols.items()
+    }
 
 
 def uncubed_mm(mine: Case, number: int) -> float:
-    """Return the error of a cubic of the commands for a finger without its law: section centroids, mm RMS."""
+    """Return the error of a cubic of the commands for a finger without its law: section centroids,
+    mm RMS.
+    """
     protocol, every = reference(number, 1.0, 1.0, 90.0), 5
     points = seen(mine.body, mine.small, protocol, False, every=every, room=mine.room)
     x, y = (np.interp(protocol.t_seen[::every], protocol.t, u) / REACH for u in protocol.command.T)
@@ -160,7 +210,11 @@ def _answer(law: Law, kind: str) -> Answer:
     if kind == "unknown":
         return Answer(unknown_family(law))
     answer = answer_for(law.NAME)
-    return replace(answer, verdicts=("nothing", "cannot_tell", *answer.verdicts)) if law.NAME in ABSORBED else answer
+    return (
+        replace(answer, verdicts=("nothing", "cannot_tell", *answer.verdicts))
+        if law.NAME in ABSORBED
+        else answer
+    )
 
 
 # --- what is recorded ---------------------------------------------------------------------------
@@ -178,7 +232,10 @@ def sines(number: int, size: float, speed: float, seconds: float) -> Protocol:
     t = np.arange(0.0, seconds, 1.0 / RATE)
     columns = []
     for _ in range(2):
-        period, phase = np.array([27.0, 9.0, 3.6]) * rng.uniform(0.8, 1.2, 3) / speed, rng.uniform(0, 2 * np.pi, 3)
+        period, phase = (
+            np.array([27.0, 9.0, 3.6]) * rng.uniform(0.8, 1.2, 3) / speed,
+            rng.uniform(0, 2 * np.pi, 3),
+        )
         waves = np.sin(2 * np.pi * t[:, None] / period + phase) @ np.array([0.55, 0.35, 0.2])
         columns.append(REACH * size * (waves - waves[0] * np.exp(-t / 2.0)))
     return _protocol("sines", t, np.stack(columns, axis=1), rng)
@@ -205,7 +262,9 @@ def circles(number: int, seconds: float) -> Protocol:
     t = np.arange(0.0, seconds, 1.0 / RATE)
     size = REACH * 0.9 * np.sin(np.pi * t / seconds) * (0.8 + 0.2 * np.cos(2 * np.pi * t / 11.0))
     angle = 14.0 * np.sin(2 * np.pi * t / seconds + 0.3) + rng.uniform(0, 2 * np.pi)
-    return _protocol("circles", t, size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1), rng)
+    return _protocol(
+        "circles", t, size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1), rng
+    )
 
 
 def _protocol(name: str, t: Floats, u: Floats, rng: np.random.Generator) -> Protocol:

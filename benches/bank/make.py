@@ -32,8 +32,12 @@ def made(task: Task, root: Path) -> Kept:
     else:
         mine = _case(task)
         runs = _runs(mine, kind, number)
-    truth = truth_of(mine, uncubed_mm(mine, number) if slice_ == "learned" else mine.background_mm())
-    return keep(task, root, truth | {"truth_seconds": round(time.process_time() - started, 2)}, runs)
+    truth = truth_of(
+        mine, uncubed_mm(mine, number) if slice_ == "learned" else mine.background_mm()
+    )
+    return keep(
+        task, root, truth | {"truth_seconds": round(time.process_time() - started, 2)}, runs
+    )
 
 
 def _case(task: Task) -> Case:
@@ -45,7 +49,9 @@ def _case(task: Task) -> Case:
 
 
 def _runs(mine: Case, kind: str, number: int) -> dict[str, Run]:
-    """Return the runs of a case: the diagnosed run, a requested second run, the validation run and its twin."""
+    """Return the runs of a case: the diagnosed run, a requested second run, the validation run and
+    its twin.
+    """
 
     def recorded(told: str) -> Run:
         protocol = protocol_of(told, mine.hidden, number)
@@ -67,7 +73,10 @@ def truth_of(mine: Case, background_mm: float) -> dict[str, Any]:
     moved = [float(mm) for mm in mine.moved_mm]
     return {
         **mine.to_dict(),
-        "also": [*mine.to_dict()["also"], *(name for answer in mine.answers for name in answer.also)],
+        "also": [
+            *mine.to_dict()["also"],
+            *(name for answer in mine.answers for name in answer.also),
+        ],
         "hidden": list(mine.hidden),
         "moved_mm": [round(mm, 4) for mm in moved],
         "background_mm": round(background_mm, 4),

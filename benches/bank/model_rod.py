@@ -1,15 +1,16 @@
 """The model of slice A: made from the rod's own clean sweep, as that of any stranger's simulator.
 
-`softmap_edge.sweep` makes the table of shapes and finds the stiffness by a known weight. It bends a line of one
-compliance, and this finger is ten times stiffer at its base than at its tip: its answer to gravity would be half a
-millimetre off. The owner of the simulator gives it as well, at an equilibrium with tangent K (cables' own stiffness
-left out), force f and lengths L of the cables:
+`softmap_edge.sweep` makes the table of shapes and finds the stiffness by a known weight. It bends a
+line of one compliance, and this finger is ten times stiffer at its base than at its tip: its answer
+to gravity would be half a millimetre off. The owner of the simulator gives it as well, at an
+equilibrium with tangent K (cables' own stiffness left out), force f and lengths L of the cables:
 
     displacement per unit of p at constant tension  −K⁻¹ ∂f/∂p,   per 1 N of a cable  −K⁻¹ ∂L/∂x,
     stretch of a cable                              ∂L/∂x · displacement + ∂L/∂p
     and what large loads do beyond                  `second_rod.py`
 
-p are the fields that the library knows of those in `changes`. Units: mm, N, g. Pinned by tests/benches/test_bank.py.
+p are the fields that the library knows of those in `changes`. Units: mm, N, g. Pinned by
+tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -21,7 +22,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, kept, sources, stored, template
+from benches.bank.body_rod import (
+    HANGING,
+    NAME,
+    REACH,
+    grid,
+    guessed,
+    hanging,
+    kept,
+    sources,
+    stored,
+    template,
+)
 from benches.bank.law import Floats
 from benches.bank.newton_step import newton_step
 from benches.bank.rod import Loads, Poses, assembled, guides, own_lengths, settle
@@ -55,7 +67,9 @@ def model() -> Model:
     axis = np.linspace(-REACH, REACH, FIELDS)
     values = found["fields"]  # (names + 4 cables, S, 3N)
     size = np.sqrt(np.mean(values**2, axis=(1, 2), keepdims=True)) + 1e-12
-    _, weight, modes = np.linalg.svd((values / size).reshape(-1, values.shape[2]), full_matrices=False)
+    _, weight, modes = np.linalg.svd(
+        (values / size).reshape(-1, values.shape[2]), full_matrices=False
+    )
     modes = np.ascontiguousarray(modes[: int(np.sum(weight > 1e-3 * weight[0]))])
     shared: dict[str, Any] = {"axis0": axis, "axis1": axis, "modes": modes}
     rows = values @ modes.T
@@ -89,7 +103,9 @@ def _numbers(axes: list[Floats], values: Floats) -> Any:
 
 
 def _whole(stretch: Floats, names: Sequence[str]) -> Floats:
-    """Return stretch (S, 4·(F + 4)) for every field of the library, zero where the rod has no such field."""
+    """Return stretch (S, 4·(F + 4)) for every field of the library, zero where the rod has no such
+    field.
+    """
     full = np.zeros((len(stretch), 4, len(_core.FIELDS) + 4))
     for i, name in enumerate(names):
         full[..., list(_core.FIELDS).index(name)] = stretch[..., i]
@@ -98,7 +114,9 @@ def _whole(stretch: Floats, names: Sequence[str]) -> Floats:
 
 
 def _leaning_error(made: Model) -> float:
-    """Return by how much (mm for each g of change) the model's error grows in a finger that leans by 34°."""
+    """Return by how much (mm for each g of change) the model's error grows in a finger that leans
+    by 34°.
+    """
     from softmap_edge.run.run import Run
 
     u = np.random.default_rng(0).uniform(-12.0, 12.0, (40, 2))
@@ -121,21 +139,39 @@ def _sweep() -> dict[str, Any]:
     weighed = replace(hanging(hung), tip=np.tile(KNOWN * GRAVITY * HANGING, (4, 1)))
     loaded = settle(design, weighed, guessed(weighed.pull)).points(design, place, around)
     return {
-        "command": u, "vertices": sweep, "robot": np.array(NAME), "gravity": HANGING, "load": np.full(4, KNOWN),
-        "loaded_command": hung, "loaded_vertices": loaded, "mass": np.array(design.mass[1:].sum()),
-    }  # fmt: skip
+        "command": u,
+        "vertices": sweep,
+        "robot": np.array(NAME),
+        "gravity": HANGING,
+        "load": np.full(4, KNOWN),
+        "loaded_command": hung,
+        "loaded_vertices": loaded,
+        "mass": np.array(design.mass[1:].sum()),
+    }
 
 
 def changes() -> dict[str, tuple[Change, float]]:
     """Return, by the name of a field, what changes by how many units; half of it goes each way."""
     found: dict[str, tuple[Change, float]] = {}
     for axis, way in zip("xyz", np.eye(3)):
-        found[f"gravity_{axis}"] = (lambda d, w, h, v=way: (d, replace(w, gravity=w.gravity + h * v)), 1.0)
-        found[f"tip_force_{axis}"] = (lambda d, w, h, v=way: (d, replace(w, tip=w.tip + h * v)), 1.0)
+        found[f"gravity_{axis}"] = (
+            lambda d, w, h, v=way: (d, replace(w, gravity=w.gravity + h * v)),
+            1.0,
+        )
+        found[f"tip_force_{axis}"] = (
+            lambda d, w, h, v=way: (d, replace(w, tip=w.tip + h * v)),
+            1.0,
+        )
     for k in range(HATS):
         found[f"stiff_{k}"] = (lambda d, w, h, k=k: (d.stiffer(np.exp(h * _hat(d, k))), w), 0.02)
-    found["stiff_x"] = (lambda d, w, h: (d.stiffer(np.exp(h * d.fibres()[0] / d.radius[:, None])), w), 0.02)
-    found["stiff_y"] = (lambda d, w, h: (d.stiffer(np.exp(h * d.fibres()[1] / d.radius[:, None])), w), 0.02)
+    found["stiff_x"] = (
+        lambda d, w, h: (d.stiffer(np.exp(h * d.fibres()[0] / d.radius[:, None])), w),
+        0.02,
+    )
+    found["stiff_y"] = (
+        lambda d, w, h: (d.stiffer(np.exp(h * d.fibres()[1] / d.radius[:, None])), w),
+        0.02,
+    )
     found["curve_x"] = (lambda d, w, h: (_curved(d, [0.0, 2 * h / d.place[-1] ** 2, 0.0]), w), 0.1)
     found["curve_y"] = (lambda d, w, h: (_curved(d, [-2 * h / d.place[-1] ** 2, 0.0, 0.0]), w), 0.1)
     found["twist"] = (lambda d, w, h: (_curved(d, [0.0, 0.0, np.radians(h) / d.place[-1]]), w), 0.1)
@@ -146,7 +182,9 @@ def changes() -> dict[str, tuple[Change, float]]:
 
 
 def _hat(design: Design, k: int) -> Floats:
-    """Return how much (n,) of the k-th stretch of the body is at each element: cos² around its middle."""
+    """Return how much (n,) of the k-th stretch of the body is at each element: cos² around its
+    middle.
+    """
     away = np.abs(design.middle / design.place[-1] * (HATS - 1) - k)
     return np.asarray(np.where(away < 1.0, np.cos(np.pi / 2 * np.minimum(away, 1.0)) ** 2, 0.0))
 
@@ -156,7 +194,9 @@ def _curved(design: Design, more: Sequence[float]) -> Design:
 
 
 def _answers(names: Sequence[str]) -> dict[str, Any]:
-    """Return `fields` (names + 4, S, 3N), `stretch` (S, 4, names + 4) on the coarse grid, `pull` (SWEEP², 4) N."""
+    """Return `fields` (names + 4, S, 3N), `stretch` (S, 4, names + 4) on the coarse grid, `pull`
+    (SWEEP², 4) N.
+    """
     design = finger(1)
     fine = hanging(grid(np.linspace(-REACH, REACH, SWEEP)))
     pull = design.cable * length_beyond(design, fine, settle(design, fine, guessed(fine.pull)))
@@ -165,9 +205,11 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
     return {"fields": fields, "stretch": stretch, "pull": pull}
 
 
-def answers(design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _core.LOADS) -> tuple[Floats, Floats]:
-    """Return displacements of the seen points (names + 4, S, 3N) per unit of fields and per 1 N of a cable, and the
-    stretch of the cables (S, 4, names + 4) with them.
+def answers(
+    design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _core.LOADS
+) -> tuple[Floats, Floats]:
+    """Return displacements of the seen points (names + 4, S, 3N) per unit of fields and per 1 N of
+    a cable, and the stretch of the cables (S, 4, names + 4) with them.
     """
     _, blocks, lengths, _ = assembled(design, loads, poses.x, poses.frame)
     none, told = np.zeros(lengths.shape[:1] + (4,), bool), length_beyond(design, loads, poses)
@@ -176,7 +218,8 @@ def answers(design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _
         change, size = changes()[name]
         ends = [change(design, loads, half) for half in (size / 2, -size / 2)]
         longer = [length_beyond(*end, poses) for end in ends]
-        held = [(d, replace(w, pull=w.pull + told - more)) for (d, w), more in zip(ends, longer)]  # at the same tension
+        # at the same tension
+        held = [(d, replace(w, pull=w.pull + told - more)) for (d, w), more in zip(ends, longer)]
         force = [assembled(*end, poses.x, poses.frame)[0] for end in held]
         moved.append(newton_step(blocks, (force[0] - force[1]) / size, lengths, none, design.cable))
         stretch.append((longer[0] - longer[1]) / size)

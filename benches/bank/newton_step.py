@@ -1,4 +1,5 @@
-"""One Newton step of many rods at once: a block-tridiagonal solve, the stiff cables joined by Woodbury's formula.
+"""One Newton step of many rods at once: a block-tridiagonal solve, the stiff cables joined by
+Woodbury's formula.
 
 Units: mm, N, rad. Pinned by tests/benches/test_bank_rod.py.
 """
@@ -19,8 +20,8 @@ def newton_step(
     stiffness: Floats,
     drawn: Floats | None = None,
 ) -> Floats:
-    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables, K block-tridiagonal, d = l unless
-    `drawn` is given.
+    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables, K
+    block-tridiagonal, d = l unless `drawn` is given.
     """
     below, diagonal, above = blocks
     drawn = (lengths if drawn is None else drawn) * taut[:, None, None, :]
@@ -43,6 +44,8 @@ def newton_step(
     for i in range(n - 2, -1, -1):
         answer[:, i] = kept[i][1] - kept[i][0] @ answer[:, i + 1]
     plain, by_cable = answer[..., 0], answer[..., 1:]
-    inner = np.einsum("bnkc,bnkd->bcd", lengths, by_cable) + np.diag(1.0 / np.maximum(stiffness, 1e-12))
+    inner = np.einsum("bnkc,bnkd->bcd", lengths, by_cable) + np.diag(
+        1.0 / np.maximum(stiffness, 1e-12)
+    )
     share = np.linalg.solve(inner, np.einsum("bnkc,bnk->bc", lengths, plain)[..., None])
     return np.asarray(plain - (by_cable @ share[:, None])[..., 0])

@@ -1,19 +1,23 @@
-"""The bank's finger: a geometrically exact Cosserat rod with exact cables, solved for many commands at once in NumPy.
+"""The bank's finger: a geometrically exact Cosserat rod with exact cables, solved for many commands
+at once in NumPy.
 
-Every node has a place x and a frame R. An element with ends i, j has the rotation vector θ = log(RᵢᵀRⱼ), the mid frame
-Rₘ = Rᵢ exp(θ/2), and the strains (J. C. Simo, Comput. Methods Appl. Mech. Eng. 49, 1985, at the middle)
+Every node has a place x and a frame R. An element with ends i, j has the rotation vector θ =
+log(RᵢᵀRⱼ), the mid frame Rₘ = Rᵢ exp(θ/2), and the strains (J. C. Simo, Comput. Methods Appl. Mech.
+Eng. 49, 1985, at the middle)
 
     γ = Rₘᵀ(xⱼ − xᵢ)/ℓ − e₃  (shear, shear, stretch),      κ = θ/ℓ  (bending, bending, twist)
 
-A cable is a straight line from guide to guide with tension T = k⟨L − L₀ + d − s⟩₊: shortened by d, never pushing.
-What is found is the minimum of
+A cable is a straight line from guide to guide with tension T = k⟨L − L₀ + d − s⟩₊: shortened by d,
+never pushing. What is found is the minimum of
 
-    Σ ℓ W(γ, κ − κ₀) + Σ T²/(2k) − Σ m g·x − F·x_tip + Σ c/2 ⟨gap⟩²       (fibres of `section.py`; weights are dead)
+    Σ ℓ W(γ, κ − κ₀) + Σ T²/(2k) − Σ m g·x − F·x_tip + Σ c/2 ⟨gap⟩²
+        (fibres of `section.py`; weights are dead)
 
-by Newton's method with a block-tridiagonal solve, the stiff cables joined by Woodbury's formula, and steps shortened
-until the energy falls; a row that does not settle takes its load in smaller parts. mm, N, MPa, rad, g.
-Limits: sections stay plane and rigid in their plane. Pinned by tests/benches/test_bank_rod.py: the elastica, order of
-convergence, work of the cables, symmetry, gradient by differences, the project's own finite elements.
+by Newton's method with a block-tridiagonal solve, the stiff cables joined by Woodbury's formula,
+and steps shortened until the energy falls; a row that does not settle takes its load in smaller
+parts. mm, N, MPa, rad, g. Limits: sections stay plane and rigid in their plane. Pinned by
+tests/benches/test_bank_rod.py: the elastica, order of convergence, work of the cables, symmetry,
+gradient by differences, the project's own finite elements.
 """
 
 from __future__ import annotations
@@ -37,10 +41,12 @@ WALL = 2.0  # N/mm of each node that is pressed into an obstacle
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """The loads on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
+    """The loads on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3)
+    g, `tip` (B, 3) N.
 
-    `plane` (normal (3,), place mm) is an obstacle: the rod's surface beyond normal·x = place is pushed back. `tension`
-    (B, 4, m-1) is that of each cable along its segments, relative to that at the base; None is 1.
+    `plane` (normal (3,), place mm) is an obstacle: the rod's surface beyond normal·x = place is
+    pushed back. `tension` (B, 4, m-1) is that of each cable along its segments, relative to that at
+    the base; None is 1.
     """
 
     pull: Floats
@@ -62,7 +68,9 @@ class Loads:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """B settled rods: `x` (B, n+1, 3) mm, `frame` (B, n+1, 3, 3), `tension` (B, 4) N, `error` (B,) out of balance."""
+    """B settled rods: `x` (B, n+1, 3) mm, `frame` (B, n+1, 3, 3), `tension` (B, 4) N, `error` (B,)
+    out of balance.
+    """
 
     x: Floats
     frame: Floats
@@ -70,11 +78,15 @@ class Poses:
     error: Floats
 
     def points(self, design: Design, place: Floats, around: Floats) -> Floats:
-        """Return material points (B, N, 3) mm at `place` (N,) mm along, `around` (N, 2) mm from the axis, at rest.
+        """Return material points (B, N, 3) mm at `place` (N,) mm along, `around` (N, 2) mm from the
+        axis, at rest.
 
-        A section keeps its volume: it thins by 1/√(1+ε). Frames between nodes turn by their share of the element.
+        A section keeps its volume: it thins by 1/√(1+ε). Frames between nodes turn by their share
+        of the element.
         """
-        at = np.clip(np.searchsorted(design.place, place, side="right") - 1, 0, len(design.length) - 1)
+        at = np.clip(
+            np.searchsorted(design.place, place, side="right") - 1, 0, len(design.length) - 1
+        )
         share = (place - design.place[at]) / design.length[at]
         theta = log(transposed(self.frame[:, at]) @ self.frame[:, at + 1])
         frame = self.frame[:, at] @ turn(theta * share[:, None])
@@ -84,7 +96,10 @@ class Poses:
         sag = np.cross(theta, into(middle, chord)) * (share * (share - 1) / 2)[:, None]
         line = self.x[:, at] + share[:, None] * chord + out_of(middle, sag)
         stretch = np.linalg.norm(chord, axis=2) / design.length[at]
-        offset = np.concatenate([around, np.zeros((len(place), 1))], axis=1) / np.sqrt(stretch)[..., None]
+        offset = (
+            np.concatenate([around, np.zeros((len(place), 1))], axis=1)
+            / np.sqrt(stretch)[..., None]
+        )
         return np.asarray(line + out_of(frame, offset))
 
 
@@ -97,7 +112,9 @@ def straight(design: Design, count: int) -> Poses:
 
 
 def laid(design: Design, strain: Floats) -> Poses:
-    """Return the rods (not settled) that have strains (B, n, 6): shear, shear, stretch, bending, bending, twist."""
+    """Return the rods (not settled) that have strains (B, n, 6): shear, shear, stretch, bending,
+    bending, twist.
+    """
     poses, length = straight(design, len(strain)), design.length
     theta = strain[..., 3:] * length[:, None]
     whole, half = turn(theta), turn(theta / 2)
@@ -136,8 +153,8 @@ def settle(design: Design, loads: Loads, start: Poses | None = None, parts: int 
             whole[lost] = part
     elif lost.size:
         raise ArithmeticError(
-            f"{lost.size} of {count} rods do not settle, the first at pulls {loads.pull[lost[0]].tolist()} mm: "
-            f"{poses.error[lost[0]]:.2g} N are out of balance"
+            f"{lost.size} of {count} rods do not settle, the first at pulls "
+            f"{loads.pull[lost[0]].tolist()} mm: {poses.error[lost[0]]:.2g} N are out of balance"
         )
     return poses
 
@@ -178,8 +195,14 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
             new_frame = frame[rows].copy()
             new_frame[:, 1:] = turn(s[..., 3:]) @ new_frame[:, 1:]
             value = energy_of(design, here.rows(wait), new_x, new_frame)
-            good = value <= energy[rows] + 1e-4 * share[wait] * fall[wait] + 1e-9 * (1.0 + np.abs(energy[rows]))
-            x[rows[good]], frame[rows[good]], energy[rows[good]] = new_x[good], new_frame[good], value[good]
+            good = value <= energy[rows] + 1e-4 * share[wait] * fall[wait] + 1e-9 * (
+                1.0 + np.abs(energy[rows])
+            )
+            x[rows[good]], frame[rows[good]], energy[rows[good]] = (
+                new_x[good],
+                new_frame[good],
+                value[good],
+            )
             wait = wait[~good]
             if not wait.size:
                 break
@@ -191,7 +214,9 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
 
 
 def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords in the mid frame (B, n, 3) and strains (B, n, 6)."""
+    """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords in the mid frame (B, n, 3) and strains
+    (B, n, 6).
+    """
     theta = log(transposed(frame[:, :-1]) @ frame[:, 1:])
     middle = frame[:, :-1] @ turn(theta / 2)
     chord = into(middle, np.diff(x, axis=1))
@@ -201,29 +226,42 @@ def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, 
 
 
 def _section(design: Design, strain: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return energy per length (B, n), forces and moments (B, n, 6) and their tangent (B, n, 6, 6)."""
+    """Return energy per length (B, n), forces and moments (B, n, 6) and their tangent (B, n, 6,
+    6).
+    """
     bend = strain[..., 3:] - design.rest
     x, y, area = design.fibres()
     lever = np.stack([np.ones_like(x), y, -x], axis=2)  # (n, F, 3)
-    stretch = 1.0 + np.einsum("nfk,bnk->bnf", lever, np.stack([strain[..., 2], bend[..., 0], bend[..., 1]], axis=2))
+    stretch = 1.0 + np.einsum(
+        "nfk,bnk->bnf", lever, np.stack([strain[..., 2], bend[..., 0], bend[..., 1]], axis=2)
+    )
     bound = np.maximum(stretch, FLOOR)
     below = stretch - bound
     whole_fibre = design.young * area / 3.0  # (n, F) N
     modulus = whole_fibre * np.where(stretch > 1.0, design.torn, 1.0)
     rate = modulus * (1.0 + 2.0 * bound**-3)
     force = modulus * (bound - bound**-2) + rate * below
-    stored = modulus / 2 * (bound**2 + 2.0 / bound - 3.0) + (modulus * (bound - bound**-2) + rate * below / 2) * below
+    stored = (
+        modulus / 2 * (bound**2 + 2.0 / bound - 3.0)
+        + (modulus * (bound - bound**-2) + rate * below / 2) * below
+    )
     whole = np.sum(whole_fibre, axis=1)  # G·A
     polar = np.sum(whole_fibre * (x**2 + y**2), axis=1)  # G·J
     shear = SHEAR * whole[:, None] * strain[..., :2]
-    energy = stored.sum(axis=2) + np.sum(shear * strain[..., :2], axis=2) / 2 + polar * bend[..., 2] ** 2 / 2
+    energy = (
+        stored.sum(axis=2)
+        + np.sum(shear * strain[..., :2], axis=2) / 2
+        + polar * bend[..., 2] ** 2 / 2
+    )
     out = np.zeros_like(strain)
     out[..., :2] = shear
     out[..., 2:5] = np.einsum("nfk,bnf->bnk", lever, force)
     out[..., 5] = polar * bend[..., 2]
     tangent = np.zeros((*strain.shape, 6))
     pairs = np.einsum("nfk,nfl->nfkl", lever, lever).reshape(*x.shape, 9)
-    tangent[..., 2:5, 2:5] = np.einsum("bnf,nfk->bnk", rate, pairs, optimize=True).reshape(*strain.shape[:2], 3, 3)
+    tangent[..., 2:5, 2:5] = np.einsum("bnf,nfk->bnk", rate, pairs, optimize=True).reshape(
+        *strain.shape[:2], 3, 3
+    )
     tangent[..., 0, 0] = tangent[..., 1, 1] = SHEAR * whole
     tangent[..., 5, 5] = polar
     return np.asarray(energy), out, tangent
@@ -236,9 +274,14 @@ def energy_of(design: Design, loads: Loads, x: Floats, frame: Floats) -> Floats:
     points = guides(design, x, frame)
     span = np.linalg.norm(np.diff(points, axis=2), axis=3).sum(axis=2)
     total += np.sum(
-        design.cable / 2 * np.maximum(span - own_lengths(design) + loads.pull - design.slack, 0.0) ** 2, axis=1
+        design.cable
+        / 2
+        * np.maximum(span - own_lengths(design) + loads.pull - design.slack, 0.0) ** 2,
+        axis=1,
     )
-    total -= GRAVITY * np.einsum("bk,bik,i->b", loads.gravity, x, design.mass) + np.sum(loads.tip * x[:, -1], axis=1)
+    total -= GRAVITY * np.einsum("bk,bik,i->b", loads.gravity, x, design.mass) + np.sum(
+        loads.tip * x[:, -1], axis=1
+    )
     if loads.plane is not None:
         total += WALL / 2 * np.sum(np.maximum(_gap(design, loads, x), 0.0) ** 2, axis=1)
     return total
@@ -265,9 +308,10 @@ def own_lengths(design: Design) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The forces on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks` (below, diagonal,
-    above) (B, n, 6, 6) without the cables' own stiffness, slopes (B, n, 6, 4) of the cables' `lengths`, the same
-    `drawn` by the tension of each segment, and the tension `pull` (B, 4) N at the base.
+    """The forces on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks`
+    (below, diagonal, above) (B, n, 6, 6) without the cables' own stiffness, slopes (B, n, 6, 4) of
+    the cables' `lengths`, the same `drawn` by the tension of each segment, and the tension `pull`
+    (B, 4) N at the base.
     """
 
     slope: Floats
@@ -293,7 +337,11 @@ def balance(design: Design, loads: Loads, x: Floats, frame: Floats) -> Balance:
     spatial = out_of(middle[:, :, None], force.reshape(*force.shape[:2], 4, 3)).reshape(force.shape)
     ends = local.reshape(*local.shape[:2], 4, 3, 12)
     ends = (middle[:, :, None] @ ends).reshape(local.shape)
-    ends = transposed((middle[:, :, None] @ transposed(ends).reshape(*local.shape[:2], 4, 3, 12)).reshape(local.shape))
+    ends = transposed(
+        (middle[:, :, None] @ transposed(ends).reshape(*local.shape[:2], 4, 3, 12)).reshape(
+            local.shape
+        )
+    )
     b, nodes = x.shape[:2]
     slope = np.zeros((b, nodes, 6))
     slope[:, :-1] += spatial[..., :6]
@@ -314,11 +362,15 @@ def balance(design: Design, loads: Loads, x: Floats, frame: Floats) -> Balance:
     return Balance(slope[:, 1:], blocks, lengths[:, 1:], drawn[:, 1:], pull)
 
 
-def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: Floats) -> tuple[Floats, Floats]:
-    """Return tangents (B, n, 12, 12) and forces (B, n, 12) on (xᵢ, spin of i, xⱼ, spin of j), all in the mid frame.
+def _element(
+    length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: Floats
+) -> tuple[Floats, Floats]:
+    """Return tangents (B, n, 12, 12) and forces (B, n, 12) on (xᵢ, spin of i, xⱼ, spin of j), all
+    in the mid frame.
 
-    With D = wⱼ − wᵢ and τ = ½ tan(h/2) a, h = |θ|/2, the mid frame spins by (wᵢ + wⱼ)/2 − τ × D, and θ changes by
-    K⁻¹D, K⁻¹ = h/sin h (1 − aaᵀ) + aaᵀ. The change of K⁻¹ itself, of order h, is left out of the tangent.
+    With D = wⱼ − wᵢ and τ = ½ tan(h/2) a, h = |θ|/2, the mid frame spins by (wᵢ + wⱼ)/2 − τ × D,
+    and θ changes by K⁻¹D, K⁻¹ = h/sin h (1 − aaᵀ) + aaᵀ. The change of K⁻¹ itself, of order h, is
+    left out of the tangent.
     """
     h = np.linalg.norm(theta, axis=2)[..., None] / 2
     axis = theta / np.maximum(2 * h, 1e-300)
@@ -351,9 +403,11 @@ def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: F
     return tangent + np.concatenate(rows, axis=2), force
 
 
-def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighted by the tension of
-    each segment; add the contributions of taut lines to `ends`.
+def _cables(
+    design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighted
+    by the tension of each segment; add the contributions of taut lines to `ends`.
     """
     m = design.guide.shape[1]
     arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)
@@ -366,7 +420,10 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     held = np.broadcast_to(pull[..., None], span.shape)
     if loads.tension is not None:
         pull = pull * span.sum(axis=2) / np.sum(loads.tension * span, axis=2)
-        drawn, held = _by_node(x, arm, along * loads.tension[..., None]), pull[..., None] * loads.tension
+        drawn, held = (
+            _by_node(x, arm, along * loads.tension[..., None]),
+            pull[..., None] * loads.tension,
+        )
     moved = np.zeros((*along.shape, 12))
     moved[..., :3], moved[..., 6:9] = -np.eye(3), np.eye(3)
     moved[..., 3:6], moved[..., 9:] = hat(arm[:, :, :-1]), -hat(arm[:, :, 1:])
@@ -375,14 +432,21 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     rows = np.moveaxis(across, 1, 2).reshape(len(x), m - 1, 12, 12)  # 4 cables of 3 rows
     ends[:, : m - 1] += transposed(rows) @ rows
     own = held[..., None, None]
-    for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
-        turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
+    for block, lever, sign in (
+        (slice(3, 6), arm[:, :, :-1], -1.0),
+        (slice(9, 12), arm[:, :, 1:], 1.0),
+    ):
+        turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[
+            ..., None, None
+        ] * np.eye(3)
         ends[:, : m - 1, block, block] += np.sum(sign * own * turn_, axis=1)
     return pull, slopes, drawn
 
 
 def _by_node(x: Floats, arm: Floats, along: Floats) -> Floats:
-    """Return slopes (B, n+1, 6, 4) of Σ lengths by the nodes, of segments along (B, 4, m-1, 3) at arms (B, 4, m, 3)."""
+    """Return slopes (B, n+1, 6, 4) of Σ lengths by the nodes, of segments along (B, 4, m-1, 3) at
+    arms (B, 4, m, 3).
+    """
     m = arm.shape[2]
     at = np.zeros_like(arm)  # slope by the guide's place
     at[:, :, 1:] += along

@@ -1,4 +1,6 @@
-"""Rotations in batches: vectors to matrices and back, and vectors into and out of frames (angles in rad)."""
+"""Rotations in batches: vectors to matrices and back, and vectors into and out of frames (angles in
+rad).
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,29 @@ def turn(v: Floats) -> Floats:
     """Return the rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     k = hat(v)
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k))
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
+    )
 
 
 def log(frame: Floats) -> Floats:
     """Return the rotation vectors (..., 3) rad of rotations by less than a quarter turn."""
-    part = np.stack([frame[..., 2, 1] - frame[..., 1, 2], frame[..., 0, 2] - frame[..., 2, 0],
-                     frame[..., 1, 0] - frame[..., 0, 1]], axis=-1) / 2  # fmt: skip
+    part = (
+        np.stack(
+            [
+                frame[..., 2, 1] - frame[..., 1, 2],
+                frame[..., 0, 2] - frame[..., 2, 0],
+                frame[..., 1, 0] - frame[..., 0, 1],
+            ],
+            axis=-1,
+        )
+        / 2
+    )
     sine = np.linalg.norm(part, axis=-1)[..., None]
-    return np.asarray(part * np.where(sine < 1e-9, 1.0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300)))
+    return np.asarray(
+        part
+        * np.where(sine < 1e-9, 1.0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300))
+    )
 
 
 def transposed(a: Floats) -> Floats:

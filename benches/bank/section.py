@@ -1,13 +1,15 @@
-"""What the bank's rod finger is made of: sections of incompressible rubber fibres, and four cables through guides.
+"""What the bank's rod finger is made of: sections of incompressible rubber fibres, and four cables
+through guides.
 
-A cross-section is an area of fibres along the rod, each of neo-Hookean rubber that keeps its volume (Poisson 0.5):
+A cross-section is an area of fibres along the rod, each of neo-Hookean rubber that keeps its volume
+(Poisson 0.5):
 
-    energy per volume  w = E/6 (λ² + 2/λ − 3),   stress  P = E/3 (λ − λ⁻²),   λ = 1 + ε + κx Y − κy X
+    energy per volume  w = E/6 (λ² + 2/λ − 3),  stress  P = E/3 (λ − λ⁻²),  λ = 1 + ε + κx Y − κy X
 
-integrated with 3 Gauss points in the squared radius and 12 in angle. Shear and torsion are linear with G = E/3 and a
-shear factor of 0.9. Below λ = 0.35 the stress goes on in a straight line. Lengths mm, E and stress MPa, forces N,
-angles rad. The numbers are those of `softmap_edge/data/finger.toml`, read from it. Pinned by
-tests/benches/test_bank_rod.py.
+integrated with 3 Gauss points in the squared radius and 12 in angle. Shear and torsion are linear
+with G = E/3 and a shear factor of 0.9. Below λ = 0.35 the stress goes on in a straight line.
+Lengths mm, E and stress MPa, forces N, angles rad. The numbers are those of
+`softmap_edge/data/finger.toml`, read from it. Pinned by tests/benches/test_bank_rod.py.
 """
 
 from __future__ import annotations
@@ -33,10 +35,11 @@ AROUND = 12
 class Design:
     """One rod finger at rest: `place` (n+1,) mm of the nodes, and by element what it is made of.
 
-    `radius` (n,) mm · `young` (n, F) MPa by fibre · `rest` (n, 3) rad/mm its own curvature and twist · `guide`
-    (4, m, 3) mm where the cables run, from the axis, at the first m nodes · `cable` (4,) N/mm · `slack` (4,) mm by
-    which each cable is too long at rest · `mass` (n+1,) g at the nodes · `torn` (n, F) share of the stress that a fibre
-    carries when it is drawn, 1 in sound rubber.
+    `radius` (n,) mm · `young` (n, F) MPa by fibre · `rest` (n, 3) rad/mm its own curvature and
+    twist · `guide` (4, m, 3) mm where the cables run, from the axis, at the first m nodes · `cable`
+    (4,) N/mm · `slack` (4,) mm by which each cable is too long at rest · `mass` (n+1,) g at the
+    nodes · `torn` (n, F) share of the stress that a fibre carries when it is drawn, 1 in sound
+    rubber.
     """
 
     place: Floats
@@ -62,7 +65,8 @@ class Design:
     def fibres(self) -> tuple[Floats, Floats, Floats]:
         """Return place X, Y (n, F) mm and area (n, F) mm² of the fibres."""
         square, weight = np.polynomial.legendre.leggauss(3)
-        share = np.sqrt((square + 1) / 2)  # of the radius; equal weights of the square are equal areas
+        # of the radius; equal weights of the square are equal areas
+        share = np.sqrt((square + 1) / 2)
         angle = (np.arange(AROUND) + 0.5) * 2 * np.pi / AROUND
         r = np.repeat(share, AROUND)
         x, y = r * np.tile(np.cos(angle), 3), r * np.tile(np.sin(angle), 3)
@@ -80,7 +84,9 @@ class Design:
         return np.asarray(x * np.cos(side) + y * np.sin(side) > 0.0, dtype=np.float64)
 
     def turned_guides(self, angle: Floats) -> Design:
-        """Return the design with each cable's guides turned by `angle` (4,) or (4, m) rad about the axis."""
+        """Return the design with each cable's guides turned by `angle` (4,) or (4, m) rad about the
+        axis.
+        """
         a = np.broadcast_to(np.asarray(angle, float).reshape(4, -1), self.guide.shape[:2])
         c, s = np.cos(a), np.sin(a)
         x, y, z = np.moveaxis(self.guide, 2, 0)
@@ -88,9 +94,16 @@ class Design:
 
 
 def uniform(
-    length: float, radius: float, young: float, elements: int, cable: float = 0.0, aside: float = 0.0
+    length: float,
+    radius: float,
+    young: float,
+    elements: int,
+    cable: float = 0.0,
+    aside: float = 0.0,
 ) -> Design:
-    """Return a plain rod without weight; its cables, if any, run `aside` mm beside the axis up to the tip."""
+    """Return a plain rod without weight; its cables, if any, run `aside` mm beside the axis up to
+    the tip.
+    """
     place = np.linspace(0.0, length, elements + 1)
     n = elements
     return Design(
@@ -107,11 +120,16 @@ def uniform(
 
 @lru_cache(maxsize=8)
 def finger(refine: int = 2) -> Design:
-    """Return the built-in finger as a rod: 16 elements up to the anchors and 3 in the tip, times `refine`."""
+    """Return the built-in finger as a rod: 16 elements up to the anchors and 3 in the tip, times
+    `refine`.
+    """
     table = _numbers()
     anchor = table["tendon"][0]["route_mm"][-1][0]
     profile = np.array(table["profile_mm"])
-    below, above = np.linspace(0.0, anchor, 16 * refine + 1), np.linspace(anchor, profile[-1, 0], 3 * refine + 1)
+    below, above = (
+        np.linspace(0.0, anchor, 16 * refine + 1),
+        np.linspace(anchor, profile[-1, 0], 3 * refine + 1),
+    )
     place = np.concatenate([below, above[1:]])
     middle, length = (place[1:] + place[:-1]) / 2, np.diff(place)
     radius = np.interp(middle, profile[:, 0], profile[:, 1])
@@ -138,4 +156,6 @@ def _routes(aside: Floats) -> Floats:
 
 @lru_cache(maxsize=1)
 def _numbers() -> dict[str, Any]:
-    return tomllib.loads(files("softmap_edge").joinpath("data/finger.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(
+        files("softmap_edge").joinpath("data/finger.toml").read_text(encoding="utf-8")
+    )

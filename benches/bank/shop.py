@@ -1,10 +1,11 @@
-"""Slice *shop*: fingers as a workshop makes them, with laws for each servo and each cable, seen by a slow camera.
+"""Slice *shop*: fingers as a workshop makes them, with laws for each servo and each cable, seen by
+a slow camera.
 
-Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centroids (`imperfect.py`). The frame jitters
-with a memory of 3 to 10 s. A hidden law moves the finger 2.2 to 6 times as far as the imperfections do. A law that
-cannot reach that size at a plausible strength gets its largest plausible strength, and is not scored below twice the
-background.
-Units: mm, s. A case is a pure function of (seeds, level, kind, number). Pinned by tests/benches/test_bank_shop.py.
+Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centroids
+(`imperfect.py`). The frame jitters with a memory of 3 to 10 s. A hidden law moves the finger 2.2 to
+6 times as far as the imperfections do. A law that cannot reach that size at a plausible strength
+gets its largest plausible strength, and is not scored below twice the background. Units: mm, s. A
+case is a pure function of (seeds, level, kind, number). Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations
@@ -31,9 +32,18 @@ LEAST_MM = (0.6, 1.4)
 PAIRS = 4
 MARKED = 5
 STRANGE: tuple[type[Law], ...] = (
-    SmoothMap, UNKNOWN_LAWS[1], CrossTerm, UNKNOWN_LAWS[0], UNKNOWN["gate"], UNKNOWN_LAWS[2], UNKNOWN["leaking_cell"],
-    *UNKNOWN_LAWS[3:], UNKNOWN["crack"], UNKNOWN["magnet"], UNKNOWN["frayed_cable"],
-)  # fmt: skip
+    SmoothMap,
+    UNKNOWN_LAWS[1],
+    CrossTerm,
+    UNKNOWN_LAWS[0],
+    UNKNOWN["gate"],
+    UNKNOWN_LAWS[2],
+    UNKNOWN["leaking_cell"],
+    *UNKNOWN_LAWS[3:],
+    UNKNOWN["crack"],
+    UNKNOWN["magnet"],
+    UNKNOWN["frayed_cable"],
+)
 
 
 def shop_case(seeds: str, level: str, kind: str, number: int) -> Case:
@@ -48,20 +58,33 @@ def shop_case(seeds: str, level: str, kind: str, number: int) -> Case:
     wanted = float(rng.uniform(*BACKGROUND_MM))
     small = imperfections(body, wanted, rng)
     hardness = replace(
-        LEVELS["real"], name=level, shiver_mm=float(rng.uniform(0.05, 0.12)), shiver_deg=float(rng.uniform(0.03, 0.06)),
-        memory_s=float(rng.uniform(3.0, 10.0)), background=0.0,
+        LEVELS["real"],
+        name=level,
+        shiver_mm=float(rng.uniform(0.05, 0.12)),
+        shiver_deg=float(rng.uniform(0.03, 0.06)),
+        memory_s=float(rng.uniform(3.0, 10.0)),
+        background=0.0,
         moves_mm=tuple(max(t * wanted, least) for t, least in zip(TIMES, LEAST_MM)),
-    )  # fmt: skip
+    )
     found = hidden_laws(kind, number, body, hardness, rng)
     return Case(
-        f"{seeds}-shop-{level}-{kind}-{number:04d}", hardness, kind, body, tuple(law for law, _ in found), small,
-        tuple(mm for _, mm in found), int(rng.integers(2**31)), bool(rng.integers(MARKED) == 0),
+        f"{seeds}-shop-{level}-{kind}-{number:04d}",
+        hardness,
+        kind,
+        body,
+        tuple(law for law, _ in found),
+        small,
+        tuple(mm for _, mm in found),
+        int(rng.integers(2**31)),
+        bool(rng.integers(MARKED) == 0),
         tuple(answer_of(law) for law, _ in found),
-    )  # fmt: skip
+    )
 
 
 def imperfections(body: Body, wanted_mm: float, rng: np.random.Generator) -> tuple[Law, ...]:
-    """Draw imperfections that move the section centroids by `wanted_mm` RMS on the standard protocol."""
+    """Draw imperfections that move the section centroids by `wanted_mm` RMS on the standard
+    protocol.
+    """
     protocol, every = standard_protocol(2), 2 * body.every
     laws = static(rng, body.channels)
     plain = seen(body, (), protocol, False, every=every)
@@ -75,8 +98,12 @@ def imperfections(body: Body, wanted_mm: float, rng: np.random.Generator) -> tup
     return (*(law.scaled(strength) for law in laws), *traces(rng, body.channels))
 
 
-def hidden_laws(kind: str, number: int, body: Body, level: Level, rng: np.random.Generator) -> list[tuple[Law, float]]:
-    """Draw the hidden laws of a case, in the order of the chain: singles and unknown laws in turn, pairs at random."""
+def hidden_laws(
+    kind: str, number: int, body: Body, level: Level, rng: np.random.Generator
+) -> list[tuple[Law, float]]:
+    """Draw the hidden laws of a case, in the order of the chain: singles and unknown laws in turn,
+    pairs at random.
+    """
     for _ in range(PAIRS):
         if kind == "null":
             return []
@@ -106,16 +133,34 @@ def unknown_family(law: Law) -> tuple[str, ...]:
 
 
 ODD_FAMILY: dict[str, tuple[str, ...]] = {
-    "smooth_map": ("static map",), "cross_term": ("coupling",), "steps": ("static map", "memory"),
-    "hum": ("time", "hum", "noise"), "stick_slip": ("memory",), "overshoot": ("memory",),
-    "stribeck": ("memory", "rate"), "speedy_play": ("memory", "rate", "delay"), "snap": ("memory", "coupling"),
-    "hooked": ("memory", "coupling"), "fading_memory": ("memory",), "rate_square": ("rate", "delay"),
-    "rate_bend": ("rate", "delay"), "warm_creep": ("creep", "temperature"), "bimetal": ("temperature", "time"),
-    "warm_play": ("memory", "temperature"), "big_creep": ("creep",), "fatigue": ("time", "softening", "step"),
-    "torn": ("step", "time"), "clutch": ("memory", "step", "time"), "mounted_gain": ("load",),
-    "held": ("delay",), "frame_noise": ("frame drift", "frame", "time"), "bending_noise": ("time", "noise", "step"),
-    "timely_gain": ("time", "temperature", "step"), "other_modulus": ("body", "static shape", "load"),
+    "smooth_map": ("static map",),
+    "cross_term": ("coupling",),
+    "steps": ("static map", "memory"),
+    "hum": ("time", "hum", "noise"),
+    "stick_slip": ("memory",),
+    "overshoot": ("memory",),
+    "stribeck": ("memory", "rate"),
+    "speedy_play": ("memory", "rate", "delay"),
+    "snap": ("memory", "coupling"),
+    "hooked": ("memory", "coupling"),
+    "fading_memory": ("memory",),
+    "rate_square": ("rate", "delay"),
+    "rate_bend": ("rate", "delay"),
+    "warm_creep": ("creep", "temperature"),
+    "bimetal": ("temperature", "time"),
+    "warm_play": ("memory", "temperature"),
+    "big_creep": ("creep",),
+    "fatigue": ("time", "softening", "step"),
+    "torn": ("step", "time"),
+    "clutch": ("memory", "step", "time"),
+    "mounted_gain": ("load",),
+    "held": ("delay",),
+    "frame_noise": ("frame drift", "frame", "time"),
+    "bending_noise": ("time", "noise", "step"),
+    "timely_gain": ("time", "temperature", "step"),
+    "other_modulus": ("body", "static shape", "load"),
     "longer_body": ("static map", "static shape", "body", "frame"),
     "mixed_channels": ("coupling", "frame", "static shape"),
-    "still": (), "stuck": ("step", "time"),
-}  # fmt: skip
+    "still": (),
+    "stuck": ("step", "time"),
+}

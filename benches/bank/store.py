@@ -2,11 +2,13 @@
 
     ROOT/<case>/truth.json    hidden laws, right answers, displacement of the finger, `made_by`
     ROOT/<case>/first.npz     the run that is diagnosed        whole.npz   a second one, for rivals
-    ROOT/<case>/judge.npz     a run of another kind            twin.npz    the same of the finger without the law
-    ROOT/<case>/taught.npz    runs from which a model is learned (`taught_2.npz` of other size and speed)
+    ROOT/<case>/judge.npz  a run of another kind  twin.npz  the same of the finger without the law
+    ROOT/<case>/taught.npz    runs from which a model is learned (`taught_2.npz` of other size and
+                              speed)
 
-`made_by` is a digest of the bank's own code and of its inputs (protocols, the bundle), not of the diagnosis. A case
-with the same digest is not made again. Pinned by tests/benches/test_bank_store.py.
+`made_by` is a digest of the bank's own code and of its inputs (protocols, the bundle), not of the
+diagnosis. A case with the same digest is not made again. Pinned by
+tests/benches/test_bank_store.py.
 """
 
 from __future__ import annotations
@@ -24,7 +26,15 @@ from typing import Any
 from softmap_edge.run.run import Run
 
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
-JUDGING = ("__main__.py", "left_out.py", "judge.py", "judge_family.py", "judge_learned.py", "work.py", "store.py")
+JUDGING = (
+    "__main__.py",
+    "left_out.py",
+    "judge.py",
+    "judge_family.py",
+    "judge_learned.py",
+    "work.py",
+    "store.py",
+)
 
 
 @dataclass(frozen=True)
@@ -81,7 +91,9 @@ def keep(task: Task, root: Path, truth: Mapping[str, Any], runs: Mapping[str, Ru
 
 @lru_cache(maxsize=1)
 def made_by() -> str:
-    """Return a digest of the code that makes cases: the bank without its scoring, the protocols, the bundle."""
+    """Return a digest of the code that makes cases: the bank without its scoring, the protocols,
+    the bundle.
+    """
     import softmap_edge
 
     own, package = Path(__file__).parent, Path(softmap_edge.__file__).parent

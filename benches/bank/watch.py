@@ -1,8 +1,10 @@
-"""Who looks at the bank's fingers: levels of difficulty, a camera whose errors hang together, small background laws.
+"""Who looks at the bank's fingers: levels of difficulty, a camera whose errors hang together, small
+background laws.
 
-Every point has an error of its own; the whole frame shivers (memory of a second) and creeps (half a minute); patches
-are hidden. And no finger is as its model says even when nothing is hidden: a little play, creep, lag, an imperfect
-mounting. Units: mm, degrees, s. Randomness only from the generator that is given. Pinned by tests/benches/test_bank.py.
+Every point has an error of its own; the whole frame shivers (memory of a second) and creeps (half a
+minute); patches are hidden. And no finger is as its model says even when nothing is hidden: a
+little play, creep, lag, an imperfect mounting. Units: mm, degrees, s. Randomness only from the
+generator that is given. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations
@@ -21,11 +23,12 @@ from benches.bank.rotations import turn
 
 @dataclass(frozen=True)
 class Level:
-    """Difficulty: σ of a point and of the frame, share of points hidden, background, displacement by a law.
+    """Difficulty: σ of a point and of the frame, share of points hidden, background, displacement
+    by a law.
 
-    `clouds`: cameras see the points described here as clouds (`clouds.py`); their noise, outliers and holes come on
-    top. `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`:
-    share of frames that are displaced by some 10 mm.
+    `clouds`: cameras see the points described here as clouds (`clouds.py`); their noise, outliers
+    and holes come on top. `memory_s` of the shivering frame; `tails`: degrees of freedom of
+    Student's noise, 0 for a Gaussian; `lost`: share of frames that are displaced by some 10 mm.
     """
 
     name: str
@@ -54,7 +57,9 @@ LEVELS = {
 
 
 def background(level: Level, rng: np.random.Generator, channels: int) -> tuple[Law, ...]:
-    """Draw what is never quite right: together about 0.1 mm of the section centroids, times the level's share."""
+    """Draw what is never quite right: together about 0.1 mm of the section centroids, times the
+    level's share.
+    """
     size = level.background
 
     def sign(count: int) -> Floats:
@@ -64,17 +69,25 @@ def background(level: Level, rng: np.random.Generator, channels: int) -> tuple[L
     return (
         Loop(0.0007 * size, 0.8),
         Gear(tuple(0.02 * size * np.abs(sign(channels))), 0.002),
-        Prony(tuple(0.004 * size * np.abs(sign(channels))), float(rng.uniform(4, 8)), (0.3, 0.4, 0.3)),
+        Prony(
+            tuple(0.004 * size * np.abs(sign(channels))), float(rng.uniform(4, 8)), (0.3, 0.4, 0.3)
+        ),
         Horns(tuple(np.concatenate([shift, -shift]))),
         OtherWeight(0.004 * size * float(sign(1)[0]), (*(0.15 * size * sign(2)), 0.0)),
         Askew(tuple(0.02 * size * sign(3)), tuple(0.02 * size * sign(3))),
     )
 
 
-def looked(points: Floats, t: Floats, level: Level, rng: np.random.Generator) -> tuple[Floats, NDArray[np.bool_]]:
+def looked(
+    points: Floats, t: Floats, level: Level, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return what is seen of points (K, N, 3) mm at t (K,) s, and which (K, N) are."""
     shiver, creep = _wandering(t, level.memory_s, 6, rng), _wandering(t, 30.0, 3, rng)
-    noise = rng.standard_t(level.tails, size=points.shape) if level.tails else rng.normal(size=points.shape)
+    noise = (
+        rng.standard_t(level.tails, size=points.shape)
+        if level.tails
+        else rng.normal(size=points.shape)
+    )
     seen = points + level.point_mm * noise
     seen = np.einsum("kij,knj->kni", turn(np.radians(level.shiver_deg) * shiver[:, 3:]), seen)
     seen += (level.shiver_mm * shiver[:, :3] + level.creep_mm * creep)[:, None]
@@ -109,9 +122,13 @@ def rms(difference: Floats, seen: NDArray[np.bool_] | None = None) -> float:
 
 
 def sections(points: Floats, place: Floats, count: int = 9) -> Floats:
-    """Return the centroids (K, count, 3) mm of slices along the body, of points (K, N, 3) at `place` (N,) mm."""
+    """Return the centroids (K, count, 3) mm of slices along the body, of points (K, N, 3) at
+    `place` (N,) mm.
+    """
     which = np.minimum((place / place.max() * count).astype(int), count - 1)
-    return np.stack([points[:, which == s].mean(axis=1) for s in range(count) if np.any(which == s)], axis=1)
+    return np.stack(
+        [points[:, which == s].mean(axis=1) for s in range(count) if np.any(which == s)], axis=1
+    )
 
 
 def names(laws: Sequence[Law]) -> tuple[str, ...]:

@@ -1,4 +1,6 @@
-"""One case from beginning to end: made once and stored, diagnosed, scored, one small JSON. The processes call this."""
+"""One case from beginning to end: made once and stored, diagnosed, scored, one small JSON. The
+processes call this.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from benches.bank.store import JUDGING, Kept, Task, name_of
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
-Job = tuple[Task, str, str, str]  # a case, the folders of cases and of rows, the digest of the scoring code
+# a case, the folders of cases and of rows, the digest of the scoring code
+Job = tuple[Task, str, str, str]
 
 
 def kept(task: Task, out: Path) -> Path:
@@ -25,12 +28,18 @@ def kept(task: Task, out: Path) -> Path:
 
 
 def code() -> str:
-    """Return a digest of the diagnosis and of the scoring: a case that other code scored is scored again."""
+    """Return a digest of the diagnosis and of the scoring: a case that other code scored is scored
+    again.
+    """
     import softmap_edge
 
     digest = hashlib.sha256()
     package = Path(softmap_edge.__file__).parent
-    paths = [Path(__file__).with_name(name) for name in JUDGING if Path(__file__).with_name(name).exists()]
+    paths = [
+        Path(__file__).with_name(name)
+        for name in JUDGING
+        if Path(__file__).with_name(name).exists()
+    ]
     paths += sorted(package.glob("**/*.[ps][yo]")) + sorted((package / "data").glob("**/*.*"))
     for path in paths:
         digest.update(path.read_bytes())
@@ -48,11 +57,15 @@ def decided(constants: str) -> None:
     for one in filter(None, constants.split(",")):
         name, _, value = one.partition("=")
         if not name.isupper() or not isinstance(getattr(decision, name, None), float):
-            raise ValueError(f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1")
+            raise ValueError(
+                f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1"
+            )
         try:
             setattr(decision, name, float(value))
         except ValueError:
-            raise ValueError(f"{name} is '{value}', which is no number; give NAME=VALUE, as in FORM=0.1") from None
+            raise ValueError(
+                f"{name} is '{value}', which is no number; give NAME=VALUE, as in FORM=0.1"
+            ) from None
 
 
 def make(job: Job) -> dict[str, Any]:
@@ -65,11 +78,17 @@ def make(job: Job) -> dict[str, Any]:
         case = case if case.is_current else made(task, cases)
     except Exception as error:  # one case must not stop a thousand others
         return {"case": name_of(task), "failed": f"{type(error).__name__}: {error}"[:300]}
-    return {"case": name_of(task), "hidden": case.truth["hidden"], "seconds": case.truth["truth_seconds"]}
+    return {
+        "case": name_of(task),
+        "hidden": case.truth["hidden"],
+        "seconds": case.truth["truth_seconds"],
+    }
 
 
 def work(job: Job) -> dict[str, Any]:
-    """Make a case if it is missing, and score it. A failure is written into its row, and the case is tried again."""
+    """Make a case if it is missing, and score it. A failure is written into its row, and the case
+    is tried again.
+    """
     row = make(job)
     return written(row, job) if "failed" in row else judge(job)
 
@@ -122,21 +141,31 @@ def judge_modelled(case: Kept) -> dict[str, Any]:
     first = diagnose(model, run, effects=library)
     seconds = time.process_time() - started
     one, several = (
-        names_alike(alike(registry, orientations, roll=not truth["clouds"]), truth) for orientations in (1, 2)
+        names_alike(alike(registry, orientations, roll=not truth["clouds"]), truth)
+        for orientations in (1, 2)
     )
     like = several if len(np.unique(run.gravity, axis=0)) > 1 else one
     verdict = judged(hidden, first.to_dict(), like, expressible, truth["also"])
     last = first
     if kind == "rivals":
         last = diagnose(model, [run, case.run("whole")], effects=library)
-        verdict = judged(hidden, last.to_dict(), several, expressible, truth["also"]) | {"at_first": verdict}
+        verdict = judged(hidden, last.to_dict(), several, expressible, truth["also"]) | {
+            "at_first": verdict
+        }
         like = several
     error, fall = (None, None) if "judge" not in case.runs else fallen(case, model, first.model)
     return {
-        **truth, **verdict, **by_family(last.to_dict(), truth, like),
-        "error_mm": error, "fall": fall, "frames": int(run.t_seen.size), "sentence": last.sentence,
-        "ladder": last.to_dict()["error"], "unexplained": last.to_dict()["unexplained"], "seconds": round(seconds, 2),
-    }  # fmt: skip
+        **truth,
+        **verdict,
+        **by_family(last.to_dict(), truth, like),
+        "error_mm": error,
+        "fall": fall,
+        "frames": int(run.t_seen.size),
+        "sentence": last.sentence,
+        "ladder": last.to_dict()["error"],
+        "unexplained": last.to_dict()["unexplained"],
+        "seconds": round(seconds, 2),
+    }
 
 
 def off(model: Any, run: Run) -> float:
@@ -148,8 +177,14 @@ def off(model: Any, run: Run) -> float:
 
 
 def fallen(case: Kept, before: Any, after: Any) -> tuple[dict[str, float], float | None]:
-    """Return the errors (mm) on a run of another kind, and the share of the removable error that is gone."""
+    """Return the errors (mm) on a run of another kind, and the share of the removable error that is
+    gone.
+    """
     judge = case.run("judge")
-    error = {"before": off(before, judge), "after": off(after, judge), "floor": off(before, case.run("twin"))}
+    error = {
+        "before": off(before, judge),
+        "after": off(after, judge),
+        "floor": off(before, case.run("twin")),
+    }
     removable = error["before"] - error["floor"]
     return error, (error["before"] - error["after"]) / removable if removable > 0.05 else None

@@ -1,7 +1,8 @@
-"""Run our diagnosis and its peers on outside data with known answers; print one table (`make outside`).
+"""Run our diagnosis and its peers on outside data with known answers; print one table (`make
+outside`).
 
-`--out FOLDER` writes outside.json and outside.md there, `--page` docs/benchmarks/outside.md; `--only NAME` runs the
-sets whose name holds NAME. A set that is absent is skipped with its reason.
+`--out FOLDER` writes outside.json and outside.md there, `--page` docs/benchmarks/outside.md;
+`--only NAME` runs the sets whose name holds NAME. A set that is absent is skipped with its reason.
 """
 
 from __future__ import annotations
@@ -46,16 +47,21 @@ def main() -> int:
         cases[case.name] = case
         spent = time.process_time() - start
         print(
-            f"{case.name}: {rows[-1].answer.seconds:.0f} s of the processor for our answer, {spent:.0f} s for the row",
+            f"{case.name}: {rows[-1].answer.seconds:.0f} s of the processor for our answer, "
+            f"{spent:.0f} s for the row",
             flush=True,
         )
-    print("\n".join(["", *lines(rows), *(f"skipped: {name}, {why}" for name, why in skipped.items())]))
+    print(
+        "\n".join(["", *lines(rows), *(f"skipped: {name}, {why}" for name, why in skipped.items())])
+    )
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
         (args.out / "outside.json").write_text(document(rows, skipped), encoding="utf-8")
         (args.out / "outside.md").write_text("\n".join(lines(rows)) + "\n", encoding="utf-8")
     if args.page:
-        (ROOT / "docs/benchmarks/outside.md").write_text(page(rows, cases, skipped), encoding="utf-8")
+        (ROOT / "docs/benchmarks/outside.md").write_text(
+            page(rows, cases, skipped), encoding="utf-8"
+        )
     return 0
 
 
@@ -72,7 +78,9 @@ def _cases(only: str, skipped: dict[str, str]) -> Iterator[Case]:
 
 
 def _row(case: Case) -> Row:
-    """Return one row: our answer, the peers on the same model, the right law, each law of the library."""
+    """Return one row: our answer, the peers on the same model, the right law, each law of the
+    library.
+    """
     ours, model = answer(case)
     law = {} if case.law is None else case.law()
     return Row(
@@ -82,7 +90,9 @@ def _row(case: Case) -> Row:
         law_name=case.law_name,
         answer=ours,
         peers=peers(case, model) if case.moving else {},
-        law={name: error(case, case.held.get(name, case.fit), answer) for name, answer in law.items()},
+        law={
+            name: error(case, case.held.get(name, case.fit), answer) for name, answer in law.items()
+        },
         library=library_laws(case, model) if case.per_library_law else {},
     )
 

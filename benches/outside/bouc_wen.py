@@ -2,10 +2,10 @@
 
     r = u − m ÿ,  m = 2 kg;   r = k y + c ẏ + z,   ż = α ẏ − β (γ |ẏ| |z|^(ν−1) z + δ ẏ |z|^ν)
 
-ÿ comes from the FFT of the mean of the four estimation periods, without lines above `BAND_HZ` (they hold noise). The
-validation sets are not fitted: r is derived from their own displacement, for the sweep without `EDGE_S` at its ends.
-The structure rings at tens of Hz, and our effects have the pace of a finger, so a run counts `SLOWED` s for one of the
-log. Displacements are in mm, forces in N.
+ÿ comes from the FFT of the mean of the four estimation periods, without lines above `BAND_HZ` (they
+hold noise). The validation sets are not fitted: r is derived from their own displacement, for the
+sweep without `EDGE_S` at its ends. The structure rings at tens of Hz, and our effects have the pace
+of a finger, so a run counts `SLOWED` s for one of the log. Displacements are in mm, forces in N.
 """
 
 from __future__ import annotations
@@ -29,10 +29,14 @@ FRAMES = 2048  # of a run that are used
 
 def case(folder: Path) -> Case:
     """Return the case of the official files."""
-    force, displacement = (_signal(folder / f"{name}est_multisine.mat").reshape(-1, PERIOD) for name in "uy")
+    force, displacement = (
+        _signal(folder / f"{name}est_multisine.mat").reshape(-1, PERIOD) for name in "uy"
+    )
     fit = _run(force[-1], displacement.mean(axis=0), periodic=True)
     held = {
-        name: _run(*(_signal(folder / f"{x}val_{name}.mat") for x in "uy"), periodic=name == "multisine")
+        name: _run(
+            *(_signal(folder / f"{x}val_{name}.mat") for x in "uy"), periodic=name == "multisine"
+        )
         for name in ("multisine", "sinesweep")
     }
 
@@ -61,7 +65,9 @@ def _signal(file: Path) -> Floats:
 
 
 def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
-    """Return displacement and restoring force as a run; a periodic one is preceded by one complete period."""
+    """Return displacement and restoring force as a run; a periodic one is preceded by one complete
+    period.
+    """
     count = len(displacement)
     acceleration, fine = _derivative(displacement, periodic), _finer(displacement, periodic)
     restoring = force - MASS * acceleration
@@ -72,9 +78,14 @@ def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
     edge = 0 if periodic else int(EDGE_S * RATE_HZ)
     frames = np.unique(np.linspace(edge, count - 1 - edge, FRAMES).astype(int))
     return Run.of_outputs(
-        restoring[frames, None], "N", ["restoring force"], t=t, t_seen=(frames + start) * step,
-        command=1e3 * command[:, None], robot="bouc-wen",
-    )  # fmt: skip
+        restoring[frames, None],
+        "N",
+        ["restoring force"],
+        t=t,
+        t_seen=(frames + start) * step,
+        command=1e3 * command[:, None],
+        robot="bouc-wen",
+    )
 
 
 def _mirrored(x: Floats) -> Floats:
@@ -96,18 +107,24 @@ def _finer(x: Floats, periodic: bool) -> Floats:
     wave = x if periodic else _mirrored(x)
     lines = np.fft.rfft(wave)
     lines[np.fft.rfftfreq(len(wave), 1.0 / RATE_HZ) > BAND_HZ] = 0.0
-    fine = np.fft.irfft(np.concatenate([lines, np.zeros(len(wave) * FINER // 2 + 1 - len(lines))]), len(wave) * FINER)
+    fine = np.fft.irfft(
+        np.concatenate([lines, np.zeros(len(wave) * FINER // 2 + 1 - len(lines))]),
+        len(wave) * FINER,
+    )
     fine *= FINER
     return fine[: len(x) * FINER] + (
         0.0
         if periodic
-        else np.interp(np.arange(len(x) * FINER) / FINER, np.arange(len(x)), np.linspace(x[0], x[-1], len(x)))
+        else np.interp(
+            np.arange(len(x) * FINER) / FINER, np.arange(len(x)), np.linspace(x[0], x[-1], len(x))
+        )
     )
 
 
 # --- the law itself --------------------------------------------------------------------------
 def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
-    """Return the prediction of the benchmark's law, its six numbers fitted by least squares to the estimation run.
+    """Return the prediction of the benchmark's law, its six numbers fitted by least squares to the
+    estimation run.
 
     γ, δ, ν are searched, k, c, α solved for at each step.
     """
@@ -123,14 +140,20 @@ def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
         return np.asarray(a @ np.linalg.lstsq(a, seen, rcond=None)[0] - seen)
 
     best = least_squares(
-        off, [1.0, -1.0, 1.0], bounds=([0.01, -5.0, 0.6], [10.0, 5.0, 1.6]), diff_step=1e-3, max_nfev=20
+        off,
+        [1.0, -1.0, 1.0],
+        bounds=([0.01, -5.0, 0.6], [10.0, 5.0, 1.6]),
+        diff_step=1e-3,
+        max_nfev=20,
     )
     weights = np.linalg.lstsq(columns(fit, best.x), fit.outputs[:, 0], rcond=None)[0]
     return {name: (columns(run, best.x) @ weights)[:, None] for name, run in held.items()}
 
 
 def hysteresis(y: Floats, gamma: float, delta: float, power: float) -> Floats:
-    """Return ζ (T,) along a displacement y (T,) mm: dζ = dy − γ|dy||ζ|^(ν−1)ζ − δ dy|ζ|^ν, explicit midpoint."""
+    """Return ζ (T,) along a displacement y (T,) mm: dζ = dy − γ|dy||ζ|^(ν−1)ζ − δ dy|ζ|^ν, explicit
+    midpoint.
+    """
     found, zeta = np.empty(len(y)), 0.0
     for k, step in enumerate(np.diff(y, prepend=y[0]).tolist()):
         slope = _slope(zeta, step, gamma, delta, power)

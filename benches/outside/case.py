@@ -1,4 +1,6 @@
-"""The inputs of a row of the table: one data set, its runs, and the law that is known to be right."""
+"""The inputs of a row of the table: one data set, its runs, and the law that is known to be
+right.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,11 @@ from benches.data import ROOT
 from softmap_edge import Model, Run
 
 Floats = NDArray[np.float64]
-BLOCKS = "blocks of the run"  # the validation data where there is no other run: those of the diagnosis
+# the validation data where there is no other run: those of the diagnosis
+BLOCKS = "blocks of the run"
 
-Law = Callable[[], Mapping[str, Floats]]  # predictions of the right law, fitted by hand, on each held-out run (K, Q)
+# predictions of the right law, fitted by hand, on each held-out run (K, Q)
+Law = Callable[[], Mapping[str, Floats]]
 
 
 @dataclass(frozen=True)
@@ -27,9 +31,11 @@ class Case:
     Attributes:
         name: of the row.
         about: a paragraph for the page: the data, the known missing physics, omissions.
-        values: makes (K, Q) of markers (K, M, 3): the targets of peers and errors; outputs stay as they are.
+        values: makes (K, Q) of markers (K, M, 3): the targets of peers and errors; outputs stay as
+            they are.
         fit: the run that is learned from and diagnosed.
-        held: runs that only validate, by name; without one, the held-out blocks of the diagnosis are used.
+        held: runs that only validate, by name; without one, the held-out blocks of the diagnosis
+            are used.
         model: makes the model before the diagnosis.
         law: fits the right law by hand, in (K, Q) of `targets`; None where it is unknown.
         law_name: of that law.
@@ -70,8 +76,12 @@ def text(name: str, **numbers: object) -> str:
 
 
 def folder(name: str) -> Path | None:
-    """Return the folder of a data set: in the checkout's `data`, or `../shared/data`; None where it is absent."""
-    return next((p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None)
+    """Return the folder of a data set: in the checkout's `data`, or `../shared/data`; None where it
+    is absent.
+    """
+    return next(
+        (p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None
+    )
 
 
 def places(markers: Floats) -> Floats:
@@ -85,7 +95,9 @@ def along_x(markers: Floats) -> Floats:
 
 
 def targets(case: Case, run: Run) -> Floats:
-    """Return the measurements of a run, (K, Q): outputs in their unit, else the coordinates of the case."""
+    """Return the measurements of a run, (K, Q): outputs in their unit, else the coordinates of the
+    case.
+    """
     return run.outputs if run.output is not None else case.values(np.asarray(run.markers, float))
 
 
@@ -96,7 +108,8 @@ def predicted(case: Case, model: Model, run: Run) -> Floats:
 
 
 def error(case: Case, run: Run, answer: Floats) -> float:
-    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of the measurement, or mm.
+    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of the
+    measurement, or mm.
 
     In mm it is the RMS distance of the markers that were seen.
     """

@@ -1,4 +1,6 @@
-"""Machines whose memory was always present: a tendon-sheath joint at two bends (ViO-Com), a friction damper (ARTS)."""
+"""Machines whose memory was always present: a tendon-sheath joint at two bends (ViO-Com), a
+friction damper (ARTS).
+"""
 
 from __future__ import annotations
 
@@ -59,11 +61,21 @@ def arts(folder: Path) -> Case:
         free = play(u, x[0])
         rows = (u, stop(free, x[1]), stop(u, x[2]))
         now = [at_frames(run, row) for row in rows]
-        return np.column_stack([cubic(now[0] / 25.0), cubic(at_frames(run, free) / 25.0)[:, 1:], now[1], now[2]])
+        return np.column_stack(
+            [cubic(now[0] / 25.0), cubic(at_frames(run, free) / 25.0)[:, 1:], now[1], now[2]]
+        )
 
     def law() -> dict[str, Floats]:
         starts = [[5.0, 2.0, 2.0], [15.0, 5.0, 2.0], [2.0, 10.0, 4.0]]
-        return fitted(columns, fit, along_x(fit.markers), {"held": held}, starts, [0.0, 0.1, 0.1], [45.0, 25.0, 25.0])
+        return fitted(
+            columns,
+            fit,
+            along_x(fit.markers),
+            {"held": held},
+            starts,
+            [0.0, 0.1, 0.1],
+            [45.0, 25.0, 25.0],
+        )
 
     return Case(
         name="ARTS damper",

@@ -1,7 +1,8 @@
-"""Our answer on a data set: learned effects, effects named by the diagnosis, the held-out error before and after.
+"""Our answer on a data set: learned effects, effects named by the diagnosis, the held-out error
+before and after.
 
-Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so the row follows the
-product.
+Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so
+the row follows the product.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from softmap_edge import Model, Run, _core, diagnose
 
 Floats = NDArray[np.float64]
 
-MEMORY = ("reversal hysteresis", "delay", "slow drift", "slack")  # families whose laws are fitted one by one
+# families whose laws are fitted one by one
+MEMORY = ("reversal hysteresis", "delay", "slow drift", "slack")
 STARTS = (0.15, 0.5)  # of each number's range
 
 
@@ -54,27 +56,37 @@ def answer(case: Case) -> tuple[Answer, Model]:
     learned = [f"{label} {value:.3g}" for label, value in model.params.items()]
     learned += [f"unknown law of {one.family}" for one in model.learned_in if not one.name]
     chain = ", ".join(learned) or "no memory"
-    before = {name: error(case, run, predicted(case, model, run)) for name, run in case.held.items()}
+    before = {
+        name: error(case, run, predicted(case, model, run)) for name, run in case.held.items()
+    }
     if not case.diagnose:
         return Answer(chain, "–", "–", "–", before, before, time.process_time() - start), model
     found = diagnose(model, case.fit)
     document = found.to_dict()
-    after = {name: error(case, run, predicted(case, found.model, run)) for name, run in case.held.items()}
+    after = {
+        name: error(case, run, predicted(case, found.model, run)) for name, run in case.held.items()
+    }
     if not case.held:
         ladder = document["error"]
         before = {BLOCKS: float(ladder["model"])}
-        after = {BLOCKS: float(ladder["ladder"][-1]["value"] if ladder["ladder"] else ladder["model"])}
+        after = {
+            BLOCKS: float(ladder["ladder"][-1]["value"] if ladder["ladder"] else ladder["model"])
+        }
     said = [_named(row) for row in [*document["faults"], *document["effects"]]]
     families = ", ".join(str(row.get("name", row)) for row in document.get("families") or []) or "–"
     spent = time.process_time() - start
-    return Answer(chain, found.verdict, families, "; ".join(said) or "–", before, after, spent, document), model
+    return Answer(
+        chain, found.verdict, families, "; ".join(said) or "–", before, after, spent, document
+    ), model
 
 
 def _named(row: dict[str, Any]) -> str:
     """Return an entry of a diagnosis in a few words: its name, probability and numbers."""
     sure = row.get("probability")
     numbers = ", ".join(_number(label, value) for label, value in row["params"].items())
-    return f"{row['name']}{'' if sure is None else f' {sure:.2f}'}{f' ({numbers})' if numbers else ''}"
+    return (
+        f"{row['name']}{'' if sure is None else f' {sure:.2f}'}{f' ({numbers})' if numbers else ''}"
+    )
 
 
 def _number(label: str, value: dict[str, Any]) -> str:
@@ -83,10 +95,11 @@ def _number(label: str, value: dict[str, Any]) -> str:
 
 
 def library_laws(case: Case, model: Model) -> dict[str, dict[str, float]]:
-    """Return the held-out error of each memory law of the library with a refitted static map, by its name.
+    """Return the held-out error of each memory law of the library with a refitted static map, by
+    its name.
 
-    The output is a cubic of the command plus a cubic of the law's output; the law's numbers are fitted by least
-    squares.
+    The output is a cubic of the command plus a cubic of the law's output; the law's numbers are
+    fitted by least squares.
     """
     found = {"no law": _law_error(case, model, None)}
     for effect in _core.effects():
@@ -116,10 +129,17 @@ def _law_error(case: Case, model: Model, name: str | None) -> dict[str, float]:
         low, high = (np.asarray(getattr(chain, side), float) for side in ("low", "high"))
         tries = [
             least_squares(
-                off, low + share * (high - low), bounds=(low, high), x_scale=high - low, diff_step=1e-2, max_nfev=25
+                off,
+                low + share * (high - low),
+                bounds=(low, high),
+                x_scale=high - low,
+                diff_step=1e-2,
+                max_nfev=25,
             )
             for share in STARTS
         ]
         best = min(tries, key=lambda one: float(one.cost)).x
     weights = np.linalg.lstsq(columns(case.fit, best), seen, rcond=None)[0]
-    return {which: error(case, run, columns(run, best) @ weights) for which, run in case.held.items()}
+    return {
+        which: error(case, run, columns(run, best) @ weights) for which, run in case.held.items()
+    }

@@ -1,8 +1,9 @@
 """General methods on the same held-out runs, with the same run and model as our diagnosis.
 
-Each learns the error of the model on the run (seen − predicted) from the commands, at once or at several earlier times,
-and is validated in the same way. None sees a measured output of a held-out run, so every figure is one of simulation.
-Settings are the libraries' own unless named below; draws use `SEED`; everything runs on one thread.
+Each learns the error of the model on the run (seen − predicted) from the commands, at once or at
+several earlier times, and is validated in the same way. None sees a measured output of a held-out
+run, so every figure is one of simulation. Settings are the libraries' own unless named below; draws
+use `SEED`; everything runs on one thread.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from softmap_edge import Model, Run
 Floats = NDArray[np.float64]
 
 SEED = 1
-PROCESS_FRAMES, TUNED_ON = 800, 300  # frames for a Gaussian process to learn from, and to tune its kernel on
+# frames for a Gaussian process to learn from, and to tune its kernel on
+PROCESS_FRAMES, TUNED_ON = 800, 300
 HIDDEN, STEPS, RATE = 32, 400, 1e-2  # of the network: two layers, full batches
 STATES = 3  # components of the residual that SINDy integrates
 SPARSE, RIDGE = 1e-3, 1e-2  # threshold and ridge of SINDy, on scaled features
@@ -49,7 +51,8 @@ def peers(case: Case, model: Model) -> dict[str, dict[str, float]]:
     for name, way in ways.items():
         residual = way()
         found[name] = {
-            which: error(case, run, predicted(case, model, run) + residual[which]) for which, run in case.held.items()
+            which: error(case, run, predicted(case, model, run) + residual[which])
+            for which, run in case.held.items()
         }
     return found
 
@@ -60,29 +63,43 @@ def late(case: Case, run: Run, lags: tuple[int, ...]) -> Floats:
     return np.hstack([run.command_at(run.t_seen - lag * step) for lag in lags])
 
 
-def _lagged(case: Case, train: Floats, make: Callable[[Floats, Floats], Predict]) -> dict[str, Floats]:
+def _lagged(
+    case: Case, train: Floats, make: Callable[[Floats, Floats], Predict]
+) -> dict[str, Floats]:
     scaler = StandardScaler().fit(late(case, case.fit, case.lags))
     predict = make(scaler.transform(late(case, case.fit, case.lags)), train)
-    return {name: predict(scaler.transform(late(case, run, case.lags))) for name, run in case.held.items()}
+    return {
+        name: predict(scaler.transform(late(case, run, case.lags)))
+        for name, run in case.held.items()
+    }
 
 
 def _trees(x: Floats, y: Floats) -> Predict:
     """Gradient-boosted trees, one for each principal component of the residual."""
     parts = _components(y)
     scores = parts.transform(y)
-    models = [HistGradientBoostingRegressor(random_state=SEED).fit(x, column) for column in scores.T]
-    return lambda at: np.asarray(parts.inverse_transform(np.column_stack([m.predict(at) for m in models])))
+    models = [
+        HistGradientBoostingRegressor(random_state=SEED).fit(x, column) for column in scores.T
+    ]
+    return lambda at: np.asarray(
+        parts.inverse_transform(np.column_stack([m.predict(at) for m in models]))
+    )
 
 
 def _process(x: Floats, y: Floats) -> Predict:
     """A Gaussian process of one length scale, on a subset drawn with `SEED`."""
     order = np.random.default_rng(SEED).permutation(len(x))
-    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * RBF(3.0, (0.1, 100.0)) + WhiteKernel(1e-2, (1e-6, 1.0))
+    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * RBF(3.0, (0.1, 100.0)) + WhiteKernel(
+        1e-2, (1e-6, 1.0)
+    )
     some, all_ = order[:TUNED_ON], order[:PROCESS_FRAMES]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # a scale at its bound is still the best found
+        # a scale at its bound is still the best found
+        warnings.simplefilter("ignore", ConvergenceWarning)
         tuned = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[some], y[some]).kernel_
-    process = GaussianProcessRegressor(tuned, normalize_y=True, optimizer=None).fit(x[all_], y[all_])
+    process = GaussianProcessRegressor(tuned, normalize_y=True, optimizer=None).fit(
+        x[all_], y[all_]
+    )
     return lambda at: np.asarray(process.predict(at)).reshape(len(at), -1)
 
 
@@ -91,13 +108,21 @@ def _static(case: Case, train: Floats) -> dict[str, Floats]:
     torch.manual_seed(SEED)
     torch.set_num_threads(1)
     now = (0,)
-    scaler, scale = StandardScaler().fit(late(case, case.fit, now)), np.maximum(train.std(axis=0), 1e-12)
+    scaler, scale = (
+        StandardScaler().fit(late(case, case.fit, now)),
+        np.maximum(train.std(axis=0), 1e-12),
+    )
 
     def tensor(run: Run) -> torch.Tensor:
         return torch.as_tensor(scaler.transform(late(case, run, now)), dtype=torch.float64)
 
     x, y = tensor(case.fit), torch.as_tensor(train / scale, dtype=torch.float64)
-    layers = [torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Tanh(), torch.nn.Linear(HIDDEN, HIDDEN), torch.nn.Tanh()]
+    layers = [
+        torch.nn.Linear(x.shape[1], HIDDEN),
+        torch.nn.Tanh(),
+        torch.nn.Linear(HIDDEN, HIDDEN),
+        torch.nn.Tanh(),
+    ]
     net = torch.nn.Sequential(*layers, torch.nn.Linear(HIDDEN, y.shape[1])).double()
     optimiser = torch.optim.Adam(net.parameters(), RATE, weight_decay=1e-5)
     for _ in range(STEPS):
@@ -109,10 +134,12 @@ def _static(case: Case, train: Floats) -> dict[str, Floats]:
 
 
 def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
-    """A sparse polynomial map of the residual's next value: of itself, the command, its rate and |rate|.
+    """A sparse polynomial map of the residual's next value: of itself, the command, its rate and
+    |rate|.
 
-    The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in them. The map is
-    iterated from frame to frame and starts at the mean residual. Where it diverges, the mean residual is the answer.
+    The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in
+    them. The map is iterated from frame to frame and starts at the mean residual. Where it
+    diverges, the mean residual is the answer.
     """
     parts = _components(train)
     states = parts.transform(train)
@@ -121,7 +148,8 @@ def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
     taught = _memory(case.fit, case.fit.t_seen, step)
     spread = np.maximum(taught.std(axis=0), 1e-12)
     model = pysindy.DiscreteSINDy(
-        optimizer=pysindy.STLSQ(threshold=SPARSE, alpha=RIDGE), feature_library=pysindy.PolynomialLibrary(degree=2)
+        optimizer=pysindy.STLSQ(threshold=SPARSE, alpha=RIDGE),
+        feature_library=pysindy.PolynomialLibrary(degree=2),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # STLSQ warns where it drops every term
@@ -138,7 +166,10 @@ def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
                 return np.zeros((run.frames, len(size)))
         return np.stack([np.interp(run.t_seen, times, column) for column in rows.T], axis=1)
 
-    return {name: np.asarray(rolled(run) * size @ parts.components_ + parts.mean_) for name, run in case.held.items()}
+    return {
+        name: np.asarray(rolled(run) * size @ parts.components_ + parts.mean_)
+        for name, run in case.held.items()
+    }
 
 
 def _memory(run: Run, times: Floats, step: float) -> Floats:

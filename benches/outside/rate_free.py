@@ -1,4 +1,5 @@
-"""Play and stop, the two building blocks of memory, and least squares with a static map: laws by hand.
+"""Play and stop, the two building blocks of memory, and least squares with a static map: laws by
+hand.
 
 play_g(x): follows x with a total slack of g;   stop_s(x): follows x until it slips at ±s
 """
@@ -46,10 +47,16 @@ def at_frames(run: Run, rows: Floats, late: float = 0.0) -> Floats:
 
 
 def fitted(
-    columns: Columns, fit: Run, seen: Floats, held: Mapping[str, Run], starts: Sequence[Sequence[float]],
-    low: Sequence[float], high: Sequence[float],
-) -> dict[str, Floats]:  # fmt: skip
-    """Return predictions (K, Q) on held-out runs: numbers searched from several starts, weights solved for.
+    columns: Columns,
+    fit: Run,
+    seen: Floats,
+    held: Mapping[str, Run],
+    starts: Sequence[Sequence[float]],
+    low: Sequence[float],
+    high: Sequence[float],
+) -> dict[str, Floats]:
+    """Return predictions (K, Q) on held-out runs: numbers searched from several starts, weights
+    solved for.
 
     Args:
         columns: of a run and the searched numbers, (K, n).
@@ -65,7 +72,14 @@ def fitted(
 
     # laws of slips and gaps are not smooth: steps of half a percent
     tries = [
-        least_squares(off, start, bounds=(low, high), x_scale=np.subtract(high, low), diff_step=5e-3, max_nfev=40)
+        least_squares(
+            off,
+            start,
+            bounds=(low, high),
+            x_scale=np.subtract(high, low),
+            diff_step=5e-3,
+            max_nfev=40,
+        )
         for start in starts
     ]
     best = min(tries, key=lambda one: float(one.cost)).x

@@ -1,4 +1,6 @@
-"""Robots with measured missing physics: a trunk with 100 g, nine tendons that fall slack, a loaded beam."""
+"""Robots with measured missing physics: a trunk with 100 g, nine tendons that fall slack, a loaded
+beam.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +35,18 @@ def trunk(folder: Path) -> Case:
         return {"held": places(trunk_load.fit(model(), fit, ("payload", "offset")).predict(held))}
 
     return Case(
-        name="Trunk, 100 g", about=text("trunk"), values=places, fit=fit, held={"held": held}, model=model, law=law,
-        law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, then the offset",
+        name="Trunk, 100 g",
+        about=text("trunk"),
+        values=places,
+        fit=fit,
+        held={"held": held},
+        model=model,
+        law=law,
+        law_name="dead load and offset, 7 numbers",
+        unit="mm",
+        expected="dead load first, then the offset",
         lags=(0, 4, 8, 16),
-    )  # fmt: skip
+    )
 
 
 def tdcr(folder: Path) -> Case:
@@ -48,12 +58,18 @@ def tdcr(folder: Path) -> Case:
         return learned_model(fit, learn(fit, robot=robots[name]))
 
     return Case(
-        name="TDCR, nine tendons", about=text("tdcr"), values=places, fit=fit, held={"held": held},
+        name="TDCR, nine tendons",
+        about=text("tdcr"),
+        values=places,
+        fit=fit,
+        held={"held": held},
         model=cache(lambda: rod("elastic rod, two-sided")),
         law=lambda: {"held": places(rod("elastic rod, cables").predict(held))},
-        law_name="elastic rod with one-sided tendons", unit="mm", expected="slack, then an unresolved memory",
+        law_name="elastic rod with one-sided tendons",
+        unit="mm",
+        expected="slack, then an unresolved memory",
         lags=(0, 1, 2, 4),
-    )  # fmt: skip
+    )
 
 
 def beams(folder: Path) -> list[Case]:
@@ -76,7 +92,15 @@ def _beam(grams: float, run: Run, model: Callable[[], Model]) -> Case:
         return {BLOCKS: places(model().predict(replace(run, load=np.asarray(float(grams)))))}
 
     return Case(
-        name=f"Beam, {grams:g} g", about=text("beam", grams=f"{grams:g}"), values=places, fit=run, held={},
-        model=model, law=law, law_name=f"the model with {grams:g} g declared", unit="mm",
-        expected=f"ambiguous dead load, interval holds {grams:g} g", moving=False,
-    )  # fmt: skip
+        name=f"Beam, {grams:g} g",
+        about=text("beam", grams=f"{grams:g}"),
+        values=places,
+        fit=run,
+        held={},
+        model=model,
+        law=law,
+        law_name=f"the model with {grams:g} g declared",
+        unit="mm",
+        expected=f"ambiguous dead load, interval holds {grams:g} g",
+        moving=False,
+    )

@@ -22,7 +22,9 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Row:
-    """The results on one data set: our answer, and held-out errors of the others by their name and held-out run."""
+    """The results on one data set: our answer, and held-out errors of the others by their name and
+    held-out run.
+    """
 
     name: str
     unit: str
@@ -35,28 +37,53 @@ class Row:
 
 
 def document(rows: Sequence[Row], skipped: dict[str, str]) -> str:
-    """Return the figures as JSON; times are left out, so that the same figures give the same text."""
+    """Return the figures as JSON; times are left out, so that the same figures give the same
+    text.
+    """
     body = [_plain(asdict(row)) for row in rows]
     return (
-        json.dumps({"schema": SCHEMA, "softmap-edge": __version__, "rows": body, "skipped": skipped}, indent=1) + "\n"
+        json.dumps(
+            {"schema": SCHEMA, "softmap-edge": __version__, "rows": body, "skipped": skipped},
+            indent=1,
+        )
+        + "\n"
     )
 
 
 def _plain(row: dict) -> dict:
-    row["answer"] = {key: value for key, value in row["answer"].items() if key not in ("document", "seconds")}
+    row["answer"] = {
+        key: value for key, value in row["answer"].items() if key not in ("document", "seconds")
+    }
     return row
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
     """Return the table in Markdown, one line a held-out run."""
-    head = ["data", "held out", "unit", "our answer", "before", "after", *PEERS.values(), "right law by hand"]
+    head = [
+        "data",
+        "held out",
+        "unit",
+        "our answer",
+        "before",
+        "after",
+        *PEERS.values(),
+        "right law by hand",
+    ]
     found = [_line(head), _line(["---"] * 4 + ["---:"] * (len(head) - 4))]
     for row in rows:
         for k, (which, before) in enumerate(row.answer.before.items()):
             others = [_figure(row.peers.get(name, {}).get(which)) for name in PEERS]
-            first = [row.name, which, row.unit, _said(row.answer)] if k == 0 else ["", which, row.unit, ""]
+            first = (
+                [row.name, which, row.unit, _said(row.answer)]
+                if k == 0
+                else ["", which, row.unit, ""]
+            )
             after = row.answer.after[which] if row.answer.verdict != "–" else None
-            found.append(_line([*first, _figure(before), _figure(after), *others, _figure(row.law.get(which))]))
+            found.append(
+                _line(
+                    [*first, _figure(before), _figure(after), *others, _figure(row.law.get(which))]
+                )
+            )
     return found
 
 
@@ -73,14 +100,24 @@ def _line(cells: Sequence[str]) -> str:
 
 def _figure(value: float | None) -> str:
     """Return an error with three figures."""
-    return "–" if value is None else f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
+    return (
+        "–"
+        if value is None
+        else f"{value:.3f}"
+        if value < 1
+        else f"{value:.2f}"
+        if value < 10
+        else f"{value:.1f}"
+    )
 
 
 def page(rows: Sequence[Row], cases: dict[str, Case], skipped: dict[str, str]) -> str:
     """Return the page docs/benchmarks/outside.md."""
     found = text("page") + "\n\n" + "\n".join(lines(rows)) + "\n"
     if skipped:
-        found += "\nSkipped: " + "; ".join(f"{name} ({why})" for name, why in skipped.items()) + ".\n"
+        found += (
+            "\nSkipped: " + "; ".join(f"{name} ({why})" for name, why in skipped.items()) + ".\n"
+        )
     for row in rows:
         found += f"\n## {row.name}\n\n{cases[row.name].about}\n\n{_paragraph(row)}\n"
         if row.library:
@@ -102,7 +139,9 @@ def _library(row: Row) -> list[str]:
     names = list(row.answer.before)
     found = [_line(["law", *names]), _line(["---", *["---:"] * len(names)])]
     order = sorted(row.library, key=lambda name: row.library[name][names[0]])
-    return found + [_line([name, *(_figure(row.library[name][which]) for which in names)]) for name in order]
+    return found + [
+        _line([name, *(_figure(row.library[name][which]) for which in names)]) for name in order
+    ]
 
 
 def machine() -> str:

@@ -1,6 +1,7 @@
-"""The official cascaded-tanks benchmark: pump voltage in, level of the lower tank out. A table only, no diagnosis.
+"""The official cascaded-tanks benchmark: pump voltage in, level of the lower tank out. A table
+only, no diagnosis.
 
-ẋ₁ = −k₁ √x₁ + k₄ u,   ẋ₂ = k₂ √x₁ − k₃ √x₂ (+ k₅ u while x₁ = 10: the upper tank overflows),   y = x₂
+ẋ₁ = −k₁ √x₁ + k₄ u,  ẋ₂ = k₂ √x₁ − k₃ √x₂ (+ k₅ u while x₁ = 10: the upper tank overflows),  y = x₂
 """
 
 from __future__ import annotations
@@ -54,25 +55,33 @@ def case(folder: Path) -> Case:
 
 
 def fitted_levels(u: Floats, y: Floats, u_held: Floats, y_held: Floats) -> Floats:
-    """Return the level on held-out voltages: five flows and the start of the upper tank fitted to the first record.
+    """Return the level on held-out voltages: five flows and the start of the upper tank fitted to
+    the first record.
 
     The start of the held-out record is fitted to its first 50 samples, as the benchmark allows.
     """
     tries = [
         least_squares(
-            lambda x: levels(u, y[0], *x) - y, [flow, flow, flow, flow, 0.2 * flow, 5.0],
-            bounds=(0.0, [1.0] * 5 + [FULL]), max_nfev=60,
+            lambda x: levels(u, y[0], *x) - y,
+            [flow, flow, flow, flow, 0.2 * flow, 5.0],
+            bounds=(0.0, [1.0] * 5 + [FULL]),
+            max_nfev=60,
         )
         for flow in STARTS
-    ]  # fmt: skip
+    ]
     best = min(tries, key=lambda one: float(one.cost)).x
     first = least_squares(
-        lambda x: levels(u_held[:50], y_held[0], *best[:5], x[0]) - y_held[:50], [5.0], bounds=(0.0, FULL), max_nfev=30
+        lambda x: levels(u_held[:50], y_held[0], *best[:5], x[0]) - y_held[:50],
+        [5.0],
+        bounds=(0.0, FULL),
+        max_nfev=30,
     )
     return levels(u_held, y_held[0], *best[:5], float(first.x[0]))
 
 
-def levels(u: Floats, low: float, k1: float, k2: float, k3: float, k4: float, k5: float, high: float) -> Floats:
+def levels(
+    u: Floats, low: float, k1: float, k2: float, k3: float, k4: float, k5: float, high: float
+) -> Floats:
     """Return the lower level (T,) for voltages u (T,), from levels `high` and `low`."""
     found, step = np.empty(len(u)), STEP_S / SUBSTEPS
     for k, volts in enumerate(u.tolist()):

@@ -1,6 +1,8 @@
-//! Symmetric positive definite systems of B×B node blocks: pattern and symbolic analysis once, numeric factor many times.
+//! Symmetric positive definite systems of B×B node blocks: pattern and symbolic analysis once,
+//! numeric factor many times.
 //!
-//! B is 3 where forces couple the coordinates of a node, 1 where each coordinate has the same system.
+//! B is 3 where forces couple the coordinates of a node, 1 where each coordinate has the same
+//! system.
 
 use crate::error::{Result, invalid};
 use faer::Par;

@@ -1,5 +1,5 @@
-//! Points and vectors of three numbers in the base frame, and 3 × 3 matrices as their rows: the few operations that
-//! solids and rods share.
+//! Points and vectors of three numbers in the base frame, and 3 × 3 matrices as their rows: the few
+//! operations that solids and rods share.
 
 /// A point or vector in the base frame.
 pub type Vec3 = [f64; 3];

@@ -1,7 +1,9 @@
-//! The emergency stop beside the orders' own flag: a line of the computer, a heartbeat from another one, or both.
+//! The emergency stop beside the orders' own flag: a line of the computer, a heartbeat from another
+//! one, or both.
 //!
-//! Asked once a period, without waiting and without allocation. What cannot be read is pressed: a broken wire, a chip that is
-//! gone, a heart that does not beat. The guard does the rest (torque off at once, FAULT until acknowledged).
+//! Asked once a period, without waiting and without allocation. What cannot be read is pressed: a
+//! broken wire, a chip that is gone, a heart that does not beat. The guard does the rest (torque
+//! off at once, FAULT until acknowledged).
 
 use super::gpio::Line;
 use super::heartbeat::Heartbeat;
@@ -20,8 +22,8 @@ pub struct Button {
 }
 
 impl Button {
-    /// A contact that opens when pressed reads high then, by the pull-up, as does a broken wire; `pressed_low` is for one
-    /// that closes.
+    /// A contact that opens when pressed reads high then, by the pull-up, as does a broken wire;
+    /// `pressed_low` is for one that closes.
     pub fn new(line: Box<dyn Line + Send>, pressed_low: bool) -> Button {
         Button { line, pressed_low }
     }

@@ -1,8 +1,10 @@
-//! A line of a GPIO chip, by the character device of Linux (second ABI, kernel 5.10 and later) through `gpiocdev`.
+//! A line of a GPIO chip, by the character device of Linux (second ABI, kernel 5.10 and later)
+//! through `gpiocdev`.
 //!
-//! The line is asked for once, as an input with its pull-up, and is ours until it is dropped. Reading it is one call to the
-//! kernel: a register for pins of the processor; a chip behind I2C or SPI takes as long as its bus, use none for this.
-//! No test machine had a chip: what fails is pinned by files that are none, what follows from a level by `emergency.rs`.
+//! The line is asked for once, as an input with its pull-up, and is ours until it is dropped.
+//! Reading it is one call to the kernel: a register for pins of the processor; a chip behind I2C or
+//! SPI takes as long as its bus, use none for this. No test machine had a chip: what fails is
+//! pinned by files that are none, what follows from a level by `emergency.rs`.
 
 use gpiocdev::Request;
 use gpiocdev::line::{Bias, Value};
@@ -19,7 +21,8 @@ pub struct Gpio {
 }
 
 impl Gpio {
-    /// Ask for line `offset` of `chip` (`/dev/gpiochip0`), an input with its pull-up; or why that cannot be.
+    /// Ask for line `offset` of `chip` (`/dev/gpiochip0`), an input with its pull-up; or why that
+    /// cannot be.
     pub fn open(chip: &str, offset: u32) -> Result<Gpio, String> {
         let opened = || {
             let request = Request::builder()
@@ -34,8 +37,9 @@ impl Gpio {
         };
         opened().map_err(|fault: gpiocdev::Error| {
             format!(
-                "the emergency stop's line {offset} of {chip} cannot be had ({}); `gpioinfo` lists lines, mend [emergency] of \
-                 rig.toml, or the permission to open the chip (group gpio)",
+                "the emergency stop's line {offset} of {chip} cannot be had ({}); `gpioinfo` lists \
+                 lines, mend [emergency] of rig.toml, or the permission to open the chip (group \
+                 gpio)",
                 fault.to_string().trim_end_matches('.')
             )
         })

@@ -1,11 +1,14 @@
-//! A heartbeat from another computer over UDP: while it does not beat, the emergency stop is pressed.
+//! A heartbeat from another computer over UDP: while it does not beat, the emergency stop is
+//! pressed.
 //!
-//! A beat is BEAT bytes, little-endian: mark `SMB1`, flags (u8, 1: pressed), session (16 bytes), sequence number (u64), the
-//! sender's clock (u64 ns) and HMAC-SHA256 of all that under a shared key. The session is ours: to whoever signs rightly under
-//! another one it is offered (mark `SMC1`, session, HMAC) while no heart beats, and sequence numbers must rise within it. A
-//! heart that stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is as old as it has
-//! been here, plus by how much later it came than the quickest did; clocks need not agree. Whatever else arrives is dropped.
-//! Its other end is `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
+//! A beat is BEAT bytes, little-endian: mark `SMB1`, flags (u8, 1: pressed), session (16 bytes),
+//! sequence number (u64), the sender's clock (u64 ns) and HMAC-SHA256 of all that under a shared
+//! key. The session is ours: to whoever signs rightly under another one it is offered (mark `SMC1`,
+//! session, HMAC) while no heart beats, and sequence numbers must rise within it. A heart that
+//! stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is
+//! as old as it has been here, plus by how much later it came than the quickest did; clocks need
+//! not agree. Whatever else arrives is dropped. Its other end is
+//! `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
@@ -29,7 +32,8 @@ const MOST_AT_ONCE: usize = 16;
 /// One part in this many is what two clocks may part by.
 const DRIFT: u64 = 10_000;
 
-/// The newest beat: its number, ns at which it came, how much later than the quickest, and what it says.
+/// The newest beat: its number, ns at which it came, how much later than the quickest, and what it
+/// says.
 #[derive(Clone, Copy)]
 struct Beat {
     sequence: u64,
@@ -50,11 +54,13 @@ pub struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Listen at `host`:`port` for beats signed with `key`, one each `timeout` s at least; or why that cannot be.
+    /// Listen at `host`:`port` for beats signed with `key`, one each `timeout` s at least; or why
+    /// that cannot be.
     pub fn open(host: &str, port: u16, key: &[u8], timeout: f64) -> Result<Heartbeat, String> {
         let failed = |fault: &dyn std::fmt::Display| {
             format!(
-                "the heartbeat cannot be listened for at {host}:{port} ({fault}); give a free port of this computer"
+                "the heartbeat cannot be listened for at {host}:{port} ({fault}); give a free \
+                port of this computer"
             )
         };
         let socket = UdpSocket::bind((host, port)).map_err(|fault| failed(&fault))?;
@@ -140,7 +146,8 @@ impl Heartbeat {
         apart.saturating_sub(least).max(0) as u64
     }
 
-    /// Tell whoever has the key what to sign under; a failure is asked for again with the next beat.
+    /// Tell whoever has the key what to sign under; a failure is asked for again with the next
+    /// beat.
     fn offer(&self, to: SocketAddr) {
         let mut datagram = [0; OFFER];
         datagram[..4].copy_from_slice(&OFFER_MARK);

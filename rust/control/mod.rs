@@ -1,9 +1,12 @@
-//! The control loop as a process of its own: orders in through a pipe, reports out through another, servos at a port.
+//! The control loop as a process of its own: orders in through a pipe, reports out through another,
+//! servos at a port.
 //!
-//! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that does what may take long:
-//! it writes reports (and the recording) from a ring that the loop never waits for. When the orders' pipe closes, whoever
-//! sent them is gone: hold, slacken, torque off. SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too,
-//! torque off is sent last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and tests/robot/test_nobody_watches.py.
+//! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that
+//! does what may take long: it writes reports (and the recording) from a ring that the loop never
+//! waits for. When the orders' pipe closes, whoever sent them is gone: hold, slacken, torque off.
+//! SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too, torque off is sent
+//! last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and
+//! tests/robot/test_nobody_watches.py.
 
 pub mod emergency;
 pub mod gpio;
@@ -34,7 +37,8 @@ use pipe::PipeMailbox;
 use recording::Recording;
 use report::{Last, Reporter, Ring};
 
-/// ms after which a servo stops by itself when it hears nothing: several periods, and well before anybody would wait.
+/// ms after which a servo stops by itself when it hears nothing: several periods, and well before
+/// anybody would wait.
 const WATCHDOG: f64 = 100.0;
 /// Entries that the reporting thread may lag behind: seconds, at any rate.
 const RING: usize = 4096;
@@ -55,7 +59,8 @@ pub struct Setup {
     pub record: Option<(PathBuf, String)>,
 }
 
-/// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must be proved anew.
+/// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must
+/// be proved anew.
 pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<bool> {
     let servos = setup.members.len();
     if servos != setup.limits.axes.len() {
@@ -160,7 +165,8 @@ fn patiently<T>(
     answer
 }
 
-/// Refuse servos that are not what they are said to be, or whose torque is on; whether all can answer in one packet.
+/// Refuse servos that are not what they are said to be, or whose torque is on; whether all can
+/// answer in one packet.
 fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
@@ -187,13 +193,15 @@ fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
         let offset = model.layout().homing_offset.address as usize;
         if torque[0] != 0 {
             return Err(invalid(format!(
-                "servo {id} has torque already: another program drives it, or one died; `softmap servo off` releases it"
+                "servo {id} has torque already: another program drives it, or one died; `softmap \
+                servo off` releases it"
             )));
         }
         let mode = head[model.layout().operating_mode.address as usize];
         if mode != model.driven_in() || head[offset..offset + 4] != [0; 4] {
             return Err(invalid(format!(
-                "servo {id} is in mode {mode} with homing offset {:?}, expected mode {} and none; run `softmap servo setup`",
+                "servo {id} is in mode {mode} with homing offset {:?}, expected mode {} and none; \
+                run `softmap servo setup`",
                 i32::from_le_bytes([
                     head[offset],
                     head[offset + 1],

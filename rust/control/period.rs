@@ -1,6 +1,7 @@
 //! One period of the loop in words: what a report and a recording both say of it.
 //!
-//! JSON: what was not heard and what is not finite is null, numbers are written in full. Pinned by tests/robot/test_recording.py.
+//! JSON: what was not heard and what is not finite is null, numbers are written in full. Pinned by
+//! tests/robot/test_recording.py.
 
 use std::fmt::Debug;
 

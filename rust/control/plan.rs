@@ -1,7 +1,9 @@
-//! Commands of the finger to ticks of its servos: ticks = home + A⁻¹ (u − b), the calibration's own map.
+//! Commands of the finger to ticks of its servos: ticks = home + A⁻¹ (u − b), the calibration's own
+//! map.
 //!
-//! With a chain of effects, commands are what should act: the chain, which has seen every tick that was really sent, is inverted
-//! first (`inverse/chain.rs`), but for commands far beyond its bounds, which the guard has to see as they are.
+//! With a chain of effects, commands are what should act: the chain, which has seen every tick that
+//! was really sent, is inverted first (`inverse/chain.rs`), but for commands far beyond its bounds,
+//! which the guard has to see as they are.
 
 use softmap_servo::control::Plan;
 use softmap_servo::guard::MOST_SERVOS;
@@ -21,7 +23,8 @@ pub struct Map {
 }
 
 impl Map {
-    /// `slope` A (C, C) mm a tick, `b` (C,) mm, `home` (C,) ticks; `period` s is how long a command lasts.
+    /// `slope` A (C, C) mm a tick, `b` (C,) mm, `home` (C,) ticks; `period` s is how long a command
+    /// lasts.
     pub fn new(
         slope: Vec<f64>,
         b: Vec<f64>,
@@ -35,7 +38,8 @@ impl Map {
             .all(|numbers| numbers.iter().all(|v| v.is_finite()));
         if slope.len() != count * count || home.len() != count || count > MOST_SERVOS || !finite {
             return Err(invalid(format!(
-                "a map of {} numbers, {count} shifts and {} homes; expected C², C and C finite numbers, C at most {MOST_SERVOS}",
+                "a map of {} numbers, {count} shifts and {} homes; expected C², C and C finite \
+                numbers, C at most {MOST_SERVOS}",
                 slope.len(),
                 home.len()
             )));
@@ -157,7 +161,8 @@ mod tests {
         assert!(Map::new(vec![0.0; 4], vec![0.0; 2], vec![0.0; 2], None, 0.01).is_err());
     }
 
-    /// What acts when a slow figure is asked for, through ticks that are whole: the worst error, mm.
+    /// What acts when a slow figure is asked for, through ticks that are whole: the worst error,
+    /// mm.
     #[test]
     fn through_a_play_what_acts_is_what_was_asked_to_a_tick() {
         let truth = Chain::new(&["backlash".to_string()], 2).unwrap();

@@ -11,16 +11,16 @@ pub fn warnings() -> Vec<String> {
     let mut said = vec![];
     if !urgent(PRIORITY) {
         said.push(
-            "no real-time priority: periods may begin late while the computer is busy; allow it with `rtprio 50` for \
-             your user in /etc/security/limits.d"
+            "no real-time priority: periods may begin late while the computer is busy; allow it \
+             with `rtprio 50` for your user in /etc/security/limits.d"
                 .to_owned(),
         );
     }
     urgent(0);
     if mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).is_err() {
         said.push(
-            "memory is not locked: a period may wait for the disk; allow it with `memlock unlimited` for your user in \
-             /etc/security/limits.d"
+            "memory is not locked: a period may wait for the disk; allow it with `memlock \
+             unlimited` for your user in /etc/security/limits.d"
                 .to_owned(),
         );
     }

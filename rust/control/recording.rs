@@ -1,9 +1,11 @@
-//! A recording of the loop: plain MCAP, a JSON message a period, that a cut of power leaves readable to its last second.
+//! A recording of the loop: plain MCAP, a JSON message a period, that a cut of power leaves
+//! readable to its last second.
 //!
-//! Topic `/setup`, once: what the loop was made of. Topic `/loop`, a period: all that the guard was told and what it said,
-//! so that a recording replays bit for bit (numbers are written in full; what is not finite is null, which the guard
-//! refuses alike). No chunks and no compression: a file cut anywhere gives every message before the cut.
-//! Source of the format: MCAP, Foxglove, https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and tests/robot/test_live.py.
+//! Topic `/setup`, once: what the loop was made of. Topic `/loop`, a period: all that the guard was
+//! told and what it said, so that a recording replays bit for bit (numbers are written in full;
+//! what is not finite is null, which the guard refuses alike). No chunks and no compression: a file
+//! cut anywhere gives every message before the cut. Source of the format: MCAP, Foxglove,
+//! https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and tests/robot/test_live.py.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -147,7 +149,8 @@ impl Reading {
         self.ended
     }
 
-    /// Add to `found` the messages that are whole and new; an error where what follows them is damaged.
+    /// Add to `found` the messages that are whole and new; an error where what follows them is
+    /// damaged.
     pub fn more(&mut self, found: &mut Vec<Message>) -> Result<()> {
         let damaged = |fault: McapError| match fault {
             McapError::BadMagic => {
@@ -190,7 +193,8 @@ impl Reading {
                                 && last.wrapping_add(1) != number
                             {
                                 break format!(
-                                    "damaged (after message {last} of {topic} comes {number}); record again"
+                                    "damaged (after message {last} of {topic} comes {number}); \
+                                    record again"
                                 );
                             }
                             found.push((topic.clone(), header.log_time, data.into_owned()));

@@ -1,7 +1,9 @@
-//! What the loop did, out of a ring to whoever reads the reports: a JSON document a line, some thirty a second.
+//! What the loop did, out of a ring to whoever reads the reports: a JSON document a line, some
+//! thirty a second.
 //!
-//! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and voltage; what was refused
-//! or denied at once; at the end how late periods began and how old commands were.
+//! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and
+//! voltage; what was refused or denied at once; at the end how late periods began and how old
+//! commands were.
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
@@ -28,7 +30,8 @@ const LOOK: Duration = Duration::from_millis(5);
 /// ns between two reports while nothing changes.
 const OFTEN: u64 = 33_000_000;
 
-/// How long a loop in simulated time waits for a report: a disk may be slow, and a thread that failed reports nothing.
+/// How long a loop in simulated time waits for a report: a disk may be slow, and a thread that
+/// failed reports nothing.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// How far the reporting thread is.
@@ -37,7 +40,8 @@ pub struct Progress {
     handled: Arc<AtomicU64>,
 }
 
-/// The loop's end of the ring; what does not fit is counted. With `progress` each entry is reported before the next begins.
+/// The loop's end of the ring; what does not fit is counted. With `progress` each entry is reported
+/// before the next begins.
 pub struct Ring {
     sender: rtrb::Producer<Entry>,
     lost: u64,

@@ -1,11 +1,13 @@
-//! Anchor slip: at some instant a knot or a clamp gives way, and from then on one cable of the pair is longer.
+//! Anchor slip: at some instant a knot or a clamp gives way, and from then on one cable of the pair
+//! is longer.
 //!
-//! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample and lasts
-//! `width·at`. The cable that pulls against s is longer by |s|; what that does to the command is in `pair.rs`: `taut` 0 for
-//! cables that only pull and hang loose at home, 1 for a pair that is held taut or takes compression, where the whole
-//! channel is shifted. An instant has no slope to follow, and how long a record is is not known to an effect; so the ramp
-//! begins as wide as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip per
-//! channel. Limit: one slip; several are several ramps that one of them averages.
+//! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample
+//! and lasts `width·at`. The cable that pulls against s is longer by |s|; what that does to the
+//! command is in `pair.rs`: `taut` 0 for cables that only pull and hang loose at home, 1 for a pair
+//! that is held taut or takes compression, where the whole channel is shifted. An instant has no
+//! slope to follow, and how long a record is is not known to an effect; so the ramp begins as wide
+//! as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip
+//! per channel. Limit: one slip; several are several ramps that one of them averages.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -18,9 +20,12 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "x = u + s  where the longer cable pulls, u + taut · s  where the other does, s = slip · min(max((t − t₀ − at) / (width · at) + ½, 0), 1)",
-        doc: "A knot, a clamp or a crimp gives way under load once: that tendon is longer ever after.",
-        signature: "All is well up to one instant; after it one side is shifted by a constant; home and the other side as far as the pair is taut.",
+        formula: "x = u + s  where the longer cable pulls, u + taut · s  where the other does, s = \
+            slip · min(max((t − t₀ − at) / (width · at) + ½, 0), 1)",
+        doc: "A knot, a clamp or a crimp gives way under load once: that tendon is longer ever \
+            after.",
+        signature: "All is well up to one instant; after it one side is shifted by a constant; \
+            home and the other side as far as the pair is taut.",
         reference: "Ramp of a share of its own time, our choice; a step in the limit.",
         experiment: ("home at the start, in between and at the end", 0.5),
         alike: &[],

@@ -1,7 +1,8 @@
 //! Asymmetry: a pull of one sign bends more than the same pull of the other.
 //!
-//! `y = x·(1 + excess·sign(x))`, per channel, without memory; continuous, with a kink at zero. To first order the part
-//! of a static map that is even in the command, which gain and offset cannot make together.
+//! `y = x·(1 + excess·sign(x))`, per channel, without memory; continuous, with a kink at zero. To
+//! first order the part of a static map that is even in the command, which gain and offset cannot
+//! make together.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -13,9 +14,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Material,
         kind: Kind::Effect,
         formula: "y = x · (1 + excess · sign(x))",
-        doc: "The body or its pair of tendons is not the same on both sides: a wall of another thickness, guides at \
-              unequal distances.",
-        signature: "Static and even in the command: too much bend on one side, too little on the other, nothing at home.",
+        doc: "The body or its pair of tendons is not the same on both sides: a wall of another \
+              thickness, guides at unequal distances.",
+        signature: "Static and even in the command: too much bend on one side, too little on the \
+            other, nothing at home.",
         reference: "Even part of a static map, by its piecewise linear form.",
         experiment: ("both signs of every channel, at least three levels", 1.0),
         alike: &[],

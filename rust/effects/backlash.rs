@@ -1,8 +1,10 @@
-//! Backlash: free play in the transmission; after a reversal nothing moves until the play is used up.
+//! Backlash: free play in the transmission; after a reversal nothing moves until the play is used
+//! up.
 //!
-//! The play operator `y = clamp(y, u − gap/2, u + gap/2)`, `gap` the full free play of each channel, mm. Memory starts
-//! centred, `y = u`. Exact for commands that are monotonic between samples. gap ≤ 0 is no play.
-//! Source: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
+//! The play operator `y = clamp(y, u − gap/2, u + gap/2)`, `gap` the full free play of each
+//! channel, mm. Memory starts centred, `y = u`. Exact for commands that are monotonic between
+//! samples. gap ≤ 0 is no play. Source: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with
+//! Hysteresis (1989).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,10 +16,13 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Transmission,
         kind: Kind::Effect,
         formula: "y = clamp(y, x − gap/2, x + gap/2)",
-        doc: "Free play of gears, clutches and knots: the tendon follows its drive only outside a dead zone that the motion \
-              drags along. Constant dry friction behind an elastic tendon draws the same loop.",
-        signature: "A loop of constant width between loading and unloading; no motion at all just after a reversal.",
-        reference: "Play operator: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989.",
+        doc: "Free play of gears, clutches and knots: the tendon follows its drive only outside a \
+              dead zone that the motion drags along. Constant dry friction behind an elastic \
+              tendon draws the same loop.",
+        signature: "A loop of constant width between loading and unloading; no motion at all just \
+            after a reversal.",
+        reference: "Play operator: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, \
+            Springer 1989.",
         experiment: ("small loops at two offsets", 1.5),
         alike: &[],
         needs: &[],

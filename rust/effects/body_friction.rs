@@ -1,13 +1,15 @@
-//! Body friction: cables that rub along the body, so that its shape depends on the direction of motion.
+//! Body friction: cables that rub along the body, so that its shape depends on the direction of
+//! motion.
 //!
-//! Friction reduces the tension of a cable towards the tip while it is drawn in, and raises it while it is paid out. So
-//! the same command gives more bend near the base while the finger is loaded, and more near the tip while it is
-//! unloaded: `ln E(s) = ln E₀ + amount·l·(s − ½)`, `l = Σ z_c·u_c/|u|`, a stiffness gradient that changes with the
-//! direction. `z_c` is a relay of each effective command, smoothed by a stop operator: `s_c ← clamp(s_c + Δu_c,
-//! ±width)`, `z_c = s_c/width`. It is 1 while the channel is loaded, and −1 after a reversal of twice `width`. Memory
-//! starts relaxed, `z_c = 0`. Units: mm. A delay or a play of the command cannot express this effect, because it acts
-//! along the body, not in time. The relay belongs to the shape: inverse kinematics ignores it (z = 0), so the control
-//! loop does not compensate this effect.
+//! Friction reduces the tension of a cable towards the tip while it is drawn in, and raises it
+//! while it is paid out. So the same command gives more bend near the base while the finger is
+//! loaded, and more near the tip while it is unloaded: `ln E(s) = ln E₀ + amount·l·(s − ½)`, `l = Σ
+//! z_c·u_c/|u|`, a stiffness gradient that changes with the direction. `z_c` is a relay of each
+//! effective command, smoothed by a stop operator: `s_c ← clamp(s_c + Δu_c, ±width)`, `z_c =
+//! s_c/width`. It is 1 while the channel is loaded, and −1 after a reversal of twice `width`.
+//! Memory starts relaxed, `z_c = 0`. Units: mm. A delay or a play of the command cannot express
+//! this effect, because it acts along the body, not in time. The relay belongs to the shape:
+//! inverse kinematics ignores it (z = 0), so the control loop does not compensate this effect.
 //! Limit: one gradient along the body explains 58 % of the effect of capstan friction on a rod.
 //! Source of the relay: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
 
@@ -20,12 +22,14 @@ pub static EFFECT: Effect = Effect {
         family: "reversal hysteresis",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "ln E(s) = ln E₀ + amount · Σ z_c u_c/|u| · (s − 1/2),  z = s/width,  s = clamp(s + Δu, ±width)  on stiff_0 … stiff_6",
-        doc: "Cables rub along the body: while they are drawn in, the tension falls towards the tip; while they are paid out, the \
-              tip keeps it.",
-        signature: "A loop between loading and unloading in the shape, not in the command: more bend at the base while loading, \
-                    more at the tip while unloading.",
-        reference: "Tendon friction along a body: Kato and others, IEEE/ASME Trans. Mechatronics 21 (2016) 2209; play and stop: Krasnosel'skii and Pokrovskii 1989.",
+        formula: "ln E(s) = ln E₀ + amount · Σ z_c u_c/|u| · (s − 1/2),  z = s/width,  s = clamp(s \
+            + Δu, ±width)  on stiff_0 … stiff_6",
+        doc: "Cables rub along the body: while they are drawn in, the tension falls towards the \
+              tip; while they are paid out, the tip keeps it.",
+        signature: "A loop between loading and unloading in the shape, not in the command: more \
+                    bend at the base while loading, more at the tip while unloading.",
+        reference: "Tendon friction along a body: Kato and others, IEEE/ASME Trans. Mechatronics \
+            21 (2016) 2209; play and stop: Krasnosel'skii and Pokrovskii 1989.",
         experiment: ("full range up and back, points all along the body", 1.5),
         alike: &[],
         needs: &[],

@@ -1,8 +1,9 @@
-//! Camera drift: the frame of the cameras creeps away during the run; a fault of the measurement, not of the robot.
+//! Camera drift: the frame of the cameras creeps away during the run; a fault of the measurement,
+//! not of the robot.
 //!
-//! `p = R(turn·m)·p + shift·m` about the origin of the base, `m` the minutes since the first frame that is seen, where
-//! all is as it should be; `R` as in `mount.rs`. Directions only turn. Limit: steady drift; a knock is a mount of its
-//! own from then on.
+//! `p = R(turn·m)·p + shift·m` about the origin of the base, `m` the minutes since the first frame
+//! that is seen, where all is as it should be; `R` as in `mount.rs`. Directions only turn. Limit:
+//! steady drift; a knock is a mount of its own from then on.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -23,8 +24,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Sensing,
         kind: Kind::Fault,
         formula: "p = R(turn · m) · p + shift · m,  m minutes since the first frame seen",
-        doc: "A camera or the clamp of the robot sags or is pulled by its cable: the measured frame moves slowly.",
-        signature: "Rigid error that grows with time from nothing, whatever is commanded: even the clamped base moves.",
+        doc: "A camera or the clamp of the robot sags or is pulled by its cable: the measured \
+            frame moves slowly.",
+        signature: "Rigid error that grows with time from nothing, whatever is commanded: even the \
+            clamped base moves.",
         reference: "Rotation vector by Rodrigues’ formula, linear in time.",
         experiment: (
             "home and points near the base at the start, in between and at the end",

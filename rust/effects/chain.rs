@@ -1,7 +1,9 @@
-//! A chain of effects in stage order: its numbers, one sample at a time, loads, what is seen; `chain_record.rs`: records.
+//! A chain of effects in stage order: its numbers, one sample at a time, loads, what is seen;
+//! `chain_record.rs`: records.
 //!
-//! The chain is feed-forward, so a record is evaluated effect by effect, each over all its samples. A state slice holds
-//! whether it has seen a time, that time, then the memory of every effect in order; it is all there is to remember.
+//! The chain is feed-forward, so a record is evaluated effect by effect, each over all its samples.
+//! A state slice holds whether it has seen a time, that time, then the memory of every effect in
+//! order; it is all there is to remember.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -29,7 +31,8 @@ pub struct Chain {
     remembered: usize,
 }
 
-/// No tendon robot has more; beyond, a count is a mistake that would ask for all the memory there is.
+/// No tendon robot has more; beyond, a count is a mistake that would ask for all the memory there
+/// is.
 const MAX_CHANNELS: usize = 256;
 
 /// The head of a state: 1 once a sample has been seen, and its time.
@@ -40,7 +43,8 @@ impl Chain {
     pub fn new(names: &[String], channels: usize) -> Result<Chain> {
         if channels > MAX_CHANNELS {
             return Err(invalid(format!(
-                "a chain for {channels} channels; 0 to {MAX_CHANNELS} are allowed, so check the robot's command"
+                "a chain for {channels} channels; 0 to {MAX_CHANNELS} are allowed, so check the \
+                robot's command"
             )));
         }
         for (i, name) in names.iter().enumerate() {
@@ -143,7 +147,8 @@ impl Chain {
             .collect()
     }
 
-    /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any other is its own group.
+    /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any
+    /// other is its own group.
     pub fn tie(&self) -> Vec<usize> {
         let (mut groups, mut next) = (Vec::with_capacity(self.width), 0);
         for parameter in self
@@ -158,8 +163,8 @@ impl Chain {
         groups
     }
 
-    /// Parameters (B, P) of sets with one number for each shared parameter, (B, G): one for each group of
-    /// [`Chain::tie`].
+    /// Parameters (B, P) of sets with one number for each shared parameter, (B, G): one for each
+    /// group of [`Chain::tie`].
     pub fn spread(&self, params: &[f64], groups: usize) -> Vec<f64> {
         let tie = self.tie();
         let sets = params.chunks_exact(groups.max(1));
@@ -192,8 +197,8 @@ impl Chain {
         self.remembered
     }
 
-    /// The first parameters, which determine the effective commands and the memory: those of channel effects, which
-    /// come first in stage order, and of shape effects with a memory.
+    /// The first parameters, which determine the effective commands and the memory: those of
+    /// channel effects, which come first in stage order, and of shape effects with a memory.
     pub fn acting_width(&self) -> usize {
         let acts = |link: &&Link| {
             link.effect.law.role() == "channel" || matches!(link.effect.law, Law::Remembering(_))
@@ -209,16 +214,22 @@ impl Chain {
         })
     }
 
-    /// Refuse what goes sample by sample where a user's effect maps whole records only. A control loop asks this first.
+    /// Refuse what goes sample by sample where a user's effect maps whole records only. A control
+    /// loop asks this first.
     pub fn stepwise(&self) -> Result<()> {
         let whole = |link: &&Link| matches!(link.effect.law, Law::Record(_));
         let name = |link: &Link| link.effect.declaration.name;
-        self.links.iter().find(whole).map(name).map_or(Ok(()), |name| {
-            Err(invalid(format!(
-                "'{name}' is a Python effect: it maps whole records and has no state to start, step or continue, so not \
-                 in the control loop; write it in Rust, see docs/do/own_effect.md"
-            )))
-        })
+        self.links
+            .iter()
+            .find(whole)
+            .map(name)
+            .map_or(Ok(()), |name| {
+                Err(invalid(format!(
+                    "'{name}' is a Python effect: it maps whole records and has no state to start, \
+                 step or continue, so not in the control loop; write it in Rust, see \
+                 docs/do/own_effect.md"
+                )))
+            })
     }
 
     /// The state in equilibrium with `u` (C,) held forever.
@@ -229,7 +240,8 @@ impl Chain {
         Ok(state)
     }
 
-    /// The same in the caller's room: `x` (C,) held forever is changed to what acts then, `state` is that equilibrium.
+    /// The same in the caller's room: `x` (C,) held forever is changed to what acts then, `state`
+    /// is that equilibrium.
     pub fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
         state.fill(0.0);
         for (link, law) in self.channel_links() {
@@ -286,8 +298,8 @@ impl Chain {
         Ok(params.len() / self.width)
     }
 
-    /// Coefficients that the shape effects add at the effective command `u` (C,) with the memory `remembered` (M,), in
-    /// one context.
+    /// Coefficients that the shape effects add at the effective command `u` (C,) with the memory
+    /// `remembered` (M,), in one context.
     pub fn coefficients(
         &self,
         params: &[f64],
@@ -310,7 +322,8 @@ impl Chain {
         out
     }
 
-    /// Each coefficient (a field, [`TENDON`] or [`CONTACT`]) that a shape effect of the chain uses, with the effect's name.
+    /// Each coefficient (a field, [`TENDON`] or [`CONTACT`]) that a shape effect of the chain uses,
+    /// with the effect's name.
     pub fn fields(&self) -> Vec<(usize, &'static str)> {
         let mut used = vec![];
         for link in &self.links {

@@ -1,4 +1,5 @@
-//! Whole records through a chain, for many parameter sets at once: what acts at every sample, or at the seen times only.
+//! Whole records through a chain, for many parameter sets at once: what acts at every sample, or at
+//! the seen times only.
 
 use super::{Chain, HEAD, Link};
 use crate::effects::conditions::Conditions;
@@ -36,7 +37,8 @@ impl Reader<'_> {
 }
 
 impl Chain {
-    /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium with `held` (C,).
+    /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium
+    /// with `held` (C,).
     fn advance(
         &self,
         params: &[f64],
@@ -93,10 +95,11 @@ impl Chain {
         Ok(())
     }
 
-    /// What acts, (B, T, C), for parameters (B, P) on the commands `u` (T, C); sets run in parallel.
+    /// What acts, (B, T, C), for parameters (B, P) on the commands `u` (T, C); sets run in
+    /// parallel.
     ///
-    /// `states` (B, S) are read and left where the record ends; empty, they begin in equilibrium with `u[0]` and are
-    /// filled. All states of a batch must have been left at one time.
+    /// `states` (B, S) are read and left where the record ends; empty, they begin in equilibrium
+    /// with `u[0]` and are filled. All states of a batch must have been left at one time.
     pub fn rollout(
         &self,
         params: &[f64],
@@ -156,9 +159,9 @@ impl Chain {
         Ok(out)
     }
 
-    /// Effective commands and the memory of the shape effects, (B, K, C + M), from equilibrium with `u[0]`: for each
-    /// set at its own K `places`, each a sample and the share of the way to the next one. Sets whose first effects have
-    /// the same numbers share the computation of these.
+    /// Effective commands and the memory of the shape effects, (B, K, C + M), from equilibrium with
+    /// `u[0]`: for each set at its own K `places`, each a sample and the share of the way to the
+    /// next one. Sets whose first effects have the same numbers share the computation of these.
     pub fn acting(
         &self,
         params: &[f64],
@@ -187,8 +190,8 @@ impl Chain {
         Ok(out)
     }
 
-    /// Take a record, and the value it is held at before, through the effects `left`, for each of `sets`; `remembered`
-    /// is the memory of the shape effects before them, (T, M) each.
+    /// Take a record, and the value it is held at before, through the effects `left`, for each of
+    /// `sets`; `remembered` is the memory of the shape effects before them, (T, M) each.
     fn branch(
         &self,
         left: &[Link],

@@ -43,8 +43,8 @@ proptest! {
         let t: Vec<f64> = gaps.iter().scan(0.0, |sum, gap| { *sum += gap; Some(*sum) }).collect();
         let p = params(&chain, |p| p.low + share * (p.high - p.low));
         let out = chain.rollout(&p, &u, &mut world(t), &mut vec![]).unwrap();
-        // Offset 4 mm, gain 1.3, a pulley 6 mm, play 2 mm, coupling 1.3, routing 1.4, a slip 4 mm, held back 0.7·6.25 mm;
-        // creep, softening and asymmetry 1.5, 1.5, 1.4.
+        // Offset 4 mm, gain 1.3, a pulley 6 mm, play 2 mm, coupling 1.3, routing 1.4, a slip 4 mm,
+        // held back 0.7·6.25 mm; creep, softening and asymmetry 1.5, 1.5, 1.4.
         let most = ((34.0 * 1.3 + 6.0 + 2.0) * 1.3 * 1.4 + 4.0 + 4.5) * 1.5 * 1.5 * 1.4;
         prop_assert!(out.iter().all(|x| x.abs() <= most));
     }

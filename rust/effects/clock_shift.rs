@@ -1,8 +1,10 @@
-//! Clock shift: the clock of the cameras is not that of the drive; a fault of the measurement, not of the robot.
+//! Clock shift: the clock of the cameras is not that of the drive; a fault of the measurement, not
+//! of the robot.
 //!
-//! A frame that is stamped t shows what was at `t − late`: commands, loads and all. Either sign; a late stamp looks
-//! like `latency`, and nothing that a run holds can tell them apart, while an early one is no latency. s. Frames before
-//! the first sample show the first command. Limit: one shift for the whole run; clocks that drift apart are none.
+//! A frame that is stamped t shows what was at `t − late`: commands, loads and all. Either sign; a
+//! late stamp looks like `latency`, and nothing that a run holds can tell them apart, while an
+//! early one is no latency. s. Frames before the first sample show the first command. Limit: one
+//! shift for the whole run; clocks that drift apart are none.
 
 use super::declaration::*;
 
@@ -13,11 +15,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Sensing,
         kind: Kind::Fault,
         formula: "seen(t) = shown(t − late)",
-        doc: "Frames are stamped when they arrive instead of when they are taken, or two computers differ in their \
-              clocks.",
-        signature: "Error in proportion to speed, with the sign of the motion; none at rest; corners keep their shape.",
-        reference: "Furgale, Rehder and Siegwart, Unified temporal and spatial calibration for multi-sensor systems, IROS \
-              2013.",
+        doc: "Frames are stamped when they arrive instead of when they are taken, or two computers \
+              differ in their clocks.",
+        signature: "Error in proportion to speed, with the sign of the motion; none at rest; \
+            corners keep their shape.",
+        reference: "Furgale, Rehder and Siegwart, Unified temporal and spatial calibration for \
+              multi-sensor systems, IROS 2013.",
         experiment: ("one sharp step that both clocks see", 0.5),
         alike: &[("latency", "never")],
         needs: &[],

@@ -33,7 +33,8 @@ pub struct Conditions {
 }
 
 impl Conditions {
-    /// Contexts from columns of T numbers each; one number stands for a constant. `t` must not fall.
+    /// Contexts from columns of T numbers each; one number stands for a constant. `t` must not
+    /// fall.
     pub fn new(
         t: Vec<f64>,
         gravity: Vec<[f64; 3]>,
@@ -42,7 +43,8 @@ impl Conditions {
     ) -> Result<Conditions> {
         if let Some(k) = (1..t.len()).find(|&k| t[k] < t[k - 1]) {
             return Err(invalid(format!(
-                "t falls from {} to {} s at sample {k}; times must not run backwards, so sort the record",
+                "t falls from {} to {} s at sample {k}; times must not run backwards, so sort the \
+                record",
                 t[k - 1],
                 t[k]
             )));
@@ -108,14 +110,16 @@ impl Conditions {
         };
         if *first < before {
             return Err(invalid(format!(
-                "the record begins at {first} s, but the state was left at {before} s; times must not run backwards"
+                "the record begins at {first} s, but the state was left at {before} s; times must \
+                not run backwards"
             )));
         }
         self.dt[0] = first - before;
         Ok(())
     }
 
-    /// The context of sample `k`. It cannot fail, so an effect that reads only part of it pays for that part.
+    /// The context of sample `k`. It cannot fail, so an effect that reads only part of it pays for
+    /// that part.
     #[inline]
     pub fn at(&self, k: usize) -> Context {
         fn column<T: Copy>(values: &[T], k: usize, absent: T) -> T {
@@ -156,7 +160,8 @@ impl Conditions {
     }
 }
 
-/// Where `t` lies among rising `times`: the sample before and the share of the way to the next. Held beyond both ends.
+/// Where `t` lies among rising `times`: the sample before and the share of the way to the next.
+/// Held beyond both ends.
 pub fn bracket(times: &[f64], t: f64) -> (usize, f64) {
     let last = times.len() - 1;
     if t <= times[0] {

@@ -1,10 +1,11 @@
 //! Contact: the body touches something, a wall or a ball.
 //!
-//! The obstacle's foremost point is q = (distance·cos heading, distance·sin heading, height), its normal there
-//! n = −(cos heading·cos tilt, sin heading·cos tilt, sin tilt) and its curvature that of a sphere (0: a plane, for which
-//! `height` only matters when it is tilted). Four stations of the body keep outside of it, pushed without friction by the
-//! unit-force fields; how, stands in `rust/response/contact.rs`. At distance 0 there is no obstacle.
-//! Limit: linear; where the obstacle holds the body back by many mm, it is held too far.
+//! The obstacle's foremost point is q = (distance·cos heading, distance·sin heading, height), its
+//! normal there n = −(cos heading·cos tilt, sin heading·cos tilt, sin tilt) and its curvature that
+//! of a sphere (0: a plane, for which `height` only matters when it is tilted). Four stations of
+//! the body keep outside of it, pushed without friction by the unit-force fields; how, stands in
+//! `rust/response/contact.rs`. At distance 0 there is no obstacle. Limit: linear; where the
+//! obstacle holds the body back by many mm, it is held too far.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,10 +16,13 @@ pub static EFFECT: Effect = Effect {
         family: "contact",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "gap_i ≥ 0,  force_i ≥ 0,  gap_i · force_i = 0  at four stations, on push_0 … push_2 and tip_force",
+        formula: "gap_i ≥ 0,  force_i ≥ 0,  gap_i · force_i = 0  at four stations, on push_0 … \
+            push_2 and tip_force",
         doc: "Something stands in the way: a wall, the table, a cable, another finger.",
-        signature: "One region of commands, one-sided: nothing before the body touches, then all of it stays behind.",
-        reference: "Signorini's problem without friction: Wriggers, Computational Contact Mechanics, 2006.",
+        signature: "One region of commands, one-sided: nothing before the body touches, then all \
+            of it stays behind.",
+        reference: "Signorini's problem without friction: Wriggers, Computational Contact \
+            Mechanics, 2006.",
         experiment: (
             "past the obstacle and back, at two speeds, and all around",
             2.0,

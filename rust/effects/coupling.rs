@@ -1,9 +1,9 @@
 //! Coupling: what one channel is told moves the others too.
 //!
-//! `x_i = u_i + Σ_j factor_ij·u_j`, `j ≠ i`, without memory. Up to four channels every ordered pair has a factor; with
-//! more only neighbours have (`Each::Pair`), so that their number grows with the channels as that of `gain` does and
-//! not with its square: tendons lead past those beside them. Limit: a robot whose neighbours have far numbers hides the
-//! rest.
+//! `x_i = u_i + Σ_j factor_ij·u_j`, `j ≠ i`, without memory. Up to four channels every ordered pair
+//! has a factor; with more only neighbours have (`Each::Pair`), so that their number grows with the
+//! channels as that of `gain` does and not with its square: tendons lead past those beside them.
+//! Limit: a robot whose neighbours have far numbers hides the rest.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,9 +15,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Transmission,
         kind: Kind::Effect,
         formula: "x_i = u_i + Σ factor_ij · u_j,  j ≠ i",
-        doc: "Each channel moves its neighbours: tendons that share a guide or cross, a routing that is not square, \
-              pairs on one pulley.",
-        signature: "Static motion off the axis that is commanded, in proportion to the command; nothing at home.",
+        doc: "Each channel moves its neighbours: tendons that share a guide or cross, a routing \
+              that is not square, pairs on one pulley.",
+        signature: "Static motion off the axis that is commanded, in proportion to the command; \
+            nothing at home.",
         reference: "Off-diagonal terms of the matrix A of the command calibration in the paper.",
         experiment: ("each channel alone, both signs, then diagonals", 1.5),
         alike: &[("routing", "never")],

@@ -1,11 +1,12 @@
 //! Creep: under a held command the body goes on bending slowly (two Prony terms).
 //!
-//! `y = x + strength·(z₁ + z₂)/2`, `tau·spread·z₁' = x − z₁`, `(tau/spread)·z₂' = x − z₂`: the response to a step is one plus
-//! strength times the mean of two relaxations, whose times lie `spread` above and below `tau`; one relaxation at spread 1.
-//! Advanced exactly for commands linear between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s.
-//! Limit: two equal terms. They stand for three as well: fitted to five bodies of up to three terms over two decades, lopsided
-//! ones among them, they leave 3 to 9 % of the slow part, where one term leaves 14 to 32 %, so there is no third. Pinned by
-//! tests/model/test_effects.py.
+//! `y = x + strength·(z₁ + z₂)/2`, `tau·spread·z₁' = x − z₁`, `(tau/spread)·z₂' = x − z₂`: the
+//! response to a step is one plus strength times the mean of two relaxations, whose times lie
+//! `spread` above and below `tau`; one relaxation at spread 1. Advanced exactly for commands linear
+//! between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s. Limit:
+//! two equal terms. They stand for three as well: fitted to five bodies of up to three terms over
+//! two decades, lopsided ones among them, they leave 3 to 9 % of the slow part, where one term
+//! leaves 14 to 32 %, so there is no third. Pinned by tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -17,11 +18,14 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Material,
         kind: Kind::Effect,
-        formula: "y = x + strength · (z₁ + z₂)/2,  tau · spread · dz₁/dt = x − z₁,  tau / spread · dz₂/dt = x − z₂",
-        doc: "Viscoelastic creep of the body: after the quick response, a slow one in the same direction, and a slow way back.",
-        signature: "Drift while a command is held, in the direction of the last move; the same command looks different after a \
-                    long dwell at another place.",
-        reference: "Prony series of linear viscoelasticity: Christensen, Theory of Viscoelasticity, 1982.",
+        formula: "y = x + strength · (z₁ + z₂)/2,  tau · spread · dz₁/dt = x − z₁,  tau / spread · \
+            dz₂/dt = x − z₂",
+        doc: "Viscoelastic creep of the body: after the quick response, a slow one in the same \
+            direction, and a slow way back.",
+        signature: "Drift while a command is held, in the direction of the last move; the same \
+                    command looks different after a long dwell at another place.",
+        reference: "Prony series of linear viscoelasticity: Christensen, Theory of \
+            Viscoelasticity, 1982.",
         experiment: ("staircase with dwells of 6 to 10 s", 2.0),
         alike: &[],
         needs: &[],

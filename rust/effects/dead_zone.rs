@@ -1,8 +1,9 @@
 //! Dead zone: around zero a command moves nothing, because slack is taken up first.
 //!
-//! `x = u − min(max(u, −slack⁻), slack⁺)`, mm, without memory, for each channel; slack ≤ 0 is none. Each cable of a pair
-//! has its own slack: slack⁺ is that of the cable that +u pulls. It acts on the command.
-//! A tendon that goes slack under a load is a law of the prior itself (`slack` of a rod), and not a dead zone.
+//! `x = u − min(max(u, −slack⁻), slack⁺)`, mm, without memory, for each channel; slack ≤ 0 is none.
+//! Each cable of a pair has its own slack: slack⁺ is that of the cable that +u pulls. It acts on
+//! the command. A tendon that goes slack under a load is a law of the prior itself (`slack` of a
+//! rod), and not a dead zone.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,11 +15,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Transmission,
         kind: Kind::Effect,
         formula: "x = u − min(max(u, −slack⁻), slack⁺)  for the cables that +u and −u pull",
-        doc: "A tendon with too much length: near zero it only straightens, and the finger stays straight until the \
-              slack is taken up.",
-        signature: "No motion around home, the same in loading and unloading; beyond, all commands act as if smaller by a constant.",
-        reference: "Dead zone: Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley \
-              1996.",
+        doc: "A tendon with too much length: near zero it only straightens, and the finger stays \
+              straight until the slack is taken up.",
+        signature: "No motion around home, the same in loading and unloading; beyond, all commands \
+            act as if smaller by a constant.",
+        reference: "Dead zone: Tao and Kokotović, Adaptive Control of Systems with Actuator and \
+              Sensor Nonlinearities, Wiley 1996.",
         experiment: ("through zero both ways, slowly, one channel at a time", 1.0),
         alike: &[],
         needs: &[],

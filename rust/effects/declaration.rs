@@ -1,8 +1,9 @@
 //! What an effect declares about itself, and the four roles it can play.
 //!
-//! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives the coefficients of named
-//! fields; a *sensing* effect moves what is seen; a *prior* effect changes a number that the prior itself takes. At null parameters each is the identity. All memory lies in flat slices
-//! that the caller owns, so it can be copied, reset and replayed.
+//! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives
+//! the coefficients of named fields; a *sensing* effect moves what is seen; a *prior* effect
+//! changes a number that the prior itself takes. At null parameters each is the identity. All
+//! memory lies in flat slices that the caller owns, so it can be copied, reset and replayed.
 
 use super::conditions::{Conditions, Context};
 use crate::error::Result;
@@ -39,12 +40,14 @@ pub enum Kind {
     Fault,
 }
 
-/// One number of an effect. At `null` the effect is absent; fits search from `low` to `high`, starting at `start`.
+/// One number of an effect. At `null` the effect is absent; fits search from `low` to `high`,
+/// starting at `start`.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
     pub name: &'static str,
     pub unit: &'static str,
-    /// Always admissible, even outside [low, high]. Where another parameter switches the effect off, this is a typical value.
+    /// Always admissible, even outside [low, high]. Where another parameter switches the effect
+    /// off, this is a typical value.
     pub null: f64,
     /// A plausible strength: where a search begins and at which signatures are compared.
     pub start: f64,
@@ -53,7 +56,8 @@ pub struct Parameter {
     pub doc: &'static str,
     /// One number for the robot, or one for each channel or pair.
     pub each: Each,
-    /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave it there.
+    /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave
+    /// it there.
     pub integer: bool,
     /// A time within the run: it lies so far from its ends that both sides of it are seen.
     pub instant: bool,
@@ -65,14 +69,16 @@ pub struct Parameter {
     pub meaning: Option<fn(f64, usize) -> String>,
 }
 
-/// How far a fit may go beyond the plausible range of a parameter, in a measure of the robot itself.
+/// How far a fit may go beyond the plausible range of a parameter, in a measure of the robot
+/// itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Reach {
     /// Not at all.
     High,
     /// So many times half the range of the commands.
     HalfRanges(f64),
-    /// A weight that would move the tip sideways by so many lengths of the body if the answer were linear.
+    /// A weight that would move the tip sideways by so many lengths of the body if the answer were
+    /// linear.
     Lengths(f64),
 }
 
@@ -81,17 +87,18 @@ pub enum Reach {
 pub enum Each {
     Robot,
     Channel,
-    /// One for each channel, all equal unless the data require more: fits move them together, and one label without an
-    /// index is used for all of them (`Chain::tie`).
+    /// One for each channel, all equal unless the data require more: fits move them together, and
+    /// one label without an index is used for all of them (`Chain::tie`).
     Shared,
-    /// As [`Each::Shared`], with one for each of the two cables that a channel pulls: that of +x, then that of −x.
+    /// As [`Each::Shared`], with one for each of the two cables that a channel pulls: that of +x,
+    /// then that of −x.
     Cable,
     /// What [`pairs`] gives.
     Pair,
 }
 
-/// Up to so many channels every ordered pair counts as one; beyond, only neighbours do, so that the number of pairs grows
-/// like that of the channels and a search over them stays affordable.
+/// Up to so many channels every ordered pair counts as one; beyond, only neighbours do, so that the
+/// number of pairs grows like that of the channels and a search over them stays affordable.
 const EVERY_PAIR: usize = 4;
 
 /// The ordered pairs (i, j), i ≠ j, that an effect between channels has a number for.
@@ -241,8 +248,9 @@ pub struct Declaration {
     pub reference: &'static str,
     /// What to record so that the effect shows itself, and how many minutes that takes.
     pub experiment: (&'static str, f64),
-    /// Effects of the same form, and what in a run distinguishes them: "orientation", "load", "roll", "base" (points of the
-    /// clamped base, or a model that has the other effect) or "never".
+    /// Effects of the same form, and what in a run distinguishes them: "orientation", "load",
+    /// "roll", "base" (points of the clamped base, or a model that has the other effect) or
+    /// "never".
     pub alike: &'static [(&'static str, &'static str)],
     /// Fields a run must carry for the effect to be computed at all.
     pub needs: &'static [&'static str],
@@ -269,7 +277,8 @@ pub trait ChannelEffect: Sync {
     /// Advance one sample: `x` (C,) goes in and comes out changed.
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context);
 
-    /// Advance a whole record `samples` (T, C) in place. The loop is compiled once per effect, with `step` inside it.
+    /// Advance a whole record `samples` (T, C) in place. The loop is compiled once per effect, with
+    /// `step` inside it.
     fn rollout(
         &self,
         params: &[f64],
@@ -289,9 +298,11 @@ pub trait ChannelEffect: Sync {
     }
 }
 
-/// A change of the command numbers that sees a whole record at once: a user's own (`own.rs`). It has no state to pass on.
+/// A change of the command numbers that sees a whole record at once: a user's own (`own.rs`). It
+/// has no state to pass on.
 pub trait RecordEffect: Sync {
-    /// Change a whole record `samples` (T, C) in place, T and C at least 1. It begins in equilibrium with its first sample.
+    /// Change a whole record `samples` (T, C) in place, T and C at least 1. It begins in
+    /// equilibrium with its first sample.
     fn rollout(
         &self,
         params: &[f64],
@@ -303,15 +314,16 @@ pub trait RecordEffect: Sync {
 
 /// Coefficients of shape fields.
 pub trait ShapeEffect: Sync {
-    /// Which coefficients the effect uses on a robot of so many channels: indices into [`FIELDS`], [`TENDON`] or [`CONTACT`].
+    /// Which coefficients the effect uses on a robot of so many channels: indices into [`FIELDS`],
+    /// [`TENDON`] or [`CONTACT`].
     fn fields(&self, channels: usize) -> Vec<usize>;
 
     /// Add the effect's coefficients to `out`, at the command `u` (C,) that acts.
     fn add(&self, params: &[f64], u: &[f64], context: &Context, out: &mut Coefficients);
 }
 
-/// Coefficients of shape fields that depend on earlier effective commands. The memory covers complete records and
-/// belongs to the shape. A single state at rest has no memory.
+/// Coefficients of shape fields that depend on earlier effective commands. The memory covers
+/// complete records and belongs to the shape. A single state at rest has no memory.
 pub trait RememberingEffect: Sync {
     /// As of [`ShapeEffect`].
     fn fields(&self, channels: usize) -> Vec<usize>;
@@ -319,12 +331,13 @@ pub trait RememberingEffect: Sync {
     /// Size of the memory at every sample on a robot of so many channels.
     fn memory(&self, channels: usize) -> usize;
 
-    /// Write the memory (T, M) to `out` for a complete record `samples` (T, C) of effective commands, T and C at least
+    /// Write the memory (T, M) to `out` for a complete record `samples` (T, C) of effective
+    /// commands, T and C at least
     /// 1. It begins in equilibrium with the first sample.
     fn remember(&self, params: &[f64], samples: &[f64], channels: usize, out: &mut [f64]);
 
-    /// Add the effect's coefficients to `out`, at the effective command `u` (C,) and the memory `remembered` at that
-    /// time.
+    /// Add the effect's coefficients to `out`, at the effective command `u` (C,) and the memory
+    /// `remembered` at that time.
     fn add(
         &self,
         params: &[f64],
@@ -337,7 +350,8 @@ pub trait RememberingEffect: Sync {
 
 /// A change of what is seen.
 pub trait SensingEffect: Sync {
-    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which no shift moves.
+    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which
+    /// no shift moves.
     fn apply(
         &self,
         _params: &[f64],

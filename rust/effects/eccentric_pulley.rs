@@ -1,10 +1,10 @@
 //! Eccentric pulley: a spool off its axis winds unevenly over a turn.
 //!
-//! `x = u + A·(sin(u/radius + φ) − sin φ)`, mm, without memory. With `sine = A·cos φ` and `cosine = A·sin φ` it is
-//! linear in both, `x = u + sine·sin(u/radius) + cosine·(cos(u/radius) − 1)`, so that a fit needs no start for the
-//! phase and the amplitude, the root of their squares, fades to nothing at null. One radius for all pulleys, sine and
-//! cosine per channel. Limit: the first harmonic only, of the command instead of the length wound (second order in
-//! A/radius).
+//! `x = u + A·(sin(u/radius + φ) − sin φ)`, mm, without memory. With `sine = A·cos φ` and `cosine =
+//! A·sin φ` it is linear in both, `x = u + sine·sin(u/radius) + cosine·(cos(u/radius) − 1)`, so
+//! that a fit needs no start for the phase and the amplitude, the root of their squares, fades to
+//! nothing at null. One radius for all pulleys, sine and cosine per channel. Limit: the first
+//! harmonic only, of the command instead of the length wound (second order in A/radius).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -17,8 +17,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "x = u + sine · sin(u/radius) + cosine · (cos(u/radius) − 1)",
-        doc: "The spool turns about a point off its centre: each turn winds more on one half and less on the other.",
-        signature: "Static and periodic in the command, with the period of a turn of the spool; zero at home.",
+        doc: "The spool turns about a point off its centre: each turn winds more on one half and \
+            less on the other.",
+        signature: "Static and periodic in the command, with the period of a turn of the spool; \
+            zero at home.",
         reference: "First harmonic of a circle that turns about a point off its centre.",
         experiment: ("full range in fine steps, one channel at a time", 2.0),
         alike: &[],
@@ -66,7 +68,8 @@ impl ChannelEffect for EccentricPulley {
         let (cosine, radius) = rest.split_at(x.len());
         for ((x, sine), cosine) in x.iter_mut().zip(sine).zip(cosine) {
             let half = 0.5 * *x / radius[0];
-            // cos a − 1 = −2 sin²(a/2) keeps its figures near zero, and sin a = 2 sin(a/2) cos(a/2) is at hand.
+            // cos a − 1 = −2 sin²(a/2) keeps its figures near zero, and sin a = 2 sin(a/2) cos(a/2)
+            // is at hand.
             let (s, c) = half.sin_cos();
             *x += 2.0 * s * (sine * c - cosine * s);
         }

@@ -1,10 +1,12 @@
-//! Friction along the tendon: the harder it is pulled, the further it must be pulled back before it moves.
+//! Friction along the tendon: the harder it is pulled, the further it must be pulled back before it
+//! moves.
 //!
-//! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j, x + w_j)` with
-//! `w_j = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the wrap that lies before the element.
-//! The effective command is the mean over the elements. mm, for each channel; mu ≤ 0 is none. Memory starts centred,
-//! `y_j = x`. Both bounds of the play rise with x while mu < 1, so it is exact for commands monotonic between samples.
-//! Limit: to first order in mu of the capstan's exponential; wrap and pull in proportion to the command.
+//! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j,
+//! x + w_j)` with `w_j = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the
+//! wrap that lies before the element. The effective command is the mean over the elements. mm, for
+//! each channel; mu ≤ 0 is none. Memory starts centred, `y_j = x`. Both bounds of the play rise
+//! with x while mu < 1, so it is exact for commands monotonic between samples. Limit: to first
+//! order in mu of the capstan's exponential; wrap and pull in proportion to the command.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,13 +17,14 @@ pub static EFFECT: Effect = Effect {
         family: "reversal hysteresis",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "y = mean of y_j,  y_j = clamp(y_j, x − w_j, x + w_j),  w_j = mu · f_j · (|x| + preload)",
-        doc: "Coulomb friction of the tendon in its guides: tension is lost along the way, the more the tighter and \
-              the more it is wrapped.",
-        signature: "A loop between loading and unloading that is narrow near home and widens with the bend; after a reversal the \
-              far end moves last.",
-        reference: "Tendon friction: Kaneko and others, Int. Conf. Advanced Robotics 1991; generalised play: Visintin, \
-              Differential Models of Hysteresis, Springer 1994.",
+        formula: "y = mean of y_j,  y_j = clamp(y_j, x − w_j, x + w_j),  w_j = mu · f_j · (|x| + \
+            preload)",
+        doc: "Coulomb friction of the tendon in its guides: tension is lost along the way, the \
+              more the tighter and the more it is wrapped.",
+        signature: "A loop between loading and unloading that is narrow near home and widens with \
+              the bend; after a reversal the far end moves last.",
+        reference: "Tendon friction: Kaneko and others, Int. Conf. Advanced Robotics 1991; \
+              generalised play: Visintin, Differential Models of Hysteresis, Springer 1994.",
         experiment: ("small loops at a small and at a large bend", 1.5),
         alike: &[],
         needs: &[],
@@ -33,7 +36,8 @@ pub static EFFECT: Effect = Effect {
                 0.1,
                 0.01,
                 0.5,
-                "friction of the complete tendon: half-width of the loop at its far end, over the pull",
+                "friction of the complete tendon: half-width of the loop at its far end, over the \
+                pull",
             )
             .shared(),
             Parameter::new(

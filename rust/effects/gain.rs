@@ -1,4 +1,5 @@
-//! Gain: every command is scaled, as by a wrong spool radius or a tendon that stretches in proportion.
+//! Gain: every command is scaled, as by a wrong spool radius or a tendon that stretches in
+//! proportion.
 //!
 //! `x = factor·u`, per channel. No memory; the null factor is 1.
 
@@ -12,10 +13,13 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "x = factor · u",
-        doc: "Each command is scaled: the spool radius differs from the nominal one, or the tendon stretches linearly. \
-              A finger of another modulus is hardly seen under servo displacement and would hide here.",
-        signature: "Static, odd in the command: nothing at home, growing with the bend, the same in loading and unloading.",
-        reference: "Linear map from servo angle to tendon shortening; the matrix A of the command calibration in the paper.",
+        doc: "Each command is scaled: the spool radius differs from the nominal one, or the tendon \
+              stretches linearly. A finger of another modulus is hardly seen under servo \
+              displacement and would hide here.",
+        signature: "Static, odd in the command: nothing at home, growing with the bend, the same \
+            in loading and unloading.",
+        reference: "Linear map from servo angle to tendon shortening; the matrix A of the command \
+            calibration in the paper.",
         experiment: ("full range, both signs, at least three levels", 1.0),
         alike: &[],
         needs: &[],

@@ -1,11 +1,13 @@
 //! Gravity: the body weighs more or less than the model says, or hangs at another angle.
 //!
-//! The gravity that acts is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R` a turn by `tilt_x` about
-//! the base's x axis, then by `tilt_y` about y. The coefficients of the fields gravity_x|y|z (displacement per 1 g) are its
-//! difference to `g`; what the run declares is applied as known physics elsewhere (`predict.rs`).
-//! The body answers linearly at constant tension, the tendons by falling slack or taut (`cables.rs`).
-//! Limit: all of that is taken at the unloaded equilibrium. On the built-in finger, horizontal instead of hanging, vertices
-//! are 0.14 mm off where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by tests/model/test_bundle.py.
+//! The gravity that acts is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R`
+//! a turn by `tilt_x` about the base's x axis, then by `tilt_y` about y. The coefficients of the
+//! fields gravity_x|y|z (displacement per 1 g) are its difference to `g`; what the run declares is
+//! applied as known physics elsewhere (`predict.rs`). The body answers linearly at constant
+//! tension, the tendons by falling slack or taut (`cables.rs`). Limit: all of that is taken at the
+//! unloaded equilibrium. On the built-in finger, horizontal instead of hanging, vertices are 0.14
+//! mm off where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by
+//! tests/model/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,10 +18,14 @@ pub static EFFECT: Effect = Effect {
         family: "dead load",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g  on gravity_x, gravity_y, gravity_z",
-        doc: "Own weight other than declared: another density, or a mount that leans against the vertical.",
-        signature: "A sag that is the same for every speed and history, and changes with the orientation of the base.",
-        reference: "Linear response at constant tendon tension, from the simulator's tangent; tensions by complementarity.",
+        formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g  on gravity_x, gravity_y, \
+            gravity_z",
+        doc: "Own weight other than declared: another density, or a mount that leans against the \
+            vertical.",
+        signature: "A sag that is the same for every speed and history, and changes with the \
+            orientation of the base.",
+        reference: "Linear response at constant tendon tension, from the simulator's tangent; \
+            tensions by complementarity.",
         experiment: (
             "the same moves in another orientation, declared in the run",
             3.0,

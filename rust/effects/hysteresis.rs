@@ -1,12 +1,15 @@
-//! Hysteresis: a material whose response after a reversal is softer at first and catches up (Prandtl–Ishlinskii).
+//! Hysteresis: a material whose response after a reversal is softer at first and catches up
+//! (Prandtl–Ishlinskii).
 //!
-//! `y = x − Σ w_i·stop_i(x)`, i = 1…4, with the stop operators `s_i ← clamp(s_i + Δx, ±r_i)`, thresholds
-//! `r_i = reach·(i/4)^shape` and equal weights `w_i = strength/4`. After a reversal a part 1 − strength of the motion comes at
-//! once; all of it once the widest stop is saturated. A shape above 1 crowds the thresholds at small motions, for loops that
-//! open at once and close late. Memory starts relaxed (`s_i = 0`). Exact for commands monotonic between samples.
-//! Source: P. Krejčí, K. Kuhnen, doi:10.1049/ip-cta:20010375. Limit: rate-independent, four thresholds. Fitted to loops of
-//! other laws it leaves, of what they move: Bouc–Wen 4 to 15 % (shape held at 1: 5 to 17 %), Dahl 6 % (7 %), thresholds of
-//! exponential density 7 % (11 %), of density 1/r 7 % (12 %); eight thresholds are no better. Pinned by tests/model/test_effects.py.
+//! `y = x − Σ w_i·stop_i(x)`, i = 1…4, with the stop operators `s_i ← clamp(s_i + Δx, ±r_i)`,
+//! thresholds `r_i = reach·(i/4)^shape` and equal weights `w_i = strength/4`. After a reversal a
+//! part 1 − strength of the motion comes at once; all of it once the widest stop is saturated. A
+//! shape above 1 crowds the thresholds at small motions, for loops that open at once and close
+//! late. Memory starts relaxed (`s_i = 0`). Exact for commands monotonic between samples. Source:
+//! P. Krejčí, K. Kuhnen, doi:10.1049/ip-cta:20010375. Limit: rate-independent, four thresholds.
+//! Fitted to loops of other laws it leaves, of what they move: Bouc–Wen 4 to 15 % (shape held at 1:
+//! 5 to 17 %), Dahl 6 % (7 %), thresholds of exponential density 7 % (11 %), of density 1/r 7 % (12
+//! %); eight thresholds are no better. Pinned by tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -17,11 +20,14 @@ pub static EFFECT: Effect = Effect {
         family: "reversal hysteresis",
         stage: Stage::Material,
         kind: Kind::Effect,
-        formula: "y = x − strength/4 · Σ s_i,  s_i = clamp(s_i + Δx, ±reach · (i/4)^shape),  i = 1…4",
-        doc: "Internal friction of the body: a few stop operators of growing threshold hold back part of the motion.",
-        signature: "A loop between loading and unloading whose width grows with the swing and saturates; motion sets in at once \
-                    after a reversal, but too small.",
-        reference: "Prandtl–Ishlinskii operator: Krejčí and Kuhnen, IEE Proc. Control Theory Appl. 148 (2001) 185.",
+        formula: "y = x − strength/4 · Σ s_i,  s_i = clamp(s_i + Δx, ±reach · (i/4)^shape),  i = \
+            1…4",
+        doc: "Internal friction of the body: a few stop operators of growing threshold hold back \
+            part of the motion.",
+        signature: "A loop between loading and unloading whose width grows with the swing and \
+                    saturates; motion sets in at once after a reversal, but too small.",
+        reference: "Prandtl–Ishlinskii operator: Krejčí and Kuhnen, IEE Proc. Control Theory Appl. \
+            148 (2001) 185.",
         experiment: ("triangles of growing size, up and back", 2.0),
         alike: &[],
         needs: &[],

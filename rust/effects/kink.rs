@@ -1,8 +1,9 @@
 //! Kink: a place of the body gives way once it is bent far enough.
 //!
-//! From a bend on, the modulus within 1/8 of the height of `centre` falls: `ln E = ln E₀ − softening·⟨1 − bend/|u|⟩₊`, |u|
-//! the size of the command that acts (mm), to which local bending grows in proportion. bend = 0 is a soft hinge. Fields and
-//! limits as `stiff_section`; a fold that stays closed when the command goes back is not in it.
+//! From a bend on, the modulus within 1/8 of the height of `centre` falls: `ln E = ln E₀ −
+//! softening·⟨1 − bend/|u|⟩₊`, |u| the size of the command that acts (mm), to which local bending
+//! grows in proportion. bend = 0 is a soft hinge. Fields and limits as `stiff_section`; a fold that
+//! stays closed when the command goes back is not in it.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -13,10 +14,14 @@ pub static EFFECT: Effect = Effect {
         family: "body stiffness",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "ln E(s) = ln E₀ − softening · max(0, 1 − bend/|u|)  where |s − centre| < 1/8, on stiff_0 … stiff_6",
-        doc: "A place that buckles: a thin wall over a channel, a crack that opens, the end of an insert.",
-        signature: "Local, and only beyond a bend: the body folds at one place while the rest lags behind.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        formula: "ln E(s) = ln E₀ − softening · max(0, 1 − bend/|u|)  where |s − centre| < 1/8, on \
+            stiff_0 … stiff_6",
+        doc: "A place that buckles: a thin wall over a channel, a crack that opens, the end of an \
+            insert.",
+        signature: "Local, and only beyond a bend: the body folds at one place while the rest lags \
+            behind.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("triangles of growing size, points all along the body", 2.0),
         alike: &[("stiff_section", "never")],
         needs: &[],

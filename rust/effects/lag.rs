@@ -1,8 +1,9 @@
 //! Lag: the drive follows its command like a first-order low pass.
 //!
-//! `tau·x' = u − x`, advanced exactly for commands that are linear between samples (as everywhere in the chain): with
-//! `h = dt/tau`, `a = e^(−h)`, `p = (1 − a)/h`: `x⁺ = a·x + (p − a)·u_before + (1 − p)·u`. The plain recursion
-//! `x += (1 − a)(u − x)` acts half a period early; this one has no error at any period. Units s. tau ≤ 0 is no lag.
+//! `tau·x' = u − x`, advanced exactly for commands that are linear between samples (as everywhere
+//! in the chain): with `h = dt/tau`, `a = e^(−h)`, `p = (1 − a)/h`: `x⁺ = a·x + (p − a)·u_before +
+//! (1 − p)·u`. The plain recursion `x += (1 − a)(u − x)` acts half a period early; this one has no
+//! error at any period. Units s. tau ≤ 0 is no lag.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -15,10 +16,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "tau · dx/dt = u − x",
-        doc: "A first-order lag of the drive: position control with low gain, a compliant tendon against damping.",
-        signature: "Error in proportion to speed like latency, but corners and steps come out rounded.",
-        reference: "First-order hold equivalent of a first-order low pass (Franklin, Powell, Workman, Digital Control of \
-                    Dynamic Systems).",
+        doc: "A first-order lag of the drive: position control with low gain, a compliant tendon \
+            against damping.",
+        signature: "Error in proportion to speed like latency, but corners and steps come out \
+            rounded.",
+        reference: "First-order hold equivalent of a first-order low pass (Franklin, Powell, \
+                    Workman, Digital Control of Dynamic Systems).",
         experiment: (
             "fast and slow triangle of full range, seen while it moves",
             1.0,
@@ -51,8 +54,8 @@ impl ChannelEffect for Lag {
         }
     }
 
-    /// The same as by steps; the weights of many samples are computed together, once for all channels of one time
-    /// constant.
+    /// The same as by steps; the weights of many samples are computed together, once for all
+    /// channels of one time constant.
     fn rollout(
         &self,
         params: &[f64],

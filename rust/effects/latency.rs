@@ -1,9 +1,10 @@
 //! Latency: the drive acts on the command of a moment ago.
 //!
-//! `x(t) = u(t − delay)`, linear between samples, so that the delay need not be a multiple of the period and can be fitted.
-//! Memory is a ring of past samples with their times. Before the first sample the first command is held forever.
-//! Limit: delays up to [`MAX_DELAY`]; samples closer than half of [`SPACING`] are thinned so that the ring always spans it
-//! (none at rates up to 900 Hz). Source: pure dead time of any sampled drive. Pinned by the tests at the foot.
+//! `x(t) = u(t − delay)`, linear between samples, so that the delay need not be a multiple of the
+//! period and can be fitted. Memory is a ring of past samples with their times. Before the first
+//! sample the first command is held forever. Limit: delays up to [`MAX_DELAY`]; samples closer than
+//! half of [`SPACING`] are thinned so that the ring always spans it (none at rates up to 900 Hz).
+//! Source: pure dead time of any sampled drive. Pinned by the tests at the foot.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -23,9 +24,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "x(t) = u(t − delay)",
-        doc: "A pure delay between command and motion: bus, servo firmware, filtering. It shifts the motion without \
-              rounding it.",
-        signature: "Error in proportion to speed, with the sign of the motion; none at rest; corners keep their shape.",
+        doc: "A pure delay between command and motion: bus, servo firmware, filtering. It shifts \
+              the motion without rounding it.",
+        signature: "Error in proportion to speed, with the sign of the motion; none at rest; \
+            corners keep their shape.",
         reference: "Dead time of a sampled drive (any text on process control).",
         experiment: ("fast triangle of full range, seen while it moves", 0.5),
         alike: &[],
@@ -46,8 +48,8 @@ pub static EFFECT: Effect = Effect {
 
 struct Latency;
 
-// State: number of stored samples, the read position of each channel (C), the first command (C), then per slot its time
-// and command. Positions count samples, like the store.
+// State: number of stored samples, the read position of each channel (C), the first command (C),
+// then per slot its time and command. Positions count samples, like the store.
 const KEPT: usize = 0;
 const CURSOR: usize = 1;
 
@@ -140,7 +142,8 @@ impl ChannelEffect for Latency {
     fn check(&self, params: &[f64]) -> Result<()> {
         match params.iter().find(|delay| **delay > MAX_DELAY) {
             Some(delay) => Err(invalid(format!(
-                "latency.delay is {delay} s; the ring of past commands holds at most {MAX_DELAY} s, so choose a shorter delay"
+                "latency.delay is {delay} s; the ring of past commands holds at most {MAX_DELAY} \
+                s, so choose a shorter delay"
             ))),
             None => Ok(()),
         }

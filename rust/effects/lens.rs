@@ -1,10 +1,13 @@
-//! Lens: the cameras bend straight lines towards the rim of their pictures; a fault of the measurement, not of the robot.
+//! Lens: the cameras bend straight lines towards the rim of their pictures; a fault of the
+//! measurement, not of the robot.
 //!
-//! A camera with the pose [R | t] (base → camera, looking along its z) sees p at `q = R·p + t`, in its picture at
-//! `n = (q_x, q_y)/q_z`, and takes it for `n·(1 + radial·|n|²)`. What is seen is the point nearest to the rays of all cameras
-//! (least squares; of one camera, the point of its ray nearest to the true one). Cameras behind which a point lies do not see it.
-//! Without the cameras' poses in the run it does nothing. One number for all cameras, on top of their calibration.
-//! Source: first radial term of Brown's model. Limit: places only, by their section middles; the size of a section stays.
+//! A camera with the pose [R | t] (base → camera, looking along its z) sees p at `q = R·p + t`, in
+//! its picture at `n = (q_x, q_y)/q_z`, and takes it for `n·(1 + radial·|n|²)`. What is seen is the
+//! point nearest to the rays of all cameras (least squares; of one camera, the point of its ray
+//! nearest to the true one). Cameras behind which a point lies do not see it. Without the cameras'
+//! poses in the run it does nothing. One number for all cameras, on top of their calibration.
+//! Source: first radial term of Brown's model. Limit: places only, by their section middles; the
+//! size of a section stays.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,10 +19,14 @@ pub static EFFECT: Effect = Effect {
         family: "sensor frame",
         stage: Stage::Sensing,
         kind: Kind::Fault,
-        formula: "n → n · (1 + radial · |n|²) in each picture; p where the rays of all cameras meet best",
-        doc: "Radial distortion that the calibration of the cameras leaves: a changed focus, a wide lens calibrated in its middle.",
-        signature: "Static; nothing in the middle of the pictures, growing with the third power towards their rim, at home too.",
-        reference: "Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966) 444.",
+        formula: "n → n · (1 + radial · |n|²) in each picture; p where the rays of all cameras \
+            meet best",
+        doc: "Radial distortion that the calibration of the cameras leaves: a changed focus, a \
+            wide lens calibrated in its middle.",
+        signature: "Static; nothing in the middle of the pictures, growing with the third power \
+            towards their rim, at home too.",
+        reference: "Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966) \
+            444.",
         experiment: (
             "points over the full picture, and the poses of the cameras in the run",
             1.0,
@@ -79,12 +86,14 @@ fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
         }
         let (x, y) = (q[0] / q[2], q[1] / q[2]);
         let bent = radial * (x * x + y * y);
-        // From the camera to p, and the ray that it takes it for, both in the base frame, at the depth of p.
+        // From the camera to p, and the ray that it takes it for, both in the base frame, at the
+        // depth of p.
         let beside = [0, 1, 2].map(|i| bent * (axes[0][i] * q[0] + axes[1][i] * q[1]));
         let ray = [0, 1, 2]
             .map(|i| axes[0][i] * q[0] + axes[1][i] * q[1] + axes[2][i] * q[2] + beside[i]);
         let square = dot(ray, ray);
-        // The distance of p + shift from the ray: that of (shift − beside), since the ray goes through p + beside.
+        // The distance of p + shift from the ray: that of (shift − beside), since the ray goes
+        // through p + beside.
         let across = |v: Vec3| axpy(v, -dot(v, ray) / square, ray);
         let wanted = across(beside);
         for i in 0..3 {

@@ -1,6 +1,8 @@
-//! First-order low passes under commands that are linear between samples: what lag, creep and tendon creep are made of.
+//! First-order low passes under commands that are linear between samples: what lag, creep and
+//! tendon creep are made of.
 //!
-//! Over dt, with h = dt/τ and p = (1 − e^(−h))/h:  x ← (1 − ph) x + (p − 1 + ph) u_before + (1 − p) u. Exact to round-off.
+//! Over dt, with h = dt/τ and p = (1 − e^(−h))/h:  x ← (1 − ph) x + (p − 1 + ph) u_before + (1 − p)
+//!   u. Exact to round-off.
 
 use super::conditions::Conditions;
 use crate::shape::modes::wide;
@@ -24,7 +26,8 @@ pub(crate) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
     [1.0 - fall, p - 1.0 + fall, 1.0 - p]
 }
 
-/// Up to this h the series below is exact to round-off (h⁹/10! < 3e-16) and several times cheaper than the exponential.
+/// Up to this h the series below is exact to round-off (h⁹/10! < 3e-16) and several times cheaper
+/// than the exponential.
 const SHORT: f64 = 0.1;
 
 /// `(1 − e^(−h))/h` by its series.
@@ -69,7 +72,8 @@ fn low_passes(tau: f64, dts: &[f64], out: &mut [[f64; 3]; TOGETHER]) {
     );
 }
 
-/// Advance a record sample by sample: `advance` gets the weights of N low passes of `taus`, found many samples at a time.
+/// Advance a record sample by sample: `advance` gets the weights of N low passes of `taus`, found
+/// many samples at a time.
 pub(super) fn low_passed<const N: usize>(
     taus: [f64; N],
     samples: &mut [f64],

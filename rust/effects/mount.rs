@@ -1,8 +1,9 @@
-//! Mount: the base sits turned and shifted in the frame of the cameras; a fault of the measurement, not of the robot.
+//! Mount: the base sits turned and shifted in the frame of the cameras; a fault of the measurement,
+//! not of the robot.
 //!
-//! `p = R·p + shift` about the base's origin, `R` the turn by the rotation vector `turn` (degrees; Rodrigues' formula with
-//! the series at small angles). Directions only turn. Exact for any angle; the effect of gravity on a truly tilted base is
-//! the effect `gravity`, not this one.
+//! `p = R·p + shift` about the base's origin, `R` the turn by the rotation vector `turn` (degrees;
+//! Rodrigues' formula with the series at small angles). Directions only turn. Exact for any angle;
+//! the effect of gravity on a truly tilted base is the effect `gravity`, not this one.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -23,7 +24,8 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Sensing,
         kind: Kind::Fault,
         formula: "p = R(turn) · p + shift  about the origin of the base",
-        doc: "The clamped base is misplaced in the measured frame: a rigid turn and shift of everything seen.",
+        doc: "The clamped base is misplaced in the measured frame: a rigid turn and shift of \
+            everything seen.",
         signature: "Static and rigid, at home too: even the clamped base has moved.",
         reference: "Rotation vector by Rodrigues' formula.",
         experiment: ("points near the base, home revisits", 0.5),
@@ -47,7 +49,8 @@ pub static EFFECT: Effect = Effect {
 
 struct Mount;
 
-/// Below this angle (rad) sin(a)/a and (1 − cos a)/a² are taken from their series, which is exact to round-off there.
+/// Below this angle (rad) sin(a)/a and (1 − cos a)/a² are taken from their series, which is exact
+/// to round-off there.
 const SMALL: f64 = 1e-4;
 
 fn rotation(degrees: &[f64]) -> [[f64; 3]; 3] {

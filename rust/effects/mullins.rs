@@ -1,11 +1,12 @@
 //! Mullins softening: up to the largest bend so far the body is softer than beyond it.
 //!
-//! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))`, |x| the length of the vector of the channels of a section and X
-//! the largest so far, which is memory. mm. A bend one way softens every way: the damage belongs to the body, not to a
-//! tendon. It starts in equilibrium: X = |x| of the first command, an untouched body. Exact for commands on straight lines
-//! between samples; reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written for a bend
-//! instead of an energy. Limits: two channels are taken to bend a section, three where their number is odd and can be
-//! divided so, else all; no healing.
+//! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))`, |x| the length of the vector of the
+//! channels of a section and X the largest so far, which is memory. mm. A bend one way softens
+//! every way: the damage belongs to the body, not to a tendon. It starts in equilibrium: X = |x| of
+//! the first command, an untouched body. Exact for commands on straight lines between samples;
+//! reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written for a
+//! bend instead of an energy. Limits: two channels are taken to bend a section, three where their
+//! number is odd and can be divided so, else all; no healing.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,9 +17,12 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Material,
         kind: Kind::Effect,
-        formula: "y = x · (1 + softening · (1 − exp(−(max|x| − |x|)/reach))), |x| over the channels of a section",
-        doc: "Filled rubber breaks in: after its first large stretch it is softer for all smaller ones, in every direction.",
-        signature: "The same command bends further after a larger one than before it; nothing on the very first way out.",
+        formula: "y = x · (1 + softening · (1 − exp(−(max|x| − |x|)/reach))), |x| over the \
+            channels of a section",
+        doc: "Filled rubber breaks in: after its first large stretch it is softer for all smaller \
+            ones, in every direction.",
+        signature: "The same command bends further after a larger one than before it; nothing on \
+            the very first way out.",
         reference: "Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861.",
         experiment: ("triangles of growing size, then of falling size", 2.0),
         alike: &[],

@@ -12,9 +12,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "x = u + shift",
-        doc: "A constant shift of each command: a wrong home position, a pre-tensioned or re-tied tendon.",
-        signature: "Static, and there at home too: the finger is bent where the model says straight.",
-        reference: "Home offset of a tendon drive; the constant term b of the command calibration in the paper.",
+        doc: "A constant shift of each command: a wrong home position, a pre-tensioned or re-tied \
+            tendon.",
+        signature: "Static, and there at home too: the finger is bent where the model says \
+            straight.",
+        reference: "Home offset of a tendon drive; the constant term b of the command calibration \
+            in the paper.",
         experiment: ("home and both signs of every channel", 1.0),
         alike: &[],
         needs: &[],

@@ -1,8 +1,8 @@
 //! One-sided stiffness: the body is stiffer towards one side of its section.
 //!
-//! `ln E = ln E₀ + (x·X + y·Y)/R`, X and Y the place in the section and R the largest distance of the body from its axis.
-//! The coefficients of the fields stiff_x and stiff_y are x and y. Limit: second order (`second.rs`); fields
-//! alone are 6 % off at ±20 % (rust/fem/sweep_tests.rs).
+//! `ln E = ln E₀ + (x·X + y·Y)/R`, X and Y the place in the section and R the largest distance of
+//! the body from its axis. The coefficients of the fields stiff_x and stiff_y are x and y. Limit:
+//! second order (`second.rs`); fields alone are 6 % off at ±20 % (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,9 +14,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "ln E = ln E₀ + (x · X + y · Y)/R  on stiff_x, stiff_y",
-        doc: "One side of the body is stiffer: filler that settled on its side, a seam of the mould, a strip of tape.",
-        signature: "Static and even in the command: with every pull the body gets shorter on the soft side and leans that way.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        doc: "One side of the body is stiffer: filler that settled on its side, a seam of the \
+            mould, a strip of tape.",
+        signature: "Static and even in the command: with every pull the body gets shorter on the \
+            soft side and leans that way.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("both signs of every channel, at least three levels", 1.0),
         alike: &[],
         needs: &[],

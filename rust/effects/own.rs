@@ -1,7 +1,8 @@
 //! Effects that a user adds while the program runs: a list beside the library's.
 //!
-//! One name stands for one effect: a name that is taken is refused until it is forgotten. A chain keeps the effects that it
-//! was composed with, whatever is forgotten later; so their few hundred bytes are never given back.
+//! One name stands for one effect: a name that is taken is refused until it is forgotten. A chain
+//! keeps the effects that it was composed with, whatever is forgotten later; so their few hundred
+//! bytes are never given back.
 
 use super::REGISTRY;
 use super::declaration::{Declaration, Effect, Law, RecordEffect, Stage};
@@ -23,7 +24,8 @@ pub fn register(declaration: Declaration, law: Box<dyn RecordEffect>) -> Result<
     let name = declaration.name;
     if declaration.stage >= Stage::Shape {
         return Err(invalid(format!(
-            "the effect '{name}' is of the stage {}; a user's effect changes commands: command, transmission or material",
+            "the effect '{name}' is of the stage {}; a user's effect changes commands: command, \
+            transmission or material",
             declaration.stage.name()
         )));
     }
@@ -33,8 +35,8 @@ pub fn register(declaration: Declaration, law: Box<dyn RecordEffect>) -> Result<
             .all(|x| x.is_finite());
         if !(finite && p.low < p.high && p.low <= p.start && p.start <= p.high) {
             return Err(invalid(format!(
-                "{name}.{} has null {}, start {}, low {}, high {}; finite numbers with low <= start <= high and low < high \
-                 are wanted",
+                "{name}.{} has null {}, start {}, low {}, high {}; finite numbers with low <= \
+                 start <= high and low < high are wanted",
                 p.name, p.null, p.start, p.low, p.high
             )));
         }

@@ -1,6 +1,8 @@
-//! An antagonist pair whose cables have grown longer: what anchor slip and tendon creep do to a command.
+//! An antagonist pair whose cables have grown longer: what anchor slip and tendon creep do to a
+//! command.
 //!
-//! Cables only pull. With a and b ≥ 0 by how much the cable that +x pulls and the one that −x pulls are longer:
+//! Cables only pull. With a and b ≥ 0 by how much the cable that +x pulls and the one that −x pulls
+//! are longer:
 //!   hanging loose, x > a: x − a;   x < −b: x + b;   between, neither pulls: 0, a dead zone;
 //!   held taut, or where cables take compression: x − a + b, the whole channel is shifted,
 //! and `taut` is the share of the latter. Continuous and monotone in x for `taut` from 0 to 1. mm.

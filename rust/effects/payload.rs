@@ -1,11 +1,11 @@
 //! Payload: something hangs at the tip that the run does not declare.
 //!
-//! A mass of `mass` grams on top of the declared load: the force `mass·1e-3·9.80665 N` along the run's gravity, as
-//! coefficients of tip_force_x|y|z (displacement per 1 N). The body answers linearly at constant tension, the tendons by
-//! falling slack or taut (`cables.rs`).
-//! Limit: all of that is taken at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven commands: 25 g
-//! hanging 0.10 mm off of 0.9 mm moved, 25 g leaning by 35° 0.28 of 3.3, 60 g leaning 1.11 of 5.6; pinned by
-//! docs/make_effects.py and tests/model/test_bundle.py.
+//! A mass of `mass` grams on top of the declared load: the force `mass·1e-3·9.80665 N` along the
+//! run's gravity, as coefficients of tip_force_x|y|z (displacement per 1 N). The body answers
+//! linearly at constant tension, the tendons by falling slack or taut (`cables.rs`). Limit: all of
+//! that is taken at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven
+//! commands: 25 g hanging 0.10 mm off of 0.9 mm moved, 25 g leaning by 35° 0.28 of 3.3, 60 g
+//! leaning 1.11 of 5.6; pinned by docs/make_effects.py and tests/model/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -18,8 +18,10 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "c = mass/1000 · 9.80665 · g  on tip_force_x, tip_force_y, tip_force_z",
         doc: "An undeclared mass at the tip: a marker, a gripped object, a camera cable.",
-        signature: "A sag towards the ground that grows towards the tip, the same for every speed and history.",
-        reference: "Linear response at constant tendon tension, from the simulator's tangent; tensions by complementarity.",
+        signature: "A sag towards the ground that grows towards the tip, the same for every speed \
+            and history.",
+        reference: "Linear response at constant tendon tension, from the simulator's tangent; \
+            tensions by complementarity.",
         experiment: ("the same moves with a known 10 g", 3.0),
         alike: &[("gravity", "orientation")],
         needs: &[],

@@ -1,7 +1,8 @@
 //! Pre-curve: the body is curved at rest.
 //!
-//! Body and tendons lie on an even arc whose tip is (x, y) mm aside: the coefficients of the fields curve_x and curve_y
-//! (displacement per 1 mm). Limit: linear; 2 % off at 2 mm (rust/fem/sweep_tests.rs).
+//! Body and tendons lie on an even arc whose tip is (x, y) mm aside: the coefficients of the fields
+//! curve_x and curve_y (displacement per 1 mm). Limit: linear; 2 % off at 2 mm
+//! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -13,9 +14,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "rest curvature of a tip (x, y) aside  on curve_x, curve_y",
-        doc: "The body is curved without any command: set of the silicone after storage, a warped mould.",
-        signature: "Static, bent at home; the same on top of every command, where an offset of the tendons fades or jumps where one goes slack.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        doc: "The body is curved without any command: set of the silicone after storage, a warped \
+            mould.",
+        signature: "Static, bent at home; the same on top of every command, where an offset of the \
+            tendons fades or jumps where one goes slack.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: (
             "home and both signs of every channel, the full body in view",
             1.0,

@@ -1,8 +1,8 @@
 //! Rate limit: the drive follows its command no faster than a certain speed.
 //!
-//! `dx/dt = clamp(du/dt while x = u, ±speed)`, else `±speed` towards u. Advanced exactly for commands linear between
-//! samples, also where x meets u within a sample and is left behind again. mm/s, one number for all channels; speed ≤ 0
-//! is no limit. Memory starts in equilibrium, x = u.
+//! `dx/dt = clamp(du/dt while x = u, ±speed)`, else `±speed` towards u. Advanced exactly for
+//! commands linear between samples, also where x meets u within a sample and is left behind again.
+//! mm/s, one number for all channels; speed ≤ 0 is no limit. Memory starts in equilibrium, x = u.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,11 +14,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "|dx/dt| ≤ speed,  x → u",
-        doc: "A largest speed of the drive: the profile velocity of a servo, a weak motor, a limit in its firmware.",
-        signature: "Nothing in slow moves; in fast ones the finger falls behind along a straight ramp and catches up after \
-              the command stands.",
-        reference: "Rate limiter: Tarbouriech and others, Stability and Stabilization of Linear Systems with Saturating \
-              Actuators, Springer 2011.",
+        doc: "A largest speed of the drive: the profile velocity of a servo, a weak motor, a limit \
+            in its firmware.",
+        signature: "Nothing in slow moves; in fast ones the finger falls behind along a straight \
+              ramp and catches up after the command stands.",
+        reference: "Rate limiter: Tarbouriech and others, Stability and Stabilization of Linear \
+              Systems with Saturating Actuators, Springer 2011.",
         experiment: (
             "triangles of full range at two speeds, seen while they move",
             1.0,
@@ -41,12 +42,14 @@ pub static EFFECT: Effect = Effect {
 
 struct RateLimit;
 
-/// Where a follower of speed `v` that stands at `x` ends after `dt`, while its command goes straight from `a` to `b`.
+/// Where a follower of speed `v` that stands at `x` ends after `dt`, while its command goes
+/// straight from `a` to `b`.
 #[inline]
 fn follow(v: f64, dt: f64, x: f64, a: f64, b: f64) -> f64 {
     let (gap, rise) = (a - x, b - a);
     if gap * rise < 0.0 && rise.abs() > v * dt {
-        // They run towards one another, meet after `share` of the sample, and the command runs on faster.
+        // They run towards one another, meet after `share` of the sample, and the command runs on
+        // faster.
         let share = gap.abs() / (v * dt + rise.abs());
         if share < 1.0 {
             let met = x + gap.signum() * v * dt * share;

@@ -1,8 +1,9 @@
 //! Routing: the tendons of a command run at another angle about the axis than the model's.
 //!
-//! The coefficients of the fields routing_c (displacement per 1°) are the phases of the tendons that command c moves.
-//! Other than a turn of the commands it is no affine map of them: which tendons go slack is decided by where they run.
-//! Limit: linear; 5 % off at 5° (rust/fem/sweep_tests.rs).
+//! The coefficients of the fields routing_c (displacement per 1°) are the phases of the tendons
+//! that command c moves. Other than a turn of the commands it is no affine map of them: which
+//! tendons go slack is decided by where they run. Limit: linear; 5 % off at 5°
+//! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,9 +15,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "tendons of command c turned by phase_c about the axis  on routing_c",
-        doc: "A pair of tendons is threaded aside of where the model has it, or the body is clamped turned while marks on it are not.",
-        signature: "Static: each command bends the body in a plane turned by a constant angle; nothing at home.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        doc: "A pair of tendons is threaded aside of where the model has it, or the body is \
+            clamped turned while marks on it are not.",
+        signature: "Static: each command bends the body in a plane turned by a constant angle; \
+            nothing at home.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("each command alone, then diagonals", 1.5),
         alike: &[],
         needs: &[],
@@ -42,7 +46,8 @@ impl ShapeEffect for Routing {
     }
 
     fn add(&self, params: &[f64], _u: &[f64], _context: &Context, out: &mut Coefficients) {
-        // A model has fields for as many commands as it names; `fields` asks for more where there are more.
+        // A model has fields for as many commands as it names; `fields` asks for more where there
+        // are more.
         for (out, phase) in out[ROUTING..ROUTING + PHASES].iter_mut().zip(params) {
             *out += phase;
         }

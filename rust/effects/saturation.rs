@@ -1,8 +1,8 @@
 //! Saturation: the drive stops at its limits, which the model does not know.
 //!
-//! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is none. The search
-//! begins inside the usual stroke, since a limit beyond all commands has no slope. A drive that pulls to one side only has
-//! its limit at up to two half ranges.
+//! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is
+//! none. The search begins inside the usual stroke, since a limit beyond all commands has no slope.
+//! A drive that pulls to one side only has its limit at up to two half ranges.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,12 +14,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Command,
         kind: Kind::Effect,
         formula: "x = min(max(u, −below), above)",
-        doc: "The drive stops at a limit of its travel, of its window of ticks or of its torque: what is commanded \
-              beyond does not happen.",
-        signature: "Nothing up to a certain command; beyond it the finger stays where it is, on one side or on both, however \
-              slow the move.",
-        reference: "Saturating actuators: Tarbouriech and others, Stability and Stabilization of Linear Systems with \
-              Saturating Actuators, Springer 2011.",
+        doc: "The drive stops at a limit of its travel, of its window of ticks or of its torque: \
+              what is commanded beyond does not happen.",
+        signature: "Nothing up to a certain command; beyond it the finger stays where it is, on \
+              one side or on both, however slow the move.",
+        reference: "Saturating actuators: Tarbouriech and others, Stability and Stabilization of \
+              Linear Systems with Saturating Actuators, Springer 2011.",
         experiment: (
             "triangles of growing size up to the largest command, both signs",
             1.0,

@@ -12,10 +12,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Sensing,
         kind: Kind::Fault,
         formula: "p = factor · p  about the origin of the base",
-        doc: "A wrong length in the calibration of the cameras: a board printed too large, a wrong distance between \
-              two views.",
-        signature: "Static and radial: points are too far from the base or too near, in proportion to their distance, at \
-              home too.",
+        doc: "A wrong length in the calibration of the cameras: a board printed too large, a wrong \
+              distance between two views.",
+        signature: "Static and radial: points are too far from the base or too near, in proportion \
+              to their distance, at home too.",
         reference: "Similarity transform: Umeyama, IEEE Trans. Pattern Analysis 13 (1991) 376.",
         experiment: ("a known length in view", 0.5),
         alike: &[],

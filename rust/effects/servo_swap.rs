@@ -1,9 +1,11 @@
-//! Servo swap: one servo turns the wrong way, or two are plugged where the other belongs; a fault, not physics.
+//! Servo swap: one servo turns the wrong way, or two are plugged where the other belongs; a fault,
+//! not physics.
 //!
-//! A whole number says which: 0 nothing, 1…C the sign of that channel, then the pairs (0,1), (0,2), … that are
-//! exchanged. Up to nine channels every pair stands in the list, 45 cases; with more only neighbours do, so that it
-//! grows with the channels and not with their square. Rounded to the nearest; a number beyond the list is nothing. No
-//! memory. Limit: one exchange or one sign; two faults at once are not in the list.
+//! A whole number says which: 0 nothing, 1…C the sign of that channel, then the pairs (0,1), (0,2),
+//! … that are exchanged. Up to nine channels every pair stands in the list, 45 cases; with more
+//! only neighbours do, so that it grows with the channels and not with their square. Rounded to the
+//! nearest; a number beyond the list is nothing. No memory. Limit: one exchange or one sign; two
+//! faults at once are not in the list.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,7 +18,8 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Fault,
         formula: "x = u with one sign turned, or two channels exchanged",
         doc: "A servo is wired or mounted the other way round, or two have each other’s place.",
-        signature: "Gross error in one direction of command, mirrored or on another axis, none at home.",
+        signature: "Gross error in one direction of command, mirrored or on another axis, none at \
+            home.",
         reference: "Signed permutations of the channels, one at a time.",
         experiment: ("each channel alone, one after the other", 0.5),
         alike: &[],

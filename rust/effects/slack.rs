@@ -1,8 +1,9 @@
 //! Slack: tendons that push less than the model's, down to cables that only pull.
 //!
-//! The stiffness of a tendon in compression over that in tension is a number of the elastic rod (`rust/rod/elastic.rs`);
-//! this effect multiplies the rod's own by `ratio`, and the rod finds its equilibrium with that, loads included. A rod whose
-//! tendons only pull has nothing to lose, and a finger of finite elements, whose cables never push, neither.
+//! The stiffness of a tendon in compression over that in tension is a number of the elastic rod
+//! (`rust/rod/elastic.rs`); this effect multiplies the rod's own by `ratio`, and the rod finds its
+//! equilibrium with that, loads included. A rod whose tendons only pull has nothing to lose, and a
+//! finger of finite elements, whose cables never push, neither.
 
 use super::declaration::*;
 
@@ -14,8 +15,8 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "w(δ < 0) = ratio · w(δ > 0)  for the stretch δ of every tendon of an elastic rod",
         doc: "Tendons fall slack where the model lets them push: cables that were taken for rods.",
-        signature: "Static: wherever a tendon is paid out faster than the body takes it up, the body bends further than \
-                    the model.",
+        signature: "Static: wherever a tendon is paid out faster than the body takes it up, the \
+                    body bends further than the model.",
         reference: "Tendons that only pull: Camarillo et al., IEEE Trans. Robotics 24 (2008) 1262.",
         experiment: (
             "each tendon alone paid out far, the others held, then all pairs",
@@ -30,7 +31,8 @@ pub static EFFECT: Effect = Effect {
             0.3,
             0.0,
             1.0,
-            "stiffness of a tendon in compression over that in tension, as a share of the model's own",
+            "stiffness of a tendon in compression over that in tension, as a share of the model's \
+            own",
         )],
     },
     law: Law::Prior(&Slack),

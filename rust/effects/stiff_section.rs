@@ -1,9 +1,10 @@
 //! Stiff section: one part of the body is stiffer or softer than the rest.
 //!
-//! `ln E = ln E₀ + amount` where s lies within width/2 of centre (shares of the height). The coefficient of each field
-//! stiff_k is amount times the part of its stretch that the section covers (`loads.rs`), so a border between stretches is
-//! smeared over 1/6 of the height. Limit: second order in the logarithm (`second.rs`); linear, it is
-//! 4 % off at ±25 % and some 15 % at ±50 %.
+//! `ln E = ln E₀ + amount` where s lies within width/2 of centre (shares of the height). The
+//! coefficient of each field stiff_k is amount times the part of its stretch that the section
+//! covers (`loads.rs`), so a border between stretches is smeared over 1/6 of the height. Limit:
+//! second order in the logarithm (`second.rs`); linear, it is 4 % off at ±25 % and some 15 % at ±50
+//! %.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,8 +17,10 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "ln E(s) = ln E₀ + amount  where |s − centre| < width/2, on stiff_0 … stiff_6",
         doc: "A part of the body has another modulus: a glued repair, a sleeve, a bubble, a tear.",
-        signature: "Static, odd in the command: the body bends less (or more) at one place, and the rest makes up for it.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        signature: "Static, odd in the command: the body bends less (or more) at one place, and \
+            the rest makes up for it.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("full range, both signs, points all along the body", 1.0),
         alike: &[],
         needs: &[],

@@ -1,10 +1,11 @@
 //! Stiffness: the complete body is softer or stiffer than the model's.
 //!
-//! `ln E(s) = ln E₀ + amount`, the same for every stretch of the body: the coefficient of each field stiff_k is
-//! `amount`. With tendons of given shortening and no other load, a uniform modulus hardly changes the shape (0.13 mm at
-//! −30 %). A weight, a lean and cables that stretch show it. The search is from half the modulus to twice it; in this
-//! range a run without weight or lean cannot show it.
-//! Limit: as for one stretch, second order (`second.rs`). A body without fields of its modulus has no such effect.
+//! `ln E(s) = ln E₀ + amount`, the same for every stretch of the body: the coefficient of each
+//! field stiff_k is `amount`. With tendons of given shortening and no other load, a uniform modulus
+//! hardly changes the shape (0.13 mm at −30 %). A weight, a lean and cables that stretch show it.
+//! The search is from half the modulus to twice it; in this range a run without weight or lean
+//! cannot show it. Limit: as for one stretch, second order (`second.rs`). A body without fields of
+//! its modulus has no such effect.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,13 +17,16 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "ln E(s) = ln E₀ + amount  on stiff_0 … stiff_6",
-        doc: "The complete body is softer or stiffer than the model: another batch of silicone, a cure at another temperature, age.",
-        signature: "A sag that differs from the model's where the body leans or carries a load. Without a load there is almost no \
-                    difference: tendons of given length bend a soft body as far as a stiff one.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        doc: "The complete body is softer or stiffer than the model: another batch of silicone, a \
+            cure at another temperature, age.",
+        signature: "A sag that differs from the model's where the body leans or carries a load. \
+                    Without a load there is almost no difference: tendons of given length bend a \
+                    soft body as far as a stiff one.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("the same moves with and without a known load, leaning", 3.0),
-        // A soft body under an unknown weight looks like a stiff one under a larger weight; one with stiffer cables
-        // bends more.
+        // A soft body under an unknown weight looks like a stiff one under a larger weight; one
+        // with stiffer cables bends more.
         alike: &[
             ("gravity", "load"),
             ("payload", "load"),

@@ -1,10 +1,10 @@
 //! Stiffness gradient: the modulus falls or rises evenly along the body.
 //!
-//! `ln E(s) = ln E₀ + gradient·(s − ½)`, s the share of the height: the coefficient of each field stiff_k (displacement per
-//! unit of the logarithm of the modulus in one of seven stretches) is gradient·(s_k − ½). Under tendons whose shortening is
-//! given a uniform modulus hardly shows, its change along the body does.
-//! Limit: second order (`second.rs`); a field alone misses the simulator by 4 % at ±25 % in one stretch
-//! (rust/fem/sweep_tests.rs).
+//! `ln E(s) = ln E₀ + gradient·(s − ½)`, s the share of the height: the coefficient of each field
+//! stiff_k (displacement per unit of the logarithm of the modulus in one of seven stretches) is
+//! gradient·(s_k − ½). Under tendons whose shortening is given a uniform modulus hardly shows, its
+//! change along the body does. Limit: second order (`second.rs`); a field alone misses the
+//! simulator by 4 % at ±25 % in one stretch (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,9 +16,12 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "ln E(s) = ln E₀ + gradient · (s − 1/2)  on stiff_0 … stiff_6",
-        doc: "The modulus changes evenly along the body: settled filler, a cure that was not even, a wall that thins.",
-        signature: "Static, odd in the command: another shape along the body at the same angle of the tip, as an S between model and robot.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        doc: "The modulus changes evenly along the body: settled filler, a cure that was not even, \
+            a wall that thins.",
+        signature: "Static, odd in the command: another shape along the body at the same angle of \
+            the tip, as an S between model and robot.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("full range, both signs, points all along the body", 1.0),
         alike: &[],
         needs: &[],

@@ -1,11 +1,13 @@
 //! Tendon creep: a tendon under tension goes on stretching, and the bend is slowly lost.
 //!
-//! Each cable of a pair by itself: `s± = loss±·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the cable that +x pulls and
-//! the one that −x pulls are longer; what that does to the command is in `pair.rs`: `taut` 0 for cables that only pull and
-//! hang loose when they are let go, 1 for a pair that is held taut or takes compression, where `y = x − s⁺ + s⁻`.
-//! After a step all of it comes at once and a share of it is lost with time, where creep of the body (`creep.rs`) goes on
-//! in the direction of the step. Advanced exactly for pulls linear between samples, as in `lag.rs`. Memory starts in
-//! equilibrium, z± = max(±x, 0). Units 1 and s. Limit: one relaxation time, and all that is lost comes back.
+//! Each cable of a pair by itself: `s± = loss±·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the
+//! cable that +x pulls and the one that −x pulls are longer; what that does to the command is in
+//! `pair.rs`: `taut` 0 for cables that only pull and hang loose when they are let go, 1 for a pair
+//! that is held taut or takes compression, where `y = x − s⁺ + s⁻`. After a step all of it comes at
+//! once and a share of it is lost with time, where creep of the body (`creep.rs`) goes on in the
+//! direction of the step. Advanced exactly for pulls linear between samples, as in `lag.rs`. Memory
+//! starts in equilibrium, z± = max(±x, 0). Units 1 and s. Limit: one relaxation time, and all that
+//! is lost comes back.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -18,13 +20,14 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "y = taut · (x − a + b) + (1 − taut) · (x − min(max(x, −b), a)),  a = loss⁺ · z⁺, b = loss⁻ · z⁻,  tau · dz±/dt = max(±x, 0) − z±",
-        doc: "The tendon creeps: under a lasting pull polymer fibres and knots give way, and recover when they are let \
-              go. Each cable of a pair by itself, while it pulls.",
-        signature: "Drift while a command is held, back towards home; after a long pull home and the other side are \
-              overshot as far as the pair is taut, then come back.",
-        reference: "Linear viscoelastic creep: Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Viscoelastic \
-              Materials, 1976.",
+        formula: "y = taut · (x − a + b) + (1 − taut) · (x − min(max(x, −b), a)),  a = loss⁺ · z⁺, \
+            b = loss⁻ · z⁻,  tau · dz±/dt = max(±x, 0) − z±",
+        doc: "The tendon creeps: under a lasting pull polymer fibres and knots give way, and \
+              recover when they are let go. Each cable of a pair by itself, while it pulls.",
+        signature: "Drift while a command is held, back towards home; after a long pull home and \
+              the other side are overshot as far as the pair is taut, then come back.",
+        reference: "Linear viscoelastic creep: Findley, Lai and Onaran, Creep and Relaxation of \
+              Nonlinear Viscoelastic Materials, 1976.",
         experiment: ("a dwell of 30 s or more at a large command, then home", 2.0),
         alike: &[],
         needs: &[],

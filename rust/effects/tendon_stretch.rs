@@ -1,9 +1,10 @@
 //! Tendon stretch: the cables give more than the model's, in proportion to their tension.
 //!
-//! Every cable gets its `compliance` mm longer for each N of its tension, beyond the 1/k that the model has for cable and drive:
-//! a softer spring in the complementarity of `cables.rs`, which finds the new tensions with what loads and other effects do
-//! to them. Under a payload the tensions change and so does what is lost; a gain would not know.
-//! Limit: as far as the body answers changes of tension linearly: 1 % off at 0.02 mm/N (rust/fem/sweep_tests.rs).
+//! Every cable gets its `compliance` mm longer for each N of its tension, beyond the 1/k that the
+//! model has for cable and drive: a softer spring in the complementarity of `cables.rs`, which
+//! finds the new tensions with what loads and other effects do to them. Under a payload the
+//! tensions change and so does what is lost; a gain would not know. Limit: as far as the body
+//! answers changes of tension linearly: 1 % off at 0.02 mm/N (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -16,8 +17,10 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "stretch = compliance · T  of each cable, T solved with the body",
         doc: "Cables, knots or the drive's belt give under tension.",
-        signature: "Static, as a gain that is lost more where the tension is higher: with the bend, and with a payload on the pulled side.",
-        reference: "Hooke's law of a cable; Hintermüller, Ito and Kunisch 2002 for the complementarity.",
+        signature: "Static, as a gain that is lost more where the tension is higher: with the \
+            bend, and with a payload on the pulled side.",
+        reference: "Hooke's law of a cable; Hintermüller, Ito and Kunisch 2002 for the \
+            complementarity.",
         experiment: ("the same moves with and without a known load", 3.0),
         alike: &[("gain", "load")],
         needs: &[],

@@ -1,8 +1,9 @@
 //! Thermal softening: a warmer body bends further under the same command.
 //!
-//! `y = x·(1 + rate/100·(T − T₀))`, `T₀` the first temperature that the run tells, which is memory; without a
-//! temperature it does nothing. Linear in the rate, so that a fit needs no start; a body that hardens has a negative
-//! rate. Limit: the temperature of the run is that of the body, all of it.
+//! `y = x·(1 + rate/100·(T − T₀))`, `T₀` the first temperature that the run tells, which is memory;
+//! without a temperature it does nothing. Linear in the rate, so that a fit needs no start; a body
+//! that hardens has a negative rate. Limit: the temperature of the run is that of the body, all of
+//! it.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,8 +15,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Material,
         kind: Kind::Effect,
         formula: "y = x · (1 + rate/100 · (T − T₀))",
-        doc: "Rubber and tendon change with temperature, from the motors next to them or from the room.",
-        signature: "Error in proportion to the command that follows the temperature, whatever the moves.",
+        doc: "Rubber and tendon change with temperature, from the motors next to them or from the \
+            room.",
+        signature: "Error in proportion to the command that follows the temperature, whatever the \
+            moves.",
         reference: "Treloar, The Physics of Rubber Elasticity, 1975.",
         experiment: (
             "the same moves before and after a warm-up, temperature recorded",

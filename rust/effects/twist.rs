@@ -1,8 +1,9 @@
 //! Twist: body and tendons are twisted along their length at rest.
 //!
-//! An even twist of `angle` degrees at the tip, tendons carried along: the coefficient of the field twist (displacement per
-//! 1°). Points roll about the middle line, and the body bends out of the plane of its tendons towards the tip.
-//! Limit: linear; 5 % off at 6°, where a chord is no arc any more (rust/fem/sweep_tests.rs).
+//! An even twist of `angle` degrees at the tip, tendons carried along: the coefficient of the field
+//! twist (displacement per 1°). Points roll about the middle line, and the body bends out of the
+//! plane of its tendons towards the tip. Limit: linear; 5 % off at 6°, where a chord is no arc any
+//! more (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,8 +16,10 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "roll at s = angle · s  on twist",
         doc: "The body was cast or clamped with a twist: its channels run as a steep screw.",
-        signature: "Points roll about the body's axis, more towards the tip, at home too; bent, the tip leaves the plane of the pulled tendon.",
-        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        signature: "Points roll about the body's axis, more towards the tip, at home too; bent, \
+            the tip leaves the plane of the pulled tendon.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design \
+            and one back-substitution; tensions by complementarity.",
         experiment: ("points on the skin all along the body, full range", 1.0),
         alike: &[],
         needs: &[],

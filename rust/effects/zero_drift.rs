@@ -1,8 +1,10 @@
-//! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps through its knot.
+//! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps
+//! through its knot.
 //!
-//! `x = u + rate·min(m, 15)`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the
-//! commands. No log of some minutes says what comes after a quarter of an hour, so a controller that compensates it stops there.
-//! Limit: steady; a drift that ends is a `tendon_creep`, and one that comes at once an `anchor_slip`.
+//! `x = u + rate·min(m, 15)`, mm, `rate` in mm/min per channel, `m` the minutes since the first
+//! sample. No memory of the commands. No log of some minutes says what comes after a quarter of an
+//! hour, so a controller that compensates it stops there. Limit: steady; a drift that ends is a
+//! `tendon_creep`, and one that comes at once an `anchor_slip`.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,8 +17,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Transmission,
         kind: Kind::Effect,
         formula: "x = u + rate · min(m, 15),  m minutes since the first sample",
-        doc: "The zero of a channel moves steadily: a tendon slides through its knot, a servo loses steps, a cable settles.",
-        signature: "An offset of the channel that grows with time from nothing, whatever is commanded; the base stays in place.",
+        doc: "The zero of a channel moves steadily: a tendon slides through its knot, a servo \
+            loses steps, a cable settles.",
+        signature: "An offset of the channel that grows with time from nothing, whatever is \
+            commanded; the base stays in place.",
         reference: "Linear drift, the first term of a drift in time.",
         experiment: ("home at the start, in between and at the end", 0.5),
         alike: &[],

@@ -1,4 +1,5 @@
-//! Column bank of one family: columns sampled at capture times, or applied to the command at full rate.
+//! Column bank of one family: columns sampled at capture times, or applied to the command at full
+//! rate.
 
 use super::declaration::{Emit, Family};
 use super::series::Series;
@@ -38,8 +39,9 @@ impl Bank {
         self.channels
     }
 
-    /// Sample the columns at the times `at` (K,), linear between samples. Returns the channel (n,) and the samples (n, K) mm.
-    /// There are none if the series lacks, or does not vary, what the family needs.
+    /// Sample the columns at the times `at` (K,), linear between samples. Returns the channel (n,)
+    /// and the samples (n, K) mm. There are none if the series lacks, or does not vary, what the
+    /// family needs.
     pub fn columns(&self, series: &Series, at: &[f64]) -> Result<Sampled> {
         self.check(series)?;
         let Some(columns) = self.family.columns else {
@@ -77,7 +79,8 @@ impl Bank {
             .collect())
     }
 
-    /// Compute the rows (m, K) that multiply each field at the times `at` (K,). There are none for a family without fields.
+    /// Compute the rows (m, K) that multiply each field at the times `at` (K,). There are none for
+    /// a family without fields.
     pub fn modulation(&self, series: &Series, at: &[f64]) -> Result<Vec<f64>> {
         self.check(series)?;
         let mut rows = vec![];
@@ -87,8 +90,9 @@ impl Bank {
         Ok(rows)
     }
 
-    /// Sample the signals in half ranges at the times `at` (K,). Returns the channel (n,) and the samples (n, K).
-    /// `wide` selects the spacing for models whose static map is learned together with the memory.
+    /// Sample the signals in half ranges at the times `at` (K,). Returns the channel (n,) and the
+    /// samples (n, K). `wide` selects the spacing for models whose static map is learned together
+    /// with the memory.
     pub fn signals(&self, series: &Series, at: &[f64], wide: bool) -> Result<Sampled> {
         self.check(series)?;
         let Some(signals) = self.family.signals else {

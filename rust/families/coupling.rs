@@ -6,7 +6,8 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "coupling",
     kind: Kind::Static,
-    doc: "One channel also moves the others: the error is static and appears off the commanded axis.",
+    doc: "One channel also moves the others: the error is static and appears off the commanded \
+        axis.",
     experiment: ("each channel alone, then the channels together", 2.0),
     mimics: &["static map", "body", "static shape"],
     members: &["coupling", "routing"],
@@ -14,10 +15,12 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// Most channels for which powers and products are used: beyond, a run cannot identify so many columns.
+/// Most channels for which powers and products are used: beyond, a run cannot identify so many
+/// columns.
 const PRODUCTS: usize = 3;
 
-/// y, y², y(5y² − 3)/2, xy, x²y, xy², |y| and x|y| for every other channel y, mm; only y above [`PRODUCTS`] channels.
+/// y, y², y(5y² − 3)/2, xy, x²y, xy², |y| and x|y| for every other channel y, mm; only y above
+/// [`PRODUCTS`] channels.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, half) = (&series.x[channel], series.half[channel]);
     let terms: &[fn(f64, f64) -> f64] = &[

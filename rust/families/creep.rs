@@ -21,7 +21,8 @@ pub static FAMILY: Family = Family {
 
 /// Time constants, s: close enough together to represent any Prony series in their range.
 const POLES: [f64; 6] = [2.0, 5.0, 12.0, 30.0, 80.0, 200.0];
-/// Number of time constants used as signals: a run of minutes cannot distinguish the slowest from the static map.
+/// Number of time constants used as signals: a run of minutes cannot distinguish the slowest from
+/// the static map.
 const SIGNALS: usize = 5;
 
 /// Time constants of the stretch of single cables, s.
@@ -30,8 +31,9 @@ const CABLES: [f64; 3] = [10.0, 30.0, 90.0];
 /// Time constants in which the largest stroke is forgotten, s.
 const STROKES: [f64; 3] = [4.0, 12.0, 36.0];
 
-/// Low-passed command minus command, mm. If the map is not free: also what remains of the largest stroke of all channels
-/// beyond the present one, as in a material that recovers; and what each cable of a pair has lost, where it pulls.
+/// Low-passed command minus command, mm. If the map is not free: also what remains of the largest
+/// stroke of all channels beyond the present one, as in a material that recovers; and what each
+/// cable of a pair has lost, where it pulls.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     let mut out = vec![0.0; series.samples()];

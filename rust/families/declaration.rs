@@ -1,8 +1,10 @@
-//! Declaration of an effect family: its inputs, its linear representative, its members, and the families it can mimic.
+//! Declaration of an effect family: its inputs, its linear representative, its members, and the
+//! families it can mimic.
 //!
-//! A *family* groups all effects that depend on the same inputs (present command, command history, time, …), whatever their
-//! law. Its representative is linear: *columns* are added to the command of a channel at full rate; *fields* are changes of
-//! shape, multiplied by *modulations*. The *members* are the effects of the library that belong to the family.
+//! A *family* groups all effects that depend on the same inputs (present command, command history,
+//! time, …), whatever their law. Its representative is linear: *columns* are added to the command
+//! of a channel at full rate; *fields* are changes of shape, multiplied by *modulations*. The
+//! *members* are the effects of the library that belong to the family.
 
 use super::series::{Seen, Series};
 
@@ -30,14 +32,15 @@ impl Kind {
     }
 }
 
-/// Consumer of columns. It receives one column at a time, so memory does not grow with their number at full rate.
+/// Consumer of columns. It receives one column at a time, so memory does not grow with their number
+/// at full rate.
 pub type Emit<'a> = &'a mut dyn FnMut(&[f64]);
 
 /// Emit the columns (T,) mm that are added to the command of one channel.
 pub type Columns = fn(&Series, usize, Emit);
 
-/// Emit the signals (T,) of one channel in half ranges. The flag selects wide spacing, for models whose static map is learned
-/// together with the memory.
+/// Emit the signals (T,) of one channel in half ranges. The flag selects wide spacing, for models
+/// whose static map is learned together with the memory.
 pub type Signals = fn(&Series, usize, bool, Emit);
 
 /// Emit the rows (K,) that multiply each field at the capture times.
@@ -54,7 +57,8 @@ pub struct Family {
     pub needs: &'static [&'static str],
     /// Families that can produce the same error where the run cannot distinguish them.
     pub mimics: &'static [&'static str],
-    /// Experiment that shows the family apart from those it can mimic, and its minutes; empty if there is none.
+    /// Experiment that shows the family apart from those it can mimic, and its minutes; empty if
+    /// there is none.
     pub experiment: (&'static str, f64),
     /// Effects of the library that belong to the family.
     pub members: &'static [&'static str],

@@ -1,4 +1,5 @@
-//! Delay: the robot follows its command late, by a dead time or by a first-order lag of up to one second.
+//! Delay: the robot follows its command late, by a dead time or by a first-order lag of up to one
+//! second.
 
 use super::declaration::*;
 use super::operators::{pole, shifted, with};

@@ -5,7 +5,8 @@ use super::declaration::*;
 pub static FAMILY: Family = Family {
     name: "frame",
     kind: Kind::Static,
-    doc: "Everything measured is rotated, shifted or scaled, the clamped base included: a measurement fault.",
+    doc: "Everything measured is rotated, shifted or scaled, the clamped base included: a \
+        measurement fault.",
     experiment: ("points near the base, home revisits", 0.5),
     mimics: &["static shape"],
     members: &["mount", "scale", "lens"],

@@ -1,4 +1,5 @@
-//! Frame drift: the sensor moves relative to the robot's base during the run, slowly or at one instant.
+//! Frame drift: the sensor moves relative to the robot's base during the run, slowly or at one
+//! instant.
 
 use super::declaration::*;
 use super::operators::{Spline, each};
@@ -7,7 +8,8 @@ use super::series::Seen;
 pub static FAMILY: Family = Family {
     name: "frame drift",
     kind: Kind::Time,
-    doc: "The clamped base appears to move during the run, slowly or at once: a camera or a mount drifts or is hit.",
+    doc: "The clamped base appears to move during the run, slowly or at once: a camera or a mount \
+        drifts or is hit.",
     experiment: (
         "home revisited every minute, with points near the base",
         4.0,

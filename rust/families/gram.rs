@@ -1,15 +1,16 @@
 //! Gram matrices of whitened columns over a set of frames, without forming the whitened columns.
 //!
-//! A column is X_j = base_j ∘ w_j: a base (K, M) over K frames and M modes, times one weight per frame (K,). The model error
-//! has the kernel Q diag(λ) Qᵀ over frames and the variance s_m in mode m. The whitened column is
-//! X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/noise/noise_model.py). With QᵀQ = 1, the whitened Gram is
+//! A column is X_j = base_j ∘ w_j: a base (K, M) over K frames and M modes, times one weight per
+//! frame (K,). The model error has the kernel Q diag(λ) Qᵀ over frames and the variance s_m in mode
+//! m. The whitened column is X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X
+//! (softmap_edge/noise/noise_model.py). With QᵀQ = 1, the whitened Gram is
 //!
 //!     G_ab = Σ_k w_ak w_bk P_ab(k) − Σ_rm D_rm Y_a,rm Y_b,rm,   P_ab(k) = Σ_m base_a,km base_b,km,
 //!     Y = Qᵀ X,   D = λs/(1 + λs).
 //!
-//! Many columns share few bases, so the first term costs a few products of weights. Pairs (r, m) with D < 1e-4 are skipped,
-//! which overstates the energy along them by at most 1e-4. Columns come in blocks; a Gram matrix is that of two blocks.
-//! Checked by tests/noise/test_level.py.
+//! Many columns share few bases, so the first term costs a few products of weights. Pairs (r, m)
+//! with D < 1e-4 are skipped, which overstates the energy along them by at most 1e-4. Columns come
+//! in blocks; a Gram matrix is that of two blocks. Checked by tests/noise/test_level.py.
 
 use crate::error::{Result, invalid};
 use crate::shape::modes::wide;
@@ -35,8 +36,8 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// Create a set of frames out of `total`, with kernel basis (frames, r) row by row and strength (r,). `name` appears in
-    /// error messages.
+    /// Create a set of frames out of `total`, with kernel basis (frames, r) row by row and strength
+    /// (r,). `name` appears in error messages.
     pub(super) fn new(
         name: &str,
         index: Vec<usize>,
@@ -90,7 +91,8 @@ impl Frames {
                 let off = (inner[(i, j)] - f64::from(i == j)).abs();
                 if off.is_nan() || off > ORTHONORMAL {
                     return Err(invalid(format!(
-                        "kernel of {name}: basis vectors {i} and {j} are not orthonormal (deviation {off:.2e})"
+                        "kernel of {name}: basis vectors {i} and {j} are not orthonormal \
+                        (deviation {off:.2e})"
                     )));
                 }
             }
@@ -104,7 +106,8 @@ impl Frames {
         MatRef::from_column_major_slice(&self.basis[..count * rank], count, rank)
     }
 
-    /// D of the vectors that matter for a mode with model-error variance `form`; these are the strongest ones.
+    /// D of the vectors that matter for a mode with model-error variance `form`; these are the
+    /// strongest ones.
     fn explained(&self, form: f64) -> impl Iterator<Item = f64> + '_ {
         let share = move |strength: &f64| strength * form / (1.0 + strength * form);
         let shares = self.strength.iter().map(share);
@@ -150,8 +153,8 @@ impl Columns<'_> {
         }
     }
 
-    /// √D Y (R, n) over a set of frames, for the model-error variance `form` (M,) of each mode: the part of the columns
-    /// that model error can explain.
+    /// √D Y (R, n) over a set of frames, for the model-error variance `form` (M,) of each mode: the
+    /// part of the columns that model error can explain.
     pub(super) fn along(&self, frames: &Frames, form: &[f64]) -> Mat<f64> {
         let n = self.base.len();
         let here = self.at(&frames.index);

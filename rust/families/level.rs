@@ -1,11 +1,13 @@
-//! Level 1 of the diagnosis: ridge regression of a residual on the columns of families, with blocked cross-validation.
+//! Level 1 of the diagnosis: ridge regression of a residual on the columns of families, with
+//! blocked cross-validation.
 //!
-//! Columns are added by name; `close` takes the residual. Every fit after that is a small solve: θ = (G + Λ)⁻¹ b from the
-//! training frames of a fold, and the held-out loss |y − Xθ|² from the Gram of its test frames. Λ holds the ridge of each name
-//! plus 1e-9 of the mean diagonal, which makes collinear columns solvable. A Gram matrix is made of blocks, one for two names
-//! (`gram.rs`). A block is made when a fit first needs it and kept, so families that are never fitted together, or never in
-//! folds, cost nothing. Without whitening, the Gram of training frames is that of all frames less that of the few others.
-//! Checked by tests/noise/test_level.py.
+//! Columns are added by name; `close` takes the residual. Every fit after that is a small solve: θ
+//! = (G + Λ)⁻¹ b from the training frames of a fold, and the held-out loss |y − Xθ|² from the Gram
+//! of its test frames. Λ holds the ridge of each name plus 1e-9 of the mean diagonal, which makes
+//! collinear columns solvable. A Gram matrix is made of blocks, one for two names (`gram.rs`). A
+//! block is made when a fit first needs it and kept, so families that are never fitted together, or
+//! never in folds, cost nothing. Without whitening, the Gram of training frames is that of all
+//! frames less that of the few others. Checked by tests/noise/test_level.py.
 
 use super::gram::{Columns, Frames, whitened};
 use crate::error::{Result, invalid};
@@ -66,7 +68,8 @@ struct Fold {
     others: Vec<usize>,
 }
 
-/// Blocks of whitened Gram matrices over a set of frames, by the numbers of two names, the larger one first.
+/// Blocks of whitened Gram matrices over a set of frames, by the numbers of two names, the larger
+/// one first.
 #[derive(Default)]
 struct Grams {
     along: HashMap<usize, Mat<f64>>,
@@ -88,7 +91,8 @@ pub struct Level {
 }
 
 impl Level {
-    /// Create a level from the model-error variance (M,) of each mode, the set of all frames, and (train, test) of each fold.
+    /// Create a level from the model-error variance (M,) of each mode, the set of all frames, and
+    /// (train, test) of each fold.
     pub fn new(form: Vec<f64>, all: FrameSet, folds: Vec<(FrameSet, FrameSet)>) -> Result<Level> {
         if form.is_empty() || form.iter().any(|s| s.is_nan() || *s < 0.0) {
             return Err(invalid(format!(
@@ -168,7 +172,8 @@ impl Level {
         self.blocks[1..].iter().map(|block| &*block.name).collect()
     }
 
-    /// Add columns X_j = base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
+    /// Add columns X_j = base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,),
+    /// `weight` (n, K).
     pub fn add(&mut self, name: &str, base: &[f64], which: &[usize], weight: &[f64]) -> Result<()> {
         if self.names().contains(&name) {
             return Err(invalid(format!(
@@ -231,7 +236,8 @@ impl Level {
         Ok(())
     }
 
-    /// Held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each. Without names: loss of the residual.
+    /// Held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each. Without
+    /// names: loss of the residual.
     pub fn losses(&mut self, names: &[String], ridges: &[f64]) -> Result<Vec<f64>> {
         let selection = self.selection(names, ridges)?;
         self.prepare(&selection);
@@ -292,7 +298,8 @@ impl Level {
         Ok(parts.collect())
     }
 
-    /// Effective degrees of freedom of `name` in a fit of all `names`: the trace of its block of (G + Λ)⁻¹ G.
+    /// Effective degrees of freedom of `name` in a fit of all `names`: the trace of its block of (G
+    /// + Λ)⁻¹ G.
     pub fn freedom(&mut self, names: &[String], ridges: &[f64], name: &str) -> Result<f64> {
         let selection = self.fit(names, ridges)?;
         let Some(which) = names.iter().position(|other| other == name) else {
@@ -381,7 +388,8 @@ impl Level {
         for (i, (name, ridge)) in names.iter().zip(ridges).enumerate() {
             if !ridge.is_finite() || *ridge < 0.0 || names[..i].contains(name) {
                 return Err(invalid(format!(
-                    "{name:?} with ridge {ridge}: a ridge must be finite and not negative, and a name may appear only once"
+                    "{name:?} with ridge {ridge}: a ridge must be finite and not negative, and a \
+                    name may appear only once"
                 )));
             }
             let block = self.block(name)?;
@@ -512,7 +520,8 @@ impl Selection {
             .for_each(|(i, ridge)| system[(i, i)] += ridge);
         let factor = system.llt(Side::Lower).map_err(|_| {
             invalid(format!(
-                "the normal equations of {count} columns are not positive definite (trace {trace:.3e}); raise the ridges"
+                "the normal equations of {count} columns are not positive definite (trace \
+                {trace:.3e}); raise the ridges"
             ))
         })?;
         Ok((factor, added))

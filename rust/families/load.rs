@@ -7,7 +7,8 @@ use super::time::PLAUSIBLE;
 pub static FAMILY: Family = Family {
     name: "load",
     kind: Kind::Static,
-    doc: "Own weight or a payload bends the robot: the error changes with the orientation of the base.",
+    doc: "Own weight or a payload bends the robot: the error changes with the orientation of the \
+        base.",
     needs: &["gravity"],
     experiment: (
         "the same moves in two orientations, declared in the run",

@@ -1,7 +1,7 @@
 //! Registry of effect families: one file per family, declared like the effects in `rust/effects/`.
 //!
-//! To add a family, write `NAME.rs` with `pub static FAMILY: Family` and add its name to the list below.
-//! Level 1 of the diagnosis, the tests and the documentation loop over this list.
+//! To add a family, write `NAME.rs` with `pub static FAMILY: Family` and add its name to the list
+//! below. Level 1 of the diagnosis, the tests and the documentation loop over this list.
 
 mod bank;
 mod declaration;

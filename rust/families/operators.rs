@@ -1,7 +1,9 @@
-//! Operators on one record: play, low pass, time shift, mean velocity, running maximum, cubic B-splines.
+//! Operators on one record: play, low pass, time shift, mean velocity, running maximum, cubic
+//! B-splines.
 //!
-//! All are O(T) and start in equilibrium with the first sample. They are exact for commands that are linear between samples,
-//! at any sample spacing. tests/model/test_families.py checks each against an independent NumPy version.
+//! All are O(T) and start in equilibrium with the first sample. They are exact for commands that
+//! are linear between samples, at any sample spacing. tests/model/test_families.py checks each
+//! against an independent NumPy version.
 
 use crate::effects::low_pass;
 
@@ -14,7 +16,8 @@ pub(super) fn play(x: &[f64], half_width: f64, out: &mut [f64]) {
     }
 }
 
-/// Dahl's element `dz = dx − |dx| z / reach`, starting at z = 0: a spring that slips the more the longer it is.
+/// Dahl's element `dz = dx − |dx| z / reach`, starting at z = 0: a spring that slips the more the
+/// longer it is.
 ///
 /// Source: P. R. Dahl, A solid friction model, Aerospace Corporation TOR-158 (1968).
 pub(super) fn dahl(x: &[f64], reach: f64, out: &mut [f64]) {
@@ -43,7 +46,8 @@ pub(super) fn pole(x: &[f64], dt: &[f64], tau: f64, out: &mut [f64]) {
     }
 }
 
-/// Shift in time: `x(t − late)`, linear between samples and held beyond both ends. `late` may be negative.
+/// Shift in time: `x(t − late)`, linear between samples and held beyond both ends. `late` may be
+/// negative.
 pub(super) fn shifted(x: &[f64], t: &[f64], late: f64, out: &mut [f64]) {
     let last = t.len() - 1;
     let mut k = 0;
@@ -60,7 +64,8 @@ pub(super) fn shifted(x: &[f64], t: &[f64], late: f64, out: &mut [f64]) {
     }
 }
 
-/// Mean velocity over a window of `window` s centred at each sample; the command rests beyond both ends.
+/// Mean velocity over a window of `window` s centred at each sample; the command rests beyond both
+/// ends.
 pub(super) fn velocity(x: &[f64], t: &[f64], window: f64) -> Vec<f64> {
     let (mut before, mut after) = (vec![0.0; x.len()], vec![0.0; x.len()]);
     shifted(x, t, 0.5 * window, &mut before);
@@ -103,7 +108,8 @@ pub(super) fn largest_so_far(x: &[f64]) -> Vec<f64> {
     so_far.collect()
 }
 
-/// Cubic B-splines on equal intervals from `low` to `high`. They sum to 1, and are constant beyond both ends.
+/// Cubic B-splines on equal intervals from `low` to `high`. They sum to 1, and are constant beyond
+/// both ends.
 pub(super) struct Spline {
     pub(super) low: f64,
     pub(super) high: f64,

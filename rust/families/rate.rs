@@ -1,4 +1,5 @@
-//! Rate: the error depends on the present velocity of the command (viscous, quadratic and cubic terms).
+//! Rate: the error depends on the present velocity of the command (viscous, quadratic and cubic
+//! terms).
 
 use super::declaration::*;
 use super::operators::{each, velocity};
@@ -7,7 +8,8 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "rate",
     kind: Kind::Memory,
-    doc: "The shape at a command depends on the present speed and its sign, as in a viscous damper.",
+    doc: "The shape at a command depends on the present speed and its sign, as in a viscous \
+        damper.",
     experiment: ("the same triangles at three speeds", 2.0),
     mimics: &["memory", "delay", "creep"],
     columns: Some(columns),
@@ -19,7 +21,8 @@ pub static FAMILY: Family = Family {
 const WINDOW: f64 = 0.1;
 /// Velocity below which a channel counts as still, half ranges per second.
 const STILL: f64 = 1e-9;
-/// Scale of the columns at the highest velocity, as a share of the half range: a plausible size of the effect.
+/// Scale of the columns at the highest velocity, as a share of the half range: a plausible size of
+/// the effect.
 const PLAUSIBLE: f64 = 0.3;
 
 /// v, v|v|, v³ and v|x|, with v the velocity divided by its maximum; mm.

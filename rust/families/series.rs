@@ -1,11 +1,13 @@
-//! Input of the families: the effective command of each channel at full rate, with the declared conditions.
+//! Input of the families: the effective command of each channel at full rate, with the declared
+//! conditions.
 //!
 //! The scaled command is x = (v − middle)/half, about ±1 over the run. Units: mm, s, °C.
 
 use crate::effects::bracket;
 use crate::error::{Result, invalid};
 
-/// Added to the duration of a record, s: keeps the elapsed share below 1, and defined for a record of zero duration.
+/// Added to the duration of a record, s: keeps the elapsed share below 1, and defined for a record
+/// of zero duration.
 const LONGER: f64 = 1e-9;
 
 /// Effective commands of C channels at T times.
@@ -22,17 +24,18 @@ pub struct Series {
     pub(super) share: Vec<f64>,
     pub(super) temperature: Option<Vec<f64>>,
     pub(super) orientation: Option<Vec<i64>>,
-    /// Codes of the orientations of this run, and of others that are fitted together with it; rising.
+    /// Codes of the orientations of this run, and of others that are fitted together with it;
+    /// rising.
     pub(super) orientations: Vec<i64>,
-    /// Whether the static map of the model was learned freely from measurements. Its error looks like small effects of
-    /// single cables and of other channels.
+    /// Whether the static map of the model was learned freely from measurements. Its error looks
+    /// like small effects of single cables and of other channels.
     pub(super) free_map: bool,
 }
 
 impl Series {
-    /// Create a series from `v` (T, C) mm at `t` (T,) s, with `middle` and `half` range (C,) mm of each channel.
-    /// Optional conditions: `temperature` (T,) °C, and integer codes of the `orientation` (T,),
-    /// one of `orientations`.
+    /// Create a series from `v` (T, C) mm at `t` (T,) s, with `middle` and `half` range (C,) mm of
+    /// each channel. Optional conditions: `temperature` (T,) °C, and integer codes of the
+    /// `orientation` (T,), one of `orientations`.
     pub fn new(
         v: &[f64],
         t: Vec<f64>,
@@ -45,7 +48,8 @@ impl Series {
         let (samples, channels) = (t.len(), half.len());
         if samples < 2 || v.len() != samples * channels {
             return Err(invalid(format!(
-                "v has {} numbers for t of {samples} samples and {channels} channels; give (T, C) with T ≥ 2",
+                "v has {} numbers for t of {samples} samples and {channels} channels; give (T, C) \
+                with T ≥ 2",
                 v.len()
             )));
         }
@@ -70,7 +74,8 @@ impl Series {
         }
         if let Some(k) = (1..samples).find(|&k| t[k] < t[k - 1]) {
             return Err(invalid(format!(
-                "t falls from {} to {} s at sample {k}; times must not run backwards, so sort the record",
+                "t falls from {} to {} s at sample {k}; times must not run backwards, so sort the \
+                record",
                 t[k - 1],
                 t[k]
             )));
@@ -153,7 +158,8 @@ pub struct Seen {
     pub share: Vec<f64>,
 }
 
-/// Linear interpolation at fixed times: for each, the previous sample and the fraction of the way to the next.
+/// Linear interpolation at fixed times: for each, the previous sample and the fraction of the way
+/// to the next.
 pub(super) struct Sampler(Vec<(usize, f64)>);
 
 impl Sampler {

@@ -1,7 +1,9 @@
-//! Softening: the robot bends further below the largest command so far than on first loading (Mullins effect).
+//! Softening: the robot bends further below the largest command so far than on first loading
+//! (Mullins effect).
 //!
-//! With M the running maximum of |u|: u (1 − exp(−(M − |u|)/d)) and u (M − |u|). All columns vanish on first loading. Source:
-//! Ogden and Roxburgh's damage, as in rust/effects/mullins.rs, applied to each channel separately.
+//! With M the running maximum of |u|: u (1 − exp(−(M − |u|)/d)) and u (M − |u|). All columns vanish
+//! on first loading. Source: Ogden and Roxburgh's damage, as in rust/effects/mullins.rs, applied to
+//! each channel separately.
 
 use super::declaration::*;
 use super::operators::largest_so_far;

@@ -1,4 +1,5 @@
-//! Static map: a memoryless error in the map from command to effective command, each channel on its own.
+//! Static map: a memoryless error in the map from command to effective command, each channel on its
+//! own.
 
 use super::declaration::*;
 use super::operators::Spline;
@@ -7,7 +8,8 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "static map",
     kind: Kind::Static,
-    doc: "Each channel has a wrong but repeatable scale: gain, offset, dead zone or a non-linear map of the command.",
+    doc: "Each channel has a wrong but repeatable scale: gain, offset, dead zone or a non-linear \
+        map of the command.",
     experiment: (
         "each channel to its full range in fine steps, from both sides",
         2.0,

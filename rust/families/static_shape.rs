@@ -1,4 +1,5 @@
-//! Static shape: any error of shape that is a function of the present commands; the most general static family.
+//! Static shape: any error of shape that is a function of the present commands; the most general
+//! static family.
 
 use super::declaration::*;
 use super::series::Seen;
@@ -6,7 +7,8 @@ use super::series::Seen;
 pub static FAMILY: Family = Family {
     name: "static shape",
     kind: Kind::Static,
-    doc: "The shape error depends only on the present commands, but no command of this model produces that shape.",
+    doc: "The shape error depends only on the present commands, but no command of this model \
+        produces that shape.",
     mimics: &["static map", "coupling", "body", "frame"],
     members: &["contact"],
     modes: MODES,
@@ -17,10 +19,12 @@ pub static FAMILY: Family = Family {
 /// Leading spatial modes of the whitener.
 const MODES: usize = 8;
 const DEGREE: usize = 3;
-/// Most channels for which products of commands are used: beyond, a run cannot identify so many columns.
+/// Most channels for which products of commands are used: beyond, a run cannot identify so many
+/// columns.
 const PRODUCTS: usize = 3;
 
-/// Monomials of the commands up to degree 3; only powers of each channel above [`PRODUCTS`] channels.
+/// Monomials of the commands up to degree 3; only powers of each channel above [`PRODUCTS`]
+/// channels.
 fn monomials(seen: &Seen, emit: Emit) {
     constant(seen, emit);
     let ones = vec![1.0; seen.share.len()];

@@ -19,10 +19,12 @@ pub static FAMILY: Family = Family {
 };
 
 const INSTANTS: usize = 16;
-/// Share of the run before the first and after the last instant: both sides of a step must be visible.
+/// Share of the run before the first and after the last instant: both sides of a step must be
+/// visible.
 const EDGE: f64 = 0.06;
 
-/// A step at each instant, alone, times x and, if the map is not free, times x²: one cable of a pair may change. In mm.
+/// A step at each instant, alone, times x and, if the map is not free, times x²: one cable of a
+/// pair may change. In mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let most = PLAUSIBLE * series.half[channel];
     let x = &series.x[channel];

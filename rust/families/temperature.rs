@@ -7,7 +7,8 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "temperature",
     kind: Kind::Condition,
-    doc: "The same command gives another shape at another temperature: softer material or longer tendons.",
+    doc: "The same command gives another shape at another temperature: softer material or longer \
+        tendons.",
     needs: &["temperature"],
     experiment: (
         "the same moves while it warms up and while it cools down, temperature recorded",
@@ -21,15 +22,17 @@ pub static FAMILY: Family = Family {
 
 /// Smallest temperature range, °C: less is sensor noise.
 const LEAST: f64 = 0.5;
-/// Scale of the columns 1 and x, as a share of the half range: the unknown reference temperature makes an offset and a gain.
+/// Scale of the columns 1 and x, as a share of the half range: the unknown reference temperature
+/// makes an offset and a gain.
 const REFERENCE: f64 = 0.3;
 
-/// Time constants of a body that follows the temperature late, s; of creep whose strength follows the temperature, s.
+/// Time constants of a body that follows the temperature late, s; of creep whose strength follows
+/// the temperature, s.
 const LATE: [f64; 2] = [30.0, 100.0];
 const CREEP: [f64; 2] = [5.0, 30.0];
 
-/// z, zx, z²x, zx|x|, zx², z², 1, x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The
-/// reference temperature is unknown, hence 1 and x.
+/// z, zx, z²x, zx|x|, zx², z², 1, x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature −
+/// mean)/range; mm. The reference temperature is unknown, hence 1 and x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
         return;

@@ -30,7 +30,8 @@ pub static FAMILY: Family = Family {
 const INTERVALS: usize = 5;
 /// The same for signals.
 const SIGNAL_INTERVALS: usize = 4;
-/// Scale of the columns, as a share of the half range: a plausible size of the effect. Shared with steps and orientations.
+/// Scale of the columns, as a share of the half range: a plausible size of the effect. Shared with
+/// steps and orientations.
 pub(super) const PLAUSIBLE: f64 = 0.3;
 
 /// Cubic B-splines of time, alone and times x, mm.

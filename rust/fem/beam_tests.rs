@@ -34,7 +34,8 @@ fn end_moves(solid: &Solid, state: &State) -> f64 {
     end.iter().map(moved).sum::<f64>() / end.len() as f64
 }
 
-/// Sag under its own weight of a cantilever by Timoshenko's beam theory; length, side, modulus, Poisson's ratio, g.
+/// Sag under its own weight of a cantilever by Timoshenko's beam theory; length, side, modulus,
+/// Poisson's ratio, g.
 fn beam(length: f64, side: f64, young: f64, poisson: f64, g: f64) -> f64 {
     let line_load = 1000.0 * 1e-9 * 9.80665 * g * side * side;
     let bending = line_load * length.powi(4) / (8.0 * young * side.powi(4) / 12.0);
@@ -44,8 +45,8 @@ fn beam(length: f64, side: f64, young: f64, poisson: f64, g: f64) -> f64 {
     bending + line_load * length.powi(2) / (2.0 * coefficient * shear_modulus * side * side)
 }
 
-/// A cantilever of bricks or tetrahedra sags as the theory says, with the order of its elements; `stiff` is the sag at
-/// Poisson's ratio 0.48 with two and four cells across, over the theory's.
+/// A cantilever of bricks or tetrahedra sags as the theory says, with the order of its elements;
+/// `stiff` is the sag at Poisson's ratio 0.48 with two and four cells across, over the theory's.
 fn check_cantilever(
     solid: fn([usize; 3], Vec3, f64, f64) -> Solid,
     cells: [usize; 3],
@@ -70,7 +71,8 @@ fn check_cantilever(
         orders[0] < order && order < orders[1],
         "order {order}, {sags:?}"
     );
-    // Nearly incompressible: less by the clamp's restraint (some 4 %) and coarse cells, but not locked (30 % and more).
+    // Nearly incompressible: less by the clamp's restraint (some 4 %) and coarse cells, but not
+    // locked (30 % and more).
     for (n, known) in [2, 4].into_iter().zip(stiff) {
         let ratio = sag(n, 0.48) / beam(length, side, young, 0.48, g);
         assert!((ratio - known).abs() < 0.005, "{n} cells: {ratio}");
@@ -128,15 +130,16 @@ fn a_stiffer_region_and_a_stiffer_side_bend_as_beam_theory_says() {
         })
     };
     let plain = sag(None, 0);
-    // The half next to the clamp, 15/16 of the sag under a uniform load (1 − (L − a)⁴/L⁴), twice as stiff.
+    // The half next to the clamp, 15/16 of the sag under a uniform load (1 − (L − a)⁴/L⁴), twice as
+    // stiff.
     let stiffened = sag(region(0.5 * length, None), 0);
     assert!(
         (stiffened / plain - (1.0 - 0.5 * 15.0 / 16.0)).abs() < 0.01,
         "{}",
         stiffened / plain
     );
-    // One half of the section twice as stiff: about its own neutral axis, at h/12 from the middle, EI grows by
-    // 1.5 − 12·1.5·(1/12)² = 1.375 across the border; along it by 1.5.
+    // One half of the section twice as stiff: about its own neutral axis, at h/12 from the middle,
+    // EI grows by 1.5 − 12·1.5·(1/12)² = 1.375 across the border; along it by 1.5.
     let across = sag(region(length, Some(0.0)), 0);
     let along = sag(region(length, Some(0.0)), 1);
     assert!((plain / across - 1.375).abs() < 0.02, "{}", plain / across);

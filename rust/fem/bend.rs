@@ -1,12 +1,16 @@
-//! How the answer of an equilibrium to loads, moduli and tensions bends: its second derivatives, for causes that are not small.
+//! How the answer of an equilibrium to loads, moduli and tensions bends: its second derivatives,
+//! for causes that are not small.
 //!
-//! With the residual r(x, λ), λ the dead loads, the changes of the modulus and the tensions, and x_k = dx/dλ_k at constant
-//! other tensions (`sweep.rs`),
-//!   x_kl = −K⁻¹ D²r(k, l),   D²r(k, l) = ½ [q(k + l) − q(k) − q(l)],   q(d) = [r(+d) + r(−d) − 2 r(0)]/h²,
-//! where d moves the nodes along h·x_k and the tensions along h·e_k: dead loads are linear, so only elements and cables are
-//! assembled. A modulus p_k adds ∂(∂r/∂p_k)/∂x·x_l, a central difference, for each l, and two of them ∂²r/∂p_k∂p_l
-//! (`moduli.rs`). A cable's length bends likewise, by the same difference of lengths plus b·x_kl. Steps are REACH mm long, the
-//! error is their square: 1e-4. Units: mm, N, g. Limit: as for fields, where K at constant tension is indefinite it is shifted.
+//! With the residual r(x, λ), λ the dead loads, the changes of the modulus and the tensions, and
+//! x_k = dx/dλ_k at constant other tensions (`sweep.rs`),
+//!   x_kl = −K⁻¹ D²r(k, l),   D²r(k, l) = ½ [q(k + l) − q(k) − q(l)],   q(d) = [r(+d) + r(−d) − 2
+//!     r(0)]/h²,
+//! where d moves the nodes along h·x_k and the tensions along h·e_k: dead loads are linear, so only
+//! elements and cables are assembled. A modulus p_k adds ∂(∂r/∂p_k)/∂x·x_l, a central difference,
+//! for each l, and two of them ∂²r/∂p_k∂p_l (`moduli.rs`). A cable's length bends likewise, by the
+//! same difference of lengths plus b·x_kl. Steps are REACH mm long, the error is their square:
+//! 1e-4. Units: mm, N, g. Limit: as for fields, where K at constant tension is indefinite it is
+//! shifted.
 
 use super::change::add_parts;
 use super::moduli::Moduli;
@@ -22,15 +26,17 @@ use crate::response::loads::{LOADS, TIP_FORCE};
 /// How far a difference moves the node that moves most, mm.
 const REACH: f64 = 0.1;
 
-/// Second derivatives at one equilibrium, for each pair (k ≤ l) of `loads::LOADS`, the moduli and the tensions, row by row.
+/// Second derivatives at one equilibrium, for each pair (k ≤ l) of `loads::LOADS`, the moduli and
+/// the tensions, row by row.
 #[derive(Debug, Clone, Default)]
 pub struct Bend {
     /// Displacements of the points per unit of both.
     pub fields: Vec<Vec<Vec3>>,
     /// Stretch of each cable under the same, mm: rows (cables, pairs).
     pub stretch: Vec<f64>,
-    /// By what share the answers of gravity, of a force on the tip and of the tensions (each kind alike) grow for a unit of
-    /// each cause: g_k = ⟨x_l, x_kl⟩/⟨x_l, x_l⟩, sums over the causes l of a kind, over all unknowns.
+    /// By what share the answers of gravity, of a force on the tip and of the tensions (each kind
+    /// alike) grow for a unit of each cause: g_k = ⟨x_l, x_kl⟩/⟨x_l, x_l⟩, sums over the causes l
+    /// of a kind, over all unknowns.
     pub growth: Vec<f64>,
 }
 

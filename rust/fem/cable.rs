@@ -1,8 +1,9 @@
 //! Tendons: elastic cables that pull and never push, led through guides in the solid.
 //!
-//! Driven by shortening: energy kc/2 ⟨L − (L₀ − d)⟩₊² with the cable's length L through its guides (`guide.rs`), its rest
-//! length L₀, the shortening d (mm) and the stiffness kc of cable and drive together (N/mm). Driven by tension: energy
-//! T (L − L₀) with T = ⟨command⟩₊ in N, whatever the length. Frictionless.
+//! Driven by shortening: energy kc/2 ⟨L − (L₀ − d)⟩₊² with the cable's length L through its guides
+//! (`guide.rs`), its rest length L₀, the shortening d (mm) and the stiffness kc of cable and drive
+//! together (N/mm). Driven by tension: energy T (L − L₀) with T = ⟨command⟩₊ in N, whatever the
+//! length. Frictionless.
 
 use super::guide::{Averaging, Weights, guides};
 use super::mesh::Mesh;
@@ -66,7 +67,8 @@ impl Cable {
             .sum()
     }
 
-    /// Pull at a command (mm or N), N: the tension, or below zero how slack the cable is (stiffness × stretch).
+    /// Pull at a command (mm or N), N: the tension, or below zero how slack the cable is (stiffness
+    /// × stretch).
     pub fn pull(&self, x: &[Vec3], command: f64) -> f64 {
         match self.drive {
             Drive::Shortening => self.stiffness * (self.length(x) - self.rest_length + command),
@@ -328,7 +330,8 @@ mod tests {
         }
         let message = cable(6.2).unwrap_err().to_string();
         assert!(message.contains("3.20 mm outside"), "{message}");
-        // A jump between cells would be some 0.1 mm; the steepest slope is a few mm for each mm of shift.
+        // A jump between cells would be some 0.1 mm; the steepest slope is a few mm for each mm of
+        // shift.
         let x = bent(&mesh);
         let length = |shift: f64| cable(shift).unwrap().length(&x);
         for k in 0..80 {

@@ -1,11 +1,13 @@
-//! A body that differs from its description: its modulus along and across, its shape at rest, and where its tendons run.
+//! A body that differs from its description: its modulus along and across, its shape at rest, and
+//! where its tendons run.
 //!
-//! One number for each field of a design (`loads.rs`, in its units) says how much. A body's modulus is multiplied by the
-//! exponential of them; body and tendons together are twisted about z, evenly over the height, then bent to an arc that
-//! starts upright at the base. From a changed design either a new
-//! solid is built and solved again, or its forces at the places of a known equilibrium give the field: with the residual
-//! r(x, p) and the tangent K at constant tension, dx/dp = −K⁻¹ ∂r/∂p, and a cable stretches by b·dx/dp + ∂L/∂p,
-//! b = ∂L/∂x. Derivatives in p are central differences of two such designs. Units: mm, N, rad inside, ° in a change.
+//! One number for each field of a design (`loads.rs`, in its units) says how much. A body's modulus
+//! is multiplied by the exponential of them; body and tendons together are twisted about z, evenly
+//! over the height, then bent to an arc that starts upright at the base. From a changed design
+//! either a new solid is built and solved again, or its forces at the places of a known equilibrium
+//! give the field: with the residual r(x, p) and the tangent K at constant tension, dx/dp = −K⁻¹
+//! ∂r/∂p, and a cable stretches by b·dx/dp + ∂L/∂p, b = ∂L/∂x. Derivatives in p are central
+//! differences of two such designs. Units: mm, N, rad inside, ° in a change.
 
 use super::cable::Cable;
 use super::element::{Element, elements};
@@ -19,12 +21,14 @@ use crate::response::loads::{ACROSS, CURVE, LOADS, PUSH, ROUTING, STIFF, TWIST};
 /// How much of each field of a design is there.
 pub type Change = [f64; PUSH - LOADS];
 
-/// Half the distance of the two designs of a central difference, in the units of the fields: 0.01 in a logarithm of the
-/// modulus, 0.05 mm and 0.05°. The third derivatives of all of them are of the order of the first: 1e-4 of the field.
+/// Half the distance of the two designs of a central difference, in the units of the fields: 0.01
+/// in a logarithm of the modulus, 0.05 mm and 0.05°. The third derivatives of all of them are of
+/// the order of the first: 1e-4 of the field.
 const LOGARITHM: f64 = 0.01;
 const STEP: f64 = 0.05;
 
-/// A design with `by` more of one field; None where there is no such command. `drive` says which tendons a command moves.
+/// A design with `by` more of one field; None where there is no such command. `drive` says which
+/// tendons a command moves.
 pub fn changed(design: &Design, drive: &[Vec<f64>], field: usize, by: f64) -> Option<Design> {
     let mut design = design.clone();
     if field >= ROUTING {
@@ -54,8 +58,8 @@ pub(super) fn modulation(design: &Design, change: &Change) -> Modulation {
     }
 }
 
-/// Bind the cables and move the rest places of a design: what differs from its description is done here. The design's
-/// mesh and body end up changed.
+/// Bind the cables and move the rest places of a design: what differs from its description is done
+/// here. The design's mesh and body end up changed.
 pub(super) fn bind(design: &mut Design) -> Result<Vec<Cable>> {
     let change = |field: usize| design.change[field - LOADS];
     let modulation = modulation(design, &design.change);
@@ -102,7 +106,8 @@ fn twisted(p: Vec3, twist: f64, height: f64) -> Vec3 {
     [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]]
 }
 
-/// A rest place of a body bent to an arc whose tip is `curve` mm aside (of a small angle): κ = 2·curve/height².
+/// A rest place of a body bent to an arc whose tip is `curve` mm aside (of a small angle): κ =
+/// 2·curve/height².
 fn bent(p: Vec3, curve: [f64; 2], height: f64) -> Vec3 {
     let size = curve[0].hypot(curve[1]);
     if p[2] <= 0.0 || size == 0.0 {
@@ -150,7 +155,8 @@ impl Changed {
     }
 }
 
-/// Add `share` × the forces of elements and cables on the places `x` to `force`, and × the stretch of the cables to `stretch`.
+/// Add `share` × the forces of elements and cables on the places `x` to `force`, and × the stretch
+/// of the cables to `stretch`.
 pub(super) fn add_parts(
     (elements, cables): (&[Box<dyn Element>], &[Cable]),
     x: &[Vec3],
@@ -181,8 +187,8 @@ pub(super) struct Changes {
 }
 
 impl Changes {
-    /// All fields that the solid's design has; a change that cannot be built (a tendon that would leave a tight solid) has
-    /// none.
+    /// All fields that the solid's design has; a change that cannot be built (a tendon that would
+    /// leave a tight solid) has none.
     pub fn new(solid: &Solid, drive: &[Vec<f64>]) -> Changes {
         let pair = |field: usize| {
             let design = solid.design.as_deref()?;
@@ -195,8 +201,8 @@ impl Changes {
         }
     }
 
-    /// For each field there is: its number, the forces −∂r/∂p on the unknowns and the stretch ∂L/∂p of each cable at places
-    /// `x` with tensions `tension`, per unit.
+    /// For each field there is: its number, the forces −∂r/∂p on the unknowns and the stretch ∂L/∂p
+    /// of each cable at places `x` with tensions `tension`, per unit.
     pub fn at<'a>(
         &'a self,
         solid: &'a Solid,

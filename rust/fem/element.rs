@@ -1,14 +1,19 @@
-//! The element: a nearly incompressible neo-Hookean cell, total Lagrangian; a brick or a tetrahedron.
+//! The element: a nearly incompressible neo-Hookean cell, total Lagrangian; a brick or a
+//! tetrahedron.
 //!
-//! Energy of a cell (Simo, Taylor & Pister 1985; Bonet & Wood, Nonlinear Continuum Mechanics, ch. 8):
-//!   W = ∫ μ/2 (J^(−2/3) tr FᵀF − 3) dV + Σ V·U(θ),   θ = (1/V) ∫ J dV,   U(θ) = κ/4 (θ² − 1 − 2 ln θ)
-//! with N nodes, Q Gauss points and the sum over parts of G points with rest volume V. A brick has 8 nodes, 2×2×2 points and
-//! one part: its mean dilatation, without which it locks. A tetrahedron has 10 nodes, 4 points and 4 parts: at ν ≤ 0.48 it
-//! does not lock, and with a mean dilatation four points would leave it modes without energy (58 % too soft). μ is taken
-//! at the points, κ is the mean over a part; MPa, energy in N·mm. U grows without bound as θ → 0, so that a line search
-//! cannot walk through a collapsed cell; a cell with J ≤ 0 at a point has infinite energy. Limits: one pressure a brick, so
-//! stresses show a faint checkerboard; shapes do not (0.4–0.8 mm from a fine reference at 43–86° on the usual mesh).
-//! Four-node tetrahedra lock (2–5 mm) and are never used. Pinned by the tests below and the patch test.
+//! Energy of a cell (Simo, Taylor & Pister 1985; Bonet & Wood, Nonlinear Continuum Mechanics, ch.
+//! 8):
+//!   W = ∫ μ/2 (J^(−2/3) tr FᵀF − 3) dV + Σ V·U(θ),   θ = (1/V) ∫ J dV,   U(θ) = κ/4 (θ² − 1 − 2 ln
+//!     θ)
+//! with N nodes, Q Gauss points and the sum over parts of G points with rest volume V. A brick has
+//! 8 nodes, 2×2×2 points and one part: its mean dilatation, without which it locks. A tetrahedron
+//! has 10 nodes, 4 points and 4 parts: at ν ≤ 0.48 it does not lock, and with a mean dilatation
+//! four points would leave it modes without energy (58 % too soft). μ is taken at the points, κ is
+//! the mean over a part; MPa, energy in N·mm. U grows without bound as θ → 0, so that a line search
+//! cannot walk through a collapsed cell; a cell with J ≤ 0 at a point has infinite energy. Limits:
+//! one pressure a brick, so stresses show a faint checkerboard; shapes do not (0.4–0.8 mm from a
+//! fine reference at 43–86° on the usual mesh). Four-node tetrahedra lock (2–5 mm) and are never
+//! used. Pinned by the tests below and the patch test.
 
 use super::material::Body;
 use super::natural::Kind;
@@ -27,7 +32,8 @@ pub trait Element: Send + Sync {
     fn share(&self) -> &[f64];
     /// Energy, N·mm; infinite where the cell is inside out.
     fn energy(&self, x: &[Vec3]) -> f64;
-    /// The gradient of the energy (N) alone, added by node; nothing usable where the cell is inside out.
+    /// The gradient of the energy (N) alone, added by node; nothing usable where the cell is inside
+    /// out.
     fn force(&self, x: &[Vec3], force: &mut [Vec3]);
     /// Energy, its gradient (N) by node and its tangent (N/mm) by pairs (a, b ≤ a), row after row.
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64;
@@ -49,7 +55,8 @@ pub fn elements<'a>(
     cells.map(make).collect()
 }
 
-/// One cell: gradients of its shape functions, weights and shear moduli at the Gauss points, and the bulk modulus.
+/// One cell: gradients of its shape functions, weights and shear moduli at the Gauss points, and
+/// the bulk modulus.
 struct Hyperelastic<const N: usize, const Q: usize, const G: usize> {
     nodes: [usize; N],
     gradient: [[Vec3; N]; Q],
@@ -87,7 +94,8 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
             let (cofactor, det) = cofactor(&jacobian);
             if !(det.is_finite() && det > 0.0) {
                 return Err(invalid(format!(
-                    "cell at {:.1?} mm is inside out (Jacobian {det:.3e}); use a smoother profile, more layers or a better mesh",
+                    "cell at {:.1?} mm is inside out (Jacobian {det:.3e}); use a smoother profile, \
+                    more layers or a better mesh",
                     corners[0]
                 )));
             }
@@ -110,7 +118,8 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         Ok(element)
     }
 
-    /// V·U of a part of deformed volume `dilated`, its slope (a pressure) and its curvature in that volume.
+    /// V·U of a part of deformed volume `dilated`, its slope (a pressure) and its curvature in that
+    /// volume.
     fn bulk(&self, part: usize, dilated: f64) -> (f64, f64, f64) {
         let (volume, kappa) = (self.volume[part], self.kappa[part]);
         let theta = dilated / volume;
@@ -125,8 +134,9 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         self.nodes.map(|n| x[n])
     }
 
-    /// Forces of one Gauss point: with g = F^(−T) ∇N (spatial gradient) and v = F ∇N, I₁ = tr FᵀF, they are
-    /// μ J^(−2/3) (v_a − I₁/3 g_a), and J g_a is its share of the part's swelling. Returns g, v, I₁ and μ J^(−2/3) dV.
+    /// Forces of one Gauss point: with g = F^(−T) ∇N (spatial gradient) and v = F ∇N, I₁ = tr FᵀF,
+    /// they are μ J^(−2/3) (v_a − I₁/3 g_a), and J g_a is its share of the part's swelling. Returns
+    /// g, v, I₁ and μ J^(−2/3) dV.
     fn add_force(
         &self,
         q: usize,
@@ -152,8 +162,8 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         (g, v, first, scale)
     }
 
-    /// One Gauss point: beside its forces the blocks
-    /// μ J^(−2/3) [(∇N_a·∇N_b) I − 2/3 (v_a g_bᵀ + g_a v_bᵀ) + I₁ (2/9 g_a g_bᵀ + 1/3 g_b g_aᵀ)] + p J (g_a g_bᵀ − g_b g_aᵀ).
+    /// One Gauss point: beside its forces the blocks μ J^(−2/3) [(∇N_a·∇N_b) I − 2/3 (v_a g_bᵀ +
+    /// g_a v_bᵀ) + I₁ (2/9 g_a g_bᵀ + 1/3 g_b g_aᵀ)] + p J (g_a g_bᵀ − g_b g_aᵀ).
     fn add_point(
         &self,
         q: usize,

@@ -1,9 +1,11 @@
-//! Elements: gradient and tangent by differences, rigid motion and uniform strain in closed form, inverted cells.
+//! Elements: gradient and tangent by differences, rigid motion and uniform strain in closed form,
+//! inverted cells.
 
 use super::*;
 use crate::fem::natural::EDGES;
 
-/// Rest nodes of a skewed cell, and the same stretched, sheared and bent, so that no symmetry hides a wrong sign.
+/// Rest nodes of a skewed cell, and the same stretched, sheared and bent, so that no symmetry hides
+/// a wrong sign.
 fn skewed(kind: Kind) -> (Vec<Vec3>, Vec<Vec3>) {
     let mut rest = vec![
         [0.0, 0.1, 0.0],

@@ -1,7 +1,8 @@
 //! Material points carried by a solid: where the points of one mesh go on another.
 //!
-//! A point is bound at rest to the cell that holds it by its natural coordinates (Newton's method on the cell's map).
-//! Meshes of one finger differ by their facets: a point up to `tolerance` mm outside is extrapolated, farther is refused.
+//! A point is bound at rest to the cell that holds it by its natural coordinates (Newton's method
+//! on the cell's map). Meshes of one finger differ by their facets: a point up to `tolerance` mm
+//! outside is extrapolated, farther is refused.
 
 use super::mesh::Mesh;
 use super::natural::{Kind, MOST_NODES};
@@ -41,7 +42,9 @@ impl Points {
                 let (cell, xi, outside) = finder.nearest(p);
                 if outside.is_nan() || outside > tolerance {
                     return Err(invalid(format!(
-                        "template vertex {index} at {p:.2?} mm lies {outside:.2} mm outside the solid (allowed {tolerance} mm); the template must belong to this finger's shape"
+                        "template vertex {index} at {p:.2?} mm lies {outside:.2} mm outside the \
+                        solid (allowed {tolerance} mm); the template must belong to this finger's \
+                        shape"
                     )));
                 }
                 let nodes = &finder.cells[cell];

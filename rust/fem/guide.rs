@@ -1,12 +1,14 @@
 //! The nodes that carry the guides of a tendon.
 //!
-//! A guide is not a point: a point load cuts into a mesh like a wire and its depth depends on the mesh. In a mesh with
-//! layers each guide is the average over a ring (the anchor over a disc) of moving-least-squares interpolants of one layer's
-//! nodes; there is a guide at every layer: a cable in a continuous channel. In any other mesh a guide is one interpolant of
-//! the nodes within four rings in space, which is the wider average. The weights are smooth in the guide's place (no jump
-//! between elements) and reproduce linear fields, so that rest position and rigid motion are exact, also for a guide in a
-//! hollow channel. Units: mm, rad. Limits: in layers guides stay in their rest layer, so a channel must not run sideways;
-//! elsewhere a guide more than two rings (3 mm) outside the solid is refused.
+//! A guide is not a point: a point load cuts into a mesh like a wire and its depth depends on the
+//! mesh. In a mesh with layers each guide is the average over a ring (the anchor over a disc) of
+//! moving-least-squares interpolants of one layer's nodes; there is a guide at every layer: a cable
+//! in a continuous channel. In any other mesh a guide is one interpolant of the nodes within four
+//! rings in space, which is the wider average. The weights are smooth in the guide's place (no jump
+//! between elements) and reproduce linear fields, so that rest position and rigid motion are exact,
+//! also for a guide in a hollow channel. Units: mm, rad. Limits: in layers guides stay in their
+//! rest layer, so a channel must not run sideways; elsewhere a guide more than two rings (3 mm)
+//! outside the solid is refused.
 
 use super::embed::Finder;
 use super::mesh::{Mesh, Section, radius_at};
@@ -16,8 +18,9 @@ use crate::algebra::dense;
 use crate::error::{Result, invalid};
 use std::f64::consts::TAU;
 
-/// Reach of the smooth weights over the outer radius: the same on every mesh, so that refinement does not let cables cut in
-/// deeper (a reach of two cells moved the tip by 3 mm of 18 between a core of 2 and of 6 cells).
+/// Reach of the smooth weights over the outer radius: the same on every mesh, so that refinement
+/// does not let cables cut in deeper (a reach of two cells moved the tip by 3 mm of 18 between a
+/// core of 2 and of 6 cells).
 const REACH: f64 = 0.75;
 /// Coarser cores have too few nodes within it; theirs reaches farther in proportion.
 const REACH_CORE: usize = 3;
@@ -54,7 +57,8 @@ pub fn guides(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<We
     };
     if !finite || !matches!(route, Route::Points(p) if p.len() >= 2) && !route.ascends() {
         return Err(invalid(
-            "tendon route: expected at least two (z, radius) pairs or points in mm, z of the pairs ascending",
+            "tendon route: expected at least two (z, radius) pairs or points in mm, z of the pairs \
+            ascending",
         ));
     }
     if mesh.levels.is_empty() {
@@ -62,7 +66,8 @@ pub fn guides(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<We
     }
     if !route.ascends() || first < 0.0 || last > mesh.height + 1e-9 {
         return Err(invalid(format!(
-            "tendon runs from z = {first} to {last} mm; allowed is ascending from 0 to {} mm, outside the solid there is nothing to hold it",
+            "tendon runs from z = {first} to {last} mm; allowed is ascending from 0 to {} mm, \
+            outside the solid there is nothing to hold it",
             mesh.height
         )));
     }
@@ -88,7 +93,9 @@ fn layered(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<Weigh
         let (size, room, cells) = around(&mesh.section, z, centre);
         if room.is_nan() || room < spread {
             return Err(invalid(format!(
-                "tendon at x = {:.2}, y = {:.2} mm runs outside the solid at z = {z:.1} mm: the wall is {room:.2} mm away, its channel takes {spread:.1} mm; route it further inside",
+                "tendon at x = {:.2}, y = {:.2} mm runs outside the solid at z = {z:.1} mm: the \
+                wall is {room:.2} mm away, its channel takes {spread:.1} mm; route it further \
+                inside",
                 centre[0], centre[1]
             )));
         }
@@ -97,7 +104,8 @@ fn layered(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<Weigh
     }
     if guides.len() < 2 {
         return Err(invalid(format!(
-            "tendon from z = {first} to {last} mm crosses fewer than two layers of the mesh; use more layers or a longer tendon"
+            "tendon from z = {first} to {last} mm crosses fewer than two layers of the mesh; use \
+            more layers or a longer tendon"
         )));
     }
     Ok(guides)
@@ -108,7 +116,8 @@ fn around(section: &Section, z: f64, at: [f64; 2]) -> (f64, f64, usize) {
     match section {
         Section::Disc(profile, core) => {
             let outer = radius_at(profile, z);
-            // The radius is made of a cosine and a sine: on the border itself round-off must not decide.
+            // The radius is made of a cosine and a sine: on the border itself round-off must not
+            // decide.
             (outer, outer - at[0].hypot(at[1]) + 1e-9, *core)
         }
         Section::Rectangle(half, cells) => {
@@ -160,7 +169,8 @@ fn ring(
         .collect())
 }
 
-/// Add `share` × the weights φᵢ (1, xᵢ − x)·M⁻¹·(1, 0, 0), M = Σ φᵢ (1, xᵢ − x)(1, xᵢ − x)ᵀ, φ = (1 − s²)³ within `reach`.
+/// Add `share` × the weights φᵢ (1, xᵢ − x)·M⁻¹·(1, 0, 0), M = Σ φᵢ (1, xᵢ − x)(1, xᵢ − x)ᵀ, φ = (1
+/// − s²)³ within `reach`.
 fn add_moving_least_squares(
     nodes: &[Vec3],
     place: [f64; 2],
@@ -181,7 +191,8 @@ fn add_moving_least_squares(
     let (inverse, det) = crate::algebra::vector::cofactor(&moment);
     if det.is_nan() || det < 1e-9 * moment[0][0].powi(3).max(1e-12) {
         return Err(invalid(format!(
-            "tendon guide at x = {:.1}, y = {:.1} mm has too few nodes around it; use a finer core or more rings",
+            "tendon guide at x = {:.1}, y = {:.1} mm has too few nodes around it; use a finer core \
+            or more rings",
             place[0], place[1]
         )));
     }
@@ -200,13 +211,16 @@ fn scattered(mesh: &Mesh, places: &[Vec3], ring: f64) -> Result<Vec<Weights>> {
         let outside = if inside { 0.0 } else { to_surface(mesh, place) };
         if outside.is_nan() || outside > OUTSIDE_RINGS * ring {
             return Err(invalid(format!(
-                "guide {g} of a tendon at {place:.2?} mm lies {outside:.2} mm outside the solid; allowed are two rings, {:.1} mm: check the tendon's frame and unit, or widen guide_ring_mm",
+                "guide {g} of a tendon at {place:.2?} mm lies {outside:.2} mm outside the solid; \
+                allowed are two rings, {:.1} mm: check the tendon's frame and unit, or widen \
+                guide_ring_mm",
                 OUTSIDE_RINGS * ring
             )));
         }
         in_space(&mesh.nodes, place, REACH_RINGS * ring).ok_or_else(|| {
             invalid(format!(
-                "guide {g} of a tendon at {place:.2?} mm has all its nodes on one side; use a finer mesh or a wider guide_ring_mm"
+                "guide {g} of a tendon at {place:.2?} mm has all its nodes on one side; use a \
+                finer mesh or a wider guide_ring_mm"
             ))
         })
     };
@@ -222,7 +236,8 @@ fn to_surface(mesh: &Mesh, p: Vec3) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// The place on a triangle that is nearest to a point (Ericson, Real-Time Collision Detection, ch. 5.1.5).
+/// The place on a triangle that is nearest to a point (Ericson, Real-Time Collision Detection, ch.
+/// 5.1.5).
 fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     let (ab, ac) = (sub(b, a), sub(c, a));
     let from = |corner: Vec3| (dot(ab, sub(p, corner)), dot(ac, sub(p, corner)));
@@ -251,7 +266,8 @@ fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     axpy(axpy(a, to_b / sum, ab), to_c / sum, ac)
 }
 
-/// Moving-least-squares weights of a place among nodes in space; none where the nodes do not surround it.
+/// Moving-least-squares weights of a place among nodes in space; none where the nodes do not
+/// surround it.
 fn in_space(nodes: &[Vec3], place: Vec3, reach: f64) -> Option<Weights> {
     let mut far: Vec<(f64, usize)> = nodes
         .iter()

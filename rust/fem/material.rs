@@ -1,9 +1,10 @@
 //! What a body is made of: modulus, Poisson's ratio and density, and where the modulus differs.
 //!
-//! μ = E/2(1+ν), κ = E/3(1−2ν) in MPa. A region is a box in the rest configuration, or the half of it that faces an angle
-//! about z (one side of the section stiffer), or what of them some cells of the mesh fill; the last region that holds a
-//! place decides its modulus. The modulus is taken at Gauss points, so that a border between regions need not follow the
-//! mesh. Limit: a border inside a cell is smeared over it.
+//! μ = E/2(1+ν), κ = E/3(1−2ν) in MPa. A region is a box in the rest configuration, or the half of
+//! it that faces an angle about z (one side of the section stiffer), or what of them some cells of
+//! the mesh fill; the last region that holds a place decides its modulus. The modulus is taken at
+//! Gauss points, so that a border between regions need not follow the mesh. Limit: a border inside
+//! a cell is smeared over it.
 
 use super::Vec3;
 use crate::error::{Result, invalid};
@@ -37,8 +38,8 @@ impl Material {
     }
 }
 
-/// Where the modulus is another: a box in mm, and the half of the section that faces `side` (radians about z), if any,
-/// in those of the mesh's cells that are marked in `cells`, if any are.
+/// Where the modulus is another: a box in mm, and the half of the section that faces `side`
+/// (radians about z), if any, in those of the mesh's cells that are marked in `cells`, if any are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     pub low: Vec3,
@@ -60,8 +61,9 @@ impl Region {
     }
 }
 
-/// By how much the logarithm of the modulus differs from what the base and the regions say, smoothly: `hats` along a body
-/// of `height` mm, `across` from its axis to `reach` mm along x and y.
+/// By how much the logarithm of the modulus differs from what the base and the regions say,
+/// smoothly: `hats` along a body of `height` mm, `across` from its axis to `reach` mm along x and
+/// y.
 #[derive(Debug, Clone, Copy)]
 pub struct Modulation {
     pub hats: [f64; HATS],

@@ -1,9 +1,11 @@
-//! Meshes, and those made of 8-node bricks: the round tapered finger as an O-grid, and the plain block.
+//! Meshes, and those made of 8-node bricks: the round tapered finger as an O-grid, and the plain
+//! block.
 //!
-//! The base frame's origin is at the centre of the clamped base, z runs to the tip; what lies at z = 0 or below is held.
-//! A layer of the O-grid is a square core of `core` × `core` cells inside `rings` rings of 4·`core` cells. The outer
-//! polygon is inflated to the area of the circle, so that weight and axial stiffness are right on every resolution.
-//! 3×3 core, 1 ring, 42 layers: 1204 nodes, 882 bricks, 548 surface vertices.
+//! The base frame's origin is at the centre of the clamped base, z runs to the tip; what lies at z
+//! = 0 or below is held. A layer of the O-grid is a square core of `core` × `core` cells inside
+//! `rings` rings of 4·`core` cells. The outer polygon is inflated to the area of the circle, so
+//! that weight and axial stiffness are right on every resolution. 3×3 core, 1 ring, 42 layers: 1204
+//! nodes, 882 bricks, 548 surface vertices.
 
 use super::Vec3;
 use super::natural::Kind;
@@ -11,11 +13,14 @@ use crate::error::{Result, invalid};
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// Corner of the core, as a fraction of the outer radius: keeps the ring's cells about as thick as wide.
+/// Corner of the core, as a fraction of the outer radius: keeps the ring's cells about as thick as
+/// wide.
 const CORE_FRACTION: f64 = 0.62;
-/// Nodes times nodes of a layer: the factored tangent is a band, and grows with this. Usual meshes have 3e4.
+/// Nodes times nodes of a layer: the factored tangent is a band, and grows with this. Usual meshes
+/// have 3e4.
 const MOST_WORK: usize = 4_000_000;
-/// GB of the factor for each of these: 9 numbers of 8 bytes a pair of nodes, twice for the fill beyond a layer.
+/// GB of the factor for each of these: 9 numbers of 8 bytes a pair of nodes, twice for the fill
+/// beyond a layer.
 const FACTOR_BYTES: f64 = 2.0 * 9.0 * 8e-9;
 
 /// What the cross-section of a mesh is known to be.
@@ -59,7 +64,8 @@ pub struct Resolution {
     pub layers: usize,
 }
 
-/// Radius at height `z` of a piecewise linear profile `[(z, radius)]`, held constant beyond its ends.
+/// Radius at height `z` of a piecewise linear profile `[(z, radius)]`, held constant beyond its
+/// ends.
 pub fn radius_at(profile: &[[f64; 2]], z: f64) -> f64 {
     let next = profile.partition_point(|p| p[0] < z);
     if next == 0 {
@@ -80,13 +86,15 @@ pub fn check_profile(profile: &[[f64; 2]]) -> Result<()> {
         .all(|p| p[0].is_finite() && p[1].is_finite() && p[1] > 0.0);
     if profile.len() < 2 || !ascending || !finite || profile[0][0] != 0.0 {
         return Err(invalid(
-            "profile: expected at least two (z, radius) pairs in mm, z from 0 ascending, radius above 0; check profile_mm",
+            "profile: expected at least two (z, radius) pairs in mm, z from 0 ascending, radius \
+            above 0; check profile_mm",
         ));
     }
     Ok(())
 }
 
-/// The finger: layers between `breaks` (heights that must be layers: where tendons start and end), base clamped.
+/// The finger: layers between `breaks` (heights that must be layers: where tendons start and end),
+/// base clamped.
 pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> Result<Mesh> {
     let Resolution {
         core,
@@ -96,14 +104,16 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
     check_profile(profile)?;
     if core == 0 || rings == 0 || core > 16 || rings > 16 || layers > 400 {
         return Err(invalid(format!(
-            "mesh core {core}, rings {rings}, layers {layers}: allowed are 1-16, 1-16 and at most 400; 3, 1, 42 is usual"
+            "mesh core {core}, rings {rings}, layers {layers}: allowed are 1-16, 1-16 and at most \
+            400; 3, 1, 42 is usual"
         )));
     }
     let per_layer = (core + 1) * (core + 1) + 4 * core * rings;
     let nodes = per_layer * (layers + 1);
     if nodes * per_layer > MOST_WORK {
         return Err(invalid(format!(
-            "mesh core {core}, rings {rings}, layers {layers}: {nodes} nodes, {per_layer} a layer, need about {:.1} GB a core to solve, at most {:.1} GB are allowed; 3, 1, 42 is usual",
+            "mesh core {core}, rings {rings}, layers {layers}: {nodes} nodes, {per_layer} a layer, \
+            need about {:.1} GB a core to solve, at most {:.1} GB are allowed; 3, 1, 42 is usual",
             nodes as f64 * per_layer as f64 * FACTOR_BYTES,
             MOST_WORK as f64 * FACTOR_BYTES,
         )));
@@ -153,7 +163,8 @@ pub fn block(cells: [usize; 3], size: Vec3) -> Result<Mesh> {
         .saturating_mul(nz.saturating_add(1));
     if cells.contains(&0) || nz > 400 || work > MOST_WORK {
         return Err(invalid(format!(
-            "block of {cells:?} cells: allowed are 1 or more each way, at most 400 along z, and about {:.1} GB a core to solve; 4, 4, 20 is usual",
+            "block of {cells:?} cells: allowed are 1 or more each way, at most 400 along z, and \
+            about {:.1} GB a core to solve; 4, 4, 20 is usual",
             MOST_WORK as f64 * FACTOR_BYTES,
         )));
     }
@@ -231,7 +242,8 @@ fn layer_heights(height: f64, breaks: &[f64], layers: usize) -> Result<Vec<f64>>
     let spans = ends.len() - 1;
     if layers < spans {
         return Err(invalid(format!(
-            "mesh layers {layers}: the tendons' ends cut the finger into {spans} spans; use at least {spans} layers"
+            "mesh layers {layers}: the tendons' ends cut the finger into {spans} spans; use at \
+            least {spans} layers"
         )));
     }
     let mut count = vec![1usize; spans];

@@ -1,7 +1,9 @@
-//! How the forces of a body's elements answer its modulus: first and second derivatives by `stiff_0 … stiff_6`, `stiff_x|y`.
+//! How the forces of a body's elements answer its modulus: first and second derivatives by `stiff_0
+//! … stiff_6`, `stiff_x|y`.
 //!
-//! Forces are linear in the modulus E = E₀ exp Σ p_i m_i(X). So ∂r/∂p_i at the same places are the forces of a body of
-//! modulus E m_i, and ∂²r/∂p_i∂p_j those of E m_i m_j: exact, from elements of their own where that is not zero. N.
+//! Forces are linear in the modulus E = E₀ exp Σ p_i m_i(X). So ∂r/∂p_i at the same places are the
+//! forces of a body of modulus E m_i, and ∂²r/∂p_i∂p_j those of E m_i m_j: exact, from elements of
+//! their own where that is not zero. N.
 
 use super::Vec3;
 use super::change::{Change, add_parts, bind, modulation};

@@ -1,8 +1,10 @@
-//! Natural coordinates of a cell: shape functions, Gauss points, edges and faces of 8-node bricks and 10-node tetrahedra.
+//! Natural coordinates of a cell: shape functions, Gauss points, edges and faces of 8-node bricks
+//! and 10-node tetrahedra.
 //!
-//! A brick's coordinates run over [−1, 1]³, its functions are trilinear. A tetrahedron's are three of its four barycentric
-//! coordinates L₁, L₂, L₃ (L₀ = 1 − L₁ − L₂ − L₃), its functions the quadratic Lᵢ(2Lᵢ − 1) at corners and 4LᵢLⱼ at mid-edges
-//! (Zienkiewicz & Taylor, The Finite Element Method, ch. 4), in the order of VTK: corners, then the edges of `EDGES`.
+//! A brick's coordinates run over [−1, 1]³, its functions are trilinear. A tetrahedron's are three
+//! of its four barycentric coordinates L₁, L₂, L₃ (L₀ = 1 − L₁ − L₂ − L₃), its functions the
+//! quadratic Lᵢ(2Lᵢ − 1) at corners and 4LᵢLⱼ at mid-edges (Zienkiewicz & Taylor, The Finite
+//! Element Method, ch. 4), in the order of VTK: corners, then the edges of `EDGES`.
 
 use super::{Vec3, axpy, norm, sub};
 
@@ -139,7 +141,8 @@ impl Kind {
         (value, slope)
     }
 
-    /// Place and Jacobian dx/dξ (rows x, columns ξ) of a cell with these nodes at natural coordinates.
+    /// Place and Jacobian dx/dξ (rows x, columns ξ) of a cell with these nodes at natural
+    /// coordinates.
     pub fn place(self, nodes: &[Vec3], xi: Vec3) -> (Vec3, [Vec3; 3]) {
         let (value, slope) = self.shape(xi);
         let (mut x, mut jacobian) = ([0.0; 3], [[0.0; 3]; 3]);
@@ -213,7 +216,8 @@ mod tests {
             let found = kind.natural(&corners, xi).unwrap();
             assert!(norm(sub(found, xi)) < 1e-12 && kind.inside(found) == found);
             let (points, weight) = kind.points();
-            // The rules integrate a quadratic exactly: ∫ x² is 8/3 over the brick and 1/60 over the tetrahedron.
+            // The rules integrate a quadratic exactly: ∫ x² is 8/3 over the brick and 1/60 over the
+            // tetrahedron.
             let square: f64 = points.iter().map(|p| weight * p[0] * p[0]).sum();
             let exact = if kind == Kind::Brick {
                 8.0 / 3.0

@@ -1,10 +1,12 @@
-//! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in small steps.
+//! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in
+//! small steps.
 //!
-//! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo backtracking on the
-//! total energy (Nocedal & Wright, ch. 3); the last steps, which are short, take the factor at hand (chord method:
-//! Kelley, Solving Nonlinear Equations with Newton's Method, 2003). An indefinite tangent is shifted on its diagonal, so
-//! that every step goes downhill; a step that fails is halved. Limit: it follows one branch; a snap-through ends on
-//! whatever branch lies downhill.
+//! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo
+//! backtracking on the total energy (Nocedal & Wright, ch. 3); the last steps, which are short,
+//! take the factor at hand (chord method: Kelley, Solving Nonlinear Equations with Newton's Method,
+//! 2003). An indefinite tangent is shifted on its diagonal, so that every step goes downhill; a
+//! step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch
+//! lies downhill.
 
 use super::Vec3;
 use super::cable::Drive;
@@ -20,11 +22,13 @@ const STEP_N: f64 = 1.0;
 /// Largest change of gravity in one step, g, and of the tip load, N.
 const STEP_GRAVITY: f64 = 0.5;
 const STEP_TIP: f64 = 0.1;
-/// The way to a load is cut into no more steps: farther loads are beyond any finger and fail sooner.
+/// The way to a load is cut into no more steps: farther loads are beyond any finger and fail
+/// sooner.
 const MOST_STEPS: f64 = 256.0;
 /// A step is not halved below this part of its usual length.
 const SMALLEST_PART: f64 = 1.0 / 64.0;
-/// Converged when no unknown is out of balance by more than this, N: bends a finger by less than 1e-4 mm.
+/// Converged when no unknown is out of balance by more than this, N: bends a finger by less than
+/// 1e-4 mm.
 const BALANCED: f64 = 1e-7;
 /// Converged when a full step moves no node by more, mm: the next one would move its square.
 const SETTLED: f64 = 2e-4;
@@ -49,7 +53,8 @@ pub struct State {
 /// Finds equilibria on one thread and remembers the factor for the next step.
 pub struct Solver<'a> {
     pub work: Work<'a>,
-    /// Whether the factor in `work` belongs to the last state that was reached, or to one a short step away.
+    /// Whether the factor in `work` belongs to the last state that was reached, or to one a short
+    /// step away.
     fresh: bool,
     /// Set from elsewhere to stop before the next iteration.
     stop: Option<&'a AtomicBool>,
@@ -104,7 +109,8 @@ impl<'a> Solver<'a> {
         self.fresh = false;
     }
 
-    /// Move an equilibrium to another load; on failure the state is the last equilibrium on the way.
+    /// Move an equilibrium to another load; on failure the state is the last equilibrium on the
+    /// way.
     pub fn advance(&mut self, state: &mut State, goal: &Load) -> Result<()> {
         let start = state.load.clone();
         let usual = 1.0
@@ -160,7 +166,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Newton's method from a guess of the places at a load, as another mesh of the same solid gives it.
+    /// Newton's method from a guess of the places at a load, as another mesh of the same solid
+    /// gives it.
     pub fn settle(&mut self, guess: Vec<Vec3>, load: &Load) -> Result<State> {
         let mut state = State {
             x: guess.clone(),
@@ -218,8 +225,8 @@ impl<'a> Solver<'a> {
         Err(residual)
     }
 
-    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly differ. None where
-    /// that does not settle quickly.
+    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly
+    /// differ. None where that does not settle quickly.
     fn chord(&mut self, x: &[Vec3], load: &Load, mut longest: f64) -> Option<Vec<Vec3>> {
         let mut x = x.to_vec();
         for _ in 0..CHORDS {
@@ -254,7 +261,8 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// The step with the factor at hand, its longest move, and the slope of the energy along it; None if that is uphill.
+    /// The step with the factor at hand, its longest move, and the slope of the energy along it;
+    /// None if that is uphill.
     fn downhill(&mut self) -> Option<(Vec<f64>, f64, f64)> {
         let residual = &self.work.residual;
         let step = self.work.solve(residual.iter().map(|r| -r).collect());
@@ -264,7 +272,8 @@ impl<'a> Solver<'a> {
         (longest.is_finite() && slope <= 0.0).then_some((step, longest, slope))
     }
 
-    /// One Newton step with backtracking: new places, longest move, whether the full step was taken.
+    /// One Newton step with backtracking: new places, longest move, whether the full step was
+    /// taken.
     fn descend(&mut self, x: &[Vec3], load: &Load, energy: f64) -> Option<(Vec<Vec3>, f64, bool)> {
         let solid = self.work.solid;
         let (step, longest, slope) = self.downhill()?;
@@ -283,7 +292,8 @@ impl<'a> Solver<'a> {
         None
     }
 
-    /// Tangent predictor, kept only where it has less energy under the new load than standing still.
+    /// Tangent predictor, kept only where it has less energy under the new load than standing
+    /// still.
     fn predict(&mut self, state: &State, load: &Load) -> Option<Vec<Vec3>> {
         if *load == state.load {
             return None;
@@ -318,7 +328,8 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// One Newton step of the elements alone, without cables or loads, at node places (n,): the displacement (n,) mm.
+/// One Newton step of the elements alone, without cables or loads, at node places (n,): the
+/// displacement (n,) mm.
 pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
     if x.len() != solid.mesh.nodes.len() {
         return Err(invalid(format!(
@@ -379,7 +390,9 @@ fn between(a: &Load, b: &Load, t: f64) -> Load {
 
 fn no_equilibrium(load: &Load, residual: f64) -> Error {
     Error::NoEquilibrium(format!(
-        "no equilibrium at tendon commands {:.3?} (mm, or N by tension), gravity {:.2?} g, tip load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try smaller commands or loads, a stiffer material, or a finer mesh",
+        "no equilibrium at tendon commands {:.3?} (mm, or N by tension), gravity {:.2?} g, tip \
+        load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try \
+        smaller commands or loads, a stiffer material, or a finer mesh",
         load.cables, load.gravity, load.tip
     ))
 }

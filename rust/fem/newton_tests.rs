@@ -1,4 +1,5 @@
-//! Equilibria against what is known of them: patch test, beam theory, symmetry, work of the cables, refinement.
+//! Equilibria against what is known of them: patch test, beam theory, symmetry, work of the cables,
+//! refinement.
 
 use super::*;
 use crate::fem::guide::Averaging;
@@ -212,7 +213,8 @@ fn the_cable_s_work_is_the_energy_gained_over_a_stroke() {
     let mut state = solver.home(gravity, [0.0; 3]).unwrap();
     let (steps, stroke) = (40, 10.0);
     let mut pulls = Vec::new();
-    let start = 2.0; // taut from here on, so that the tension is smooth and Simpson's rule exact to 1e-5
+    // taut from here on, so that the tension is smooth and Simpson's rule exact to 1e-5
+    let start = 2.0;
     let mut energies = Vec::new();
     for k in 0..=steps {
         let d = start + (stroke - start) * k as f64 / steps as f64;
@@ -293,7 +295,8 @@ fn the_finger_converges_under_refinement() {
         state.x[last..].iter().map(|p| p[0]).sum::<f64>() / solid.mesh.per_layer as f64
     };
     let tips = [tip(3, 18), tip(4, 24), tip(6, 36)];
-    // Cables that cut in deeper on finer meshes would lose 3 mm here; what is left is discretisation.
+    // Cables that cut in deeper on finer meshes would lose 3 mm here; what is left is
+    // discretisation.
     assert!(
         tips[0] > 15.0 && (tips[2] - tips[0]).abs() < 0.3,
         "{tips:?}"

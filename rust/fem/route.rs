@@ -3,13 +3,15 @@
 use super::Vec3;
 use super::mesh::radius_at;
 
-/// In a mesh without layers the guides of a formula are this far apart at most, as a part of the height.
+/// In a mesh without layers the guides of a formula are this far apart at most, as a part of the
+/// height.
 const SPACING: f64 = 0.04;
 
 /// Where a tendon runs, from where it leaves the base to its anchor.
 #[derive(Debug, Clone)]
 pub enum Route {
-    /// `(z, radius)` pairs, z ascending, at an angle about z that turns evenly with z by `turn` on the whole way.
+    /// `(z, radius)` pairs, z ascending, at an angle about z that turns evenly with z by `turn` on
+    /// the whole way.
     Formula {
         angle: f64,
         turn: f64,

@@ -1,7 +1,9 @@
-//! The solid: elements, cables and dead loads on one mesh; their total energy and the pattern of their equations.
+//! The solid: elements, cables and dead loads on one mesh; their total energy and the pattern of
+//! their equations.
 //!
-//! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight (consistent, ρ g) and a tip load
-//! spread over the last tenth of the height, with a slope where it acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
+//! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight
+//! (consistent, ρ g) and a tip load spread over the last tenth of the height, with a slope where it
+//! acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
 
 use super::cable::{Cable, Drive};
 use super::change::{self, Change};
@@ -45,7 +47,8 @@ pub struct Design {
     pub change: Change,
 }
 
-/// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g), force on the tip (N).
+/// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g),
+/// force on the tip (N).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Load {
     pub cables: Vec<f64>,
@@ -139,7 +142,8 @@ impl Solid {
         })
     }
 
-    /// Move a tip load to a place of the rest shape, mm: the shares get a slope, so that they make its force and moment.
+    /// Move a tip load to a place of the rest shape, mm: the shares get a slope, so that they make
+    /// its force and moment.
     fn load_at(&mut self, place: Vec3) -> Result<()> {
         let nodes = &self.mesh.nodes;
         let middle = (0..nodes.len()).fold([0.0; 3], |m, n| axpy(m, self.tip[n], nodes[n]));
@@ -147,7 +151,8 @@ impl Solid {
         let far = norm(away);
         if far.is_nan() || far > LOAD_REACH * self.mesh.height {
             return Err(invalid(format!(
-                "load at ({:.4}, {:.4}, {:.4}) mm: allowed is up to {:.4} mm from the middle of the tip at ({:.4}, {:.4}, {:.4}) mm",
+                "load at ({:.4}, {:.4}, {:.4}) mm: allowed is up to {:.4} mm from the middle of \
+                the tip at ({:.4}, {:.4}, {:.4}) mm",
                 place[0],
                 place[1],
                 place[2],
@@ -176,7 +181,8 @@ impl Solid {
             }
             _ => {
                 return Err(invalid(format!(
-                    "load at ({:.4}, {:.4}, {:.4}) mm: the last tenth of the mesh is one layer of nodes and carries no moment; use more layers",
+                    "load at ({:.4}, {:.4}, {:.4}) mm: the last tenth of the mesh is one layer of \
+                    nodes and carries no moment; use more layers",
                     place[0], place[1], place[2]
                 )));
             }
@@ -274,7 +280,8 @@ impl Solid {
     }
 }
 
-/// Shares of a tip load: volume in the last tenth of the height, faded in over half of it so that no mesh is special.
+/// Shares of a tip load: volume in the last tenth of the height, faded in over half of it so that
+/// no mesh is special.
 fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     let part = TIP_PART * mesh.height;
     let fade = |z: f64| ((z - mesh.height + part) / (0.5 * part)).clamp(0.0, 1.0);
@@ -286,7 +293,8 @@ fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     share
 }
 
-/// Shares of a push at a share of the height: volume, bell-shaped along it, so that no mesh is special.
+/// Shares of a push at a share of the height: volume, bell-shaped along it, so that no mesh is
+/// special.
 fn push_shares(mesh: &Mesh, volume: &[f64], station: f64) -> Vec<f64> {
     let away = |z: f64| (z / mesh.height - station) / PUSH_WIDTH;
     let share = |n: usize| volume[n] * (-0.5 * away(mesh.nodes[n][2]).powi(2)).exp();

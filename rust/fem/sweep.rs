@@ -1,8 +1,10 @@
-//! Many equilibria: sweeps over a tensor grid, paths, and whatever is asked of the equilibria of given commands.
+//! Many equilibria: sweeps over a tensor grid, paths, and whatever is asked of the equilibria of
+//! given commands.
 //!
-//! Neighbours start from each other. A sweep goes from home along the first axis, then from each of those states along the
-//! next axis, both ways, in parallel. A path is cut into chunks of fixed length, so that the answer does not depend on the
-//! number of cores. What loads do there: `compliance.rs`, `bend.rs`.
+//! Neighbours start from each other. A sweep goes from home along the first axis, then from each of
+//! those states along the next axis, both ways, in parallel. A path is cut into chunks of fixed
+//! length, so that the answer does not depend on the number of cores. What loads do there:
+//! `compliance.rs`, `bend.rs`.
 
 use super::Vec3;
 use super::embed::Points;
@@ -17,13 +19,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Commands of a path that one thread solves one after the other.
 const CHUNK: usize = 64;
 
-/// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium there.
+/// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium
+/// there.
 const LARGEST: f64 = 1e6;
 
 /// By how much the nodes of one mesh may lie outside another of the same solid, mm.
 const FACETS: f64 = 2.5;
 
-/// What one command gave: places of the points, and the pull of each cable (N; below zero how slack it is).
+/// What one command gave: places of the points, and the pull of each cable (N; below zero how slack
+/// it is).
 #[derive(Debug, Clone, Default)]
 pub struct Configuration {
     pub places: Vec<Vec3>,
@@ -47,7 +51,8 @@ impl Simulation {
             .all(|row| row.len() == channels && row.iter().all(|v| v.is_finite()));
         if drive.len() != solid.cables.len() || !even {
             return Err(invalid(format!(
-                "drive: {} rows for {} tendons; give each tendon one finite number for each command",
+                "drive: {} rows for {} tendons; give each tendon one finite number for each \
+                command",
                 drive.len(),
                 solid.cables.len()
             )));
@@ -69,7 +74,8 @@ impl Simulation {
         let mut numbers = command.iter().chain(&gravity).chain(&tip);
         if command.len() != self.channels() || !numbers.all(|v| v.abs() <= LARGEST) {
             return Err(invalid(format!(
-                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in mm or N, and loads in g and N, each within ±{LARGEST:e}",
+                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in \
+                mm or N, and loads in g and N, each within ±{LARGEST:e}",
                 self.channels()
             )));
         }
@@ -203,7 +209,8 @@ impl Simulation {
         })
     }
 
-    /// The same with the guesses of another mesh of this solid: Newton's method from where its equilibria put the nodes.
+    /// The same with the guesses of another mesh of this solid: Newton's method from where its
+    /// equilibria put the nodes.
     pub fn path_from(
         &self,
         other: &Simulation,

@@ -1,4 +1,5 @@
-//! Sweeps against paths, fields against solved loads, the same points on another mesh, stops and refusals.
+//! Sweeps against paths, fields against solved loads, the same points on another mesh, stops and
+//! refusals.
 
 use super::*;
 use crate::algebra::complementarity::Problem;
@@ -82,7 +83,8 @@ fn loads(first: &[f64]) -> Coefficients {
     all
 }
 
-/// Displacements under small loads by the fields and the cables' complementarity, without solving again.
+/// Displacements under small loads by the fields and the cables' complementarity, without solving
+/// again.
 fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> {
     let commands = [command.to_vec()];
     let progress = Progress::default();
@@ -175,7 +177,8 @@ fn large_loads_that_change_which_cables_pull_are_answered_too() {
         let loads = loads(&first);
         let (said, truth) = (answered(&s, &command, &loads), solved(&s, &command, &loads));
         let size = truth.iter().fold(0.0, |m: f64, v| m.max(norm(*v)));
-        // Geometric nonlinearity only; with the tangent of the start instead the error is half of the displacement.
+        // Geometric nonlinearity only; with the tangent of the start instead the error is half of
+        // the displacement.
         assert!(
             largest(&said, &truth) < 0.12 * size,
             "{command:?} {first:?}: {} of {size}",
@@ -193,8 +196,8 @@ fn rms(a: &[Vec3], b: &[Vec3]) -> f64 {
     (sum / a.len() as f64).sqrt()
 }
 
-/// By how much (mm RMS) the fields miss a changed design that is solved again, of how much it moves the points; the worst
-/// ratio over some commands beside the displacement that was best answered.
+/// By how much (mm RMS) the fields miss a changed design that is solved again, of how much it moves
+/// the points; the worst ratio over some commands beside the displacement that was best answered.
 fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
     let (s, mut change) = (small(3, 12, None), loads(&[]));
     change[field] = by;
@@ -279,7 +282,8 @@ fn solved_again(cases: Vec<(usize, f64, f64)>) {
 
 #[test]
 fn a_body_at_rest_takes_the_shape_of_its_changed_design() {
-    // Without weight or pull: an arc whose tip is 2 mm aside, a roll of 6° at the tip, and a modulus that nobody sees.
+    // Without weight or pull: an arc whose tip is 2 mm aside, a roll of 6° at the tip, and a
+    // modulus that nobody sees.
     let still = |field: usize, by: f64| {
         let s = small(2, 8, None);
         let found = s.fields(
@@ -332,7 +336,8 @@ fn another_mesh_reports_the_same_points() {
     };
     let (a, b) = (look(&one), look(&other));
     let moved = largest(&a, &template);
-    // Two coarse meshes of one finger: they differ by their own errors, a few per cent of the motion.
+    // Two coarse meshes of one finger: they differ by their own errors, a few per cent of the
+    // motion.
     assert!(
         moved > 15.0 && largest(&a, &b) < 0.06 * moved,
         "{moved} {}",

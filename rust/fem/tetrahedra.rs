@@ -1,9 +1,10 @@
 //! Meshes of tetrahedra made elsewhere: checked, promoted to ten nodes, refined.
 //!
-//! Four-node cells lock; each gets a node at the middle of every edge, shared with its neighbours. Refining splits a cell
-//! into eight at its mid-edges (Bey 1995), the octahedron in its middle along its shortest diagonal. What is refused, in
-//! one line: no cells, numbers that are not finite, cells that point outside the nodes, are inside out or flat, loose
-//! nodes, several bodies, a size that no finger has, nothing clamped. Units: mm in the base frame; z ≤ 0 is held.
+//! Four-node cells lock; each gets a node at the middle of every edge, shared with its neighbours.
+//! Refining splits a cell into eight at its mid-edges (Bey 1995), the octahedron in its middle
+//! along its shortest diagonal. What is refused, in one line: no cells, numbers that are not
+//! finite, cells that point outside the nodes, are inside out or flat, loose nodes, several bodies,
+//! a size that no finger has, nothing clamped. Units: mm in the base frame; z ≤ 0 is held.
 
 use super::mesh::{Mesh, Section, outer_surface};
 use super::natural::{EDGES, Kind};
@@ -13,14 +14,16 @@ use std::collections::HashMap;
 
 /// Cells of the largest mesh: beyond, one factor needs more than about 4 GB.
 const MOST_CELLS: usize = 60_000;
-/// A cell with less volume than this times its longest edge cubed is flat; an equilateral one has 0.118.
+/// A cell with less volume than this times its longest edge cubed is flat; an equilateral one has
+/// 0.118.
 const FLAT: f64 = 1e-4;
 /// Heights that a finger may have, mm; what lies outside was written in another unit.
 const HEIGHTS: [f64; 2] = [2.0, 2000.0];
 /// Nodes this little above the base plane are held too, as a part of the height.
 const ON_BASE: f64 = 1e-6;
 
-/// A mesh of 4-node (promoted) or 10-node tetrahedra, in VTK's order of nodes, refined `refine` times.
+/// A mesh of 4-node (promoted) or 10-node tetrahedra, in VTK's order of nodes, refined `refine`
+/// times.
 pub fn tetrahedra(nodes: Vec<Vec3>, cells: &[Vec<usize>], refine: usize) -> Result<Mesh> {
     check_numbers(&nodes, cells, refine)?;
     check_nodes(nodes.len(), cells)?;
@@ -31,7 +34,8 @@ pub fn tetrahedra(nodes: Vec<Vec3>, cells: &[Vec<usize>], refine: usize) -> Resu
         });
     if !(HEIGHTS[0]..=HEIGHTS[1]).contains(&high) {
         return Err(invalid(format!(
-            "the mesh reaches from z = {low:.4} to {high:.4} mm above its base plane; a finger is {} to {} mm tall: give the file's unit, axes and origin",
+            "the mesh reaches from z = {low:.4} to {high:.4} mm above its base plane; a finger is \
+            {} to {} mm tall: give the file's unit, axes and origin",
             HEIGHTS[0], HEIGHTS[1]
         )));
     }
@@ -46,7 +50,8 @@ pub fn tetrahedra(nodes: Vec<Vec3>, cells: &[Vec<usize>], refine: usize) -> Resu
     let held = clamped.iter().filter(|&&c| c).count();
     if held < 3 || held == nodes.len() {
         return Err(invalid(format!(
-            "{held} of {} nodes lie at or below z = 0 and are held; put the origin where the finger leaves its clamp",
+            "{held} of {} nodes lie at or below z = 0 and are held; put the origin where the \
+            finger leaves its clamp",
             nodes.len()
         )));
     }
@@ -69,13 +74,15 @@ pub fn tetrahedra(nodes: Vec<Vec3>, cells: &[Vec<usize>], refine: usize) -> Resu
 fn check_numbers(nodes: &[Vec3], cells: &[Vec<usize>], refine: usize) -> Result<()> {
     if cells.is_empty() {
         return Err(invalid(
-            "the mesh has no tetrahedra; mesh the volume, not the surface alone, and save its tetrahedra",
+            "the mesh has no tetrahedra; mesh the volume, not the surface alone, and save its \
+            tetrahedra",
         ));
     }
     let count = (0..refine.min(10)).fold(cells.len(), |n, _| n.saturating_mul(8));
     if count > MOST_CELLS {
         return Err(invalid(format!(
-            "the mesh has {} tetrahedra, refined {refine} times {count}; at most {MOST_CELLS} are solved: mesh it coarser (cells of a tenth of the height are usual)",
+            "the mesh has {} tetrahedra, refined {refine} times {count}; at most {MOST_CELLS} are \
+            solved: mesh it coarser (cells of a tenth of the height are usual)",
             cells.len()
         )));
     }
@@ -125,7 +132,8 @@ fn check_nodes(count: usize, cells: &[Vec<usize>]) -> Result<()> {
     if loose > 0 {
         let first = used.iter().position(|u| !u).unwrap_or(0);
         return Err(invalid(format!(
-            "{loose} of {count} nodes belong to no tetrahedron (the first is node {first}); remove loose nodes and save the volume only"
+            "{loose} of {count} nodes belong to no tetrahedron (the first is node {first}); remove \
+            loose nodes and save the volume only"
         )));
     }
     let mut roots: Vec<usize> = (0..count).map(|n| root(&mut body, n)).collect();
@@ -160,7 +168,9 @@ fn check_cells(nodes: &[Vec3], cells: &[Vec<usize>]) -> Result<()> {
     match first {
         None => Ok(()),
         Some((c, at, volume)) => Err(invalid(format!(
-            "of {} tetrahedra {turned} are inside out and {flat} flat (the first is cell {c} at {at:.2?} mm with {volume:.3e} mm³); mesh it again, or number its nodes in VTK's order",
+            "of {} tetrahedra {turned} are inside out and {flat} flat (the first is cell {c} at \
+            {at:.2?} mm with {volume:.3e} mm³); \
+            mesh it again, or number its nodes in VTK's order",
             cells.len()
         ))),
     }
@@ -183,7 +193,8 @@ fn promote(nodes: &mut Vec<Vec3>, cells: &mut [Vec<usize>]) {
 
 /// Eight 4-node cells for each of 10 nodes.
 fn split(nodes: &[Vec3], cells: &[Vec<usize>]) -> Vec<Vec<usize>> {
-    // The four corners, then the octahedron around each of its diagonals: the edge and the ring of four about it.
+    // The four corners, then the octahedron around each of its diagonals: the edge and the ring of
+    // four about it.
     const CORNERS: [[usize; 4]; 4] = [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3]];
     const AROUND: [([usize; 2], [usize; 4]); 3] = [
         ([4, 9], [5, 6, 7, 8]),

@@ -1,8 +1,10 @@
-//! One thread's work on a solid: residual and tangent at a state, the factored tangent, and solves with it.
+//! One thread's work on a solid: residual and tangent at a state, the factored tangent, and solves
+//! with it.
 //!
-//! The tangent is K₀ + Σ kc b bᵀ over the taut elastic cables, b = ∂L/∂x: K₀ (elements and the cables' geometric stiffness) is sparse;
-//! the stiff dense rank-one terms stay out of the pattern and enter solves through the Woodbury identity (Hager 1989):
-//! (K₀ + B D Bᵀ)⁻¹ r = y − Z (D⁻¹ + BᵀZ)⁻¹ Bᵀ y with y = K₀⁻¹ r, Z = K₀⁻¹ B. Units as in `solid.rs`: mm, N, N/mm.
+//! The tangent is K₀ + Σ kc b bᵀ over the taut elastic cables, b = ∂L/∂x: K₀ (elements and the
+//! cables' geometric stiffness) is sparse; the stiff dense rank-one terms stay out of the pattern
+//! and enter solves through the Woodbury identity (Hager 1989): (K₀ + B D Bᵀ)⁻¹ r = y − Z (D⁻¹ +
+//! BᵀZ)⁻¹ Bᵀ y with y = K₀⁻¹ r, Z = K₀⁻¹ B. Units as in `solid.rs`: mm, N, N/mm.
 
 use super::Vec3;
 use super::cable::Drive;
@@ -43,7 +45,8 @@ impl<'a> Work<'a> {
         })
     }
 
-    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a cell is inside out.
+    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a cell is
+    /// inside out.
     pub fn assemble(&mut self, x: &[Vec3], load: &Load) -> f64 {
         let solid = self.solid;
         self.residual.fill(0.0);
@@ -73,7 +76,8 @@ impl<'a> Work<'a> {
         energy
     }
 
-    /// Residual alone at a state; whether the same cables pull as at the assembled one, so that its factor still tells.
+    /// Residual alone at a state; whether the same cables pull as at the assembled one, so that its
+    /// factor still tells.
     pub fn balance(&mut self, x: &[Vec3], load: &Load) -> bool {
         let solid = self.solid;
         self.residual.fill(0.0);
@@ -153,7 +157,8 @@ impl<'a> Work<'a> {
         });
     }
 
-    /// Factor the assembled tangent, with a shift of its diagonal where it is indefinite; false when nothing helps.
+    /// Factor the assembled tangent, with a shift of its diagonal where it is indefinite; false
+    /// when nothing helps.
     pub fn refactor(&mut self) -> bool {
         let pattern = &self.solid.pattern;
         let mean = pattern.mean_diagonal(&self.values);
@@ -208,8 +213,9 @@ impl<'a> Work<'a> {
         rhs
     }
 
-    /// Solve with K₀ alone: the tension of every cable stays as it is. Where K₀ is indefinite, a body that its cables hold
-    /// up would fall over at constant tension; the shift then bounds the answer.
+    /// Solve with K₀ alone: the tension of every cable stays as it is. Where K₀ is indefinite, a
+    /// body that its cables hold up would fall over at constant tension; the shift then bounds the
+    /// answer.
     pub fn solve_slack(&mut self, mut rhs: Vec<f64>) -> Vec<f64> {
         self.factor.solve(&self.solid.pattern, &mut rhs);
         rhs

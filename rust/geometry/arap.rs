@@ -2,9 +2,10 @@
 //!
 //!   E(p, R) = Σ_i Σ_j w_ij |(p_i − p_j) − R_i (r_i − r_j)|² + Σ_k c_k |p_k − q_k|²
 //!
-//! over the edges at each vertex (spokes; Sorkine & Alexa 2007). The local step takes for each vertex the rotation nearest to
-//! Σ_j w_ij (p_i − p_j)(r_i − r_j)ᵀ, followed from the step before; the global one solves (2L + C) p = b, with the same matrix for all
-//! coordinates and all rounds as long as the weights c stay: its factor is made once. Neither step raises the energy. Units: mm.
+//! over the edges at each vertex (spokes; Sorkine & Alexa 2007). The local step takes for each
+//! vertex the rotation nearest to Σ_j w_ij (p_i − p_j)(r_i − r_j)ᵀ, followed from the step before;
+//! the global one solves (2L + C) p = b, with the same matrix for all coordinates and all rounds as
+//! long as the weights c stay: its factor is made once. Neither step raises the energy. Units: mm.
 
 use super::laplacian::Edges;
 use super::rotation::{LANES, NO_TURN, Quaternion, columns, follow, turned};
@@ -106,7 +107,8 @@ impl Arap {
         let mut factor = Factor::new(&self.pattern, 3)?;
         if !factor.refactor(&self.pattern, &values) {
             return Err(invalid(
-                "nothing holds a part of the surface, so it could be anywhere; hold one vertex of each part or more",
+                "nothing holds a part of the surface, so it could be anywhere; hold one vertex of \
+                each part or more",
             ));
         }
         Ok(Held {
@@ -172,7 +174,8 @@ impl Arap {
 }
 
 impl Held<'_> {
-    /// One local and one global step towards `goals` (N, 3), of which those of no strength do not matter.
+    /// One local and one global step towards `goals` (N, 3), of which those of no strength do not
+    /// matter.
     pub fn step(&mut self, pose: &mut Pose, goals: &[Vec3]) {
         let (arap, n) = (self.arap, self.arap.rest.len());
         arap.local(pose);

@@ -1,8 +1,10 @@
-//! The Chamfer distance between a template and a cloud: how far each point of one is from the other, on average.
+//! The Chamfer distance between a template and a cloud: how far each point of one is from the
+//! other, on average.
 //!
-//! `there + back`, there = Σ_i w_i d(a_i, B) / Σ w_i, back = Σ_j v_j d(b_j, A) / Σ v_j: the unsquared sum of both mean
-//! distances (mm). Weights say what counts: a template's points that no camera sees have no partner, and w leaves them out; with one of the
-//! sums switched off it is one-sided. Its gradient by the template's points holds the pairs: where the nearest neighbour
+//! `there + back`, there = Σ_i w_i d(a_i, B) / Σ w_i, back = Σ_j v_j d(b_j, A) / Σ v_j: the
+//! unsquared sum of both mean distances (mm). Weights say what counts: a template's points that no
+//! camera sees have no partner, and w leaves them out; with one of the sums switched off it is
+//! one-sided. Its gradient by the template's points holds the pairs: where the nearest neighbour
 //! changes, the distance has a kink, and where a pair touches, its share of the gradient is zero.
 
 use super::nearest::{Nearest, both_ways};
@@ -83,7 +85,8 @@ fn mean(what: &str, distance: &[f64], weights: &[f64]) -> Result<f64> {
         || weights.iter().any(|w| w.is_nan() || *w < 0.0)
     {
         return Err(invalid(format!(
-            "weights of the {what}: {} numbers with sum {sum:.3e} for {} points; give each point one of 0 or more, some above 0",
+            "weights of the {what}: {} numbers with sum {sum:.3e} for {} points; give each point \
+            one of 0 or more, some above 0",
             weights.len(),
             distance.len()
         )));

@@ -1,4 +1,5 @@
-//! Points in the order of Morton's curve, which fills space: what is near along it lies near as a rule (Morton 1966).
+//! Points in the order of Morton's curve, which fills space: what is near along it lies near as a
+//! rule (Morton 1966).
 
 use crate::algebra::vector::Vec3;
 
@@ -39,7 +40,8 @@ pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
     (of(low, f64::min), of(high, f64::max))
 }
 
-/// Points in single precision about the middle of a box, where it is finest, along Morton's curve; and which they were.
+/// Points in single precision about the middle of a box, where it is finest, along Morton's curve;
+/// and which they were.
 pub struct Ordered {
     pub points: Vec<[f32; 3]>,
     pub order: Vec<u32>,
@@ -107,7 +109,8 @@ mod tests {
         }
         let place = |i: u32| ordered.order.iter().position(|o| *o == i);
         assert!((1..CELLS as u32).all(|i| place(i) < place(i - 1)));
-        // Half of the cube across x lies before all of the other half across z, since z counts most.
+        // Half of the cube across x lies before all of the other half across z, since z counts
+        // most.
         let [x, y, z] = [18, 19, 20].map(place);
         assert!(x < y && y < z && place(16) < x && z < place(0));
     }

@@ -1,7 +1,9 @@
-//! The cotangent Laplacian of a triangle surface: w_ij = (cot α_ij + cot β_ij)/2 over the triangles at an edge.
+//! The cotangent Laplacian of a triangle surface: w_ij = (cot α_ij + cot β_ij)/2 over the triangles
+//! at an edge.
 //!
-//! (L f)_i = Σ_j w_ij (f_i − f_j), the stiffness of linear elements (Pinkall & Polthier 1993, doi:10.1080/10586458.1993.10504266).
-//! Weights are not let fall below `LEAST`: obtuse triangles make negative ones, and energies that nothing bounds.
+//! (L f)_i = Σ_j w_ij (f_i − f_j), the stiffness of linear elements (Pinkall & Polthier 1993,
+//! doi:10.1080/10586458.1993.10504266). Weights are not let fall below `LEAST`: obtuse triangles
+//! make negative ones, and energies that nothing bounds.
 
 use crate::algebra::vector::{Vec3, cross, dot, norm, sub};
 use crate::error::{Result, invalid};
@@ -37,7 +39,8 @@ impl Edges {
                 let area = norm(cross(a, b));
                 if area <= FLAT * dot(a, a).max(dot(b, b)) {
                     return Err(invalid(format!(
-                        "triangle {t} (vertices {triangle:?}) is flat; mend the mesh, or merge vertices that coincide"
+                        "triangle {t} (vertices {triangle:?}) is flat; mend the mesh, or merge \
+                        vertices that coincide"
                     )));
                 }
                 let half = 0.5 * dot(a, b) / area;

@@ -1,5 +1,5 @@
-//! Geometry of point sets and triangle surfaces: nearest neighbours, Chamfer distance, Laplacian, rigid and as-rigid-as-possible
-//! motion. Points are `Vec3` in the base frame, mm.
+//! Geometry of point sets and triangle surfaces: nearest neighbours, Chamfer distance, Laplacian,
+//! rigid and as-rigid-as-possible motion. Points are `Vec3` in the base frame, mm.
 
 pub mod arap;
 pub mod chamfer;

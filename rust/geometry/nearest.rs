@@ -1,11 +1,12 @@
 //! Nearest neighbours between two sets of points, both ways in one pass over pairs.
 //!
-//! A template has hundreds of points and a cloud thousands: with wide vectors pairs are quicker than any tree, up to some
-//! ten million of them. Both sets are put in order along a curve that fills space, and cut into groups that lie close
-//! together; groups whose boxes are farther apart than what all their points have already found are passed over. Squared
-//! distances in single precision about the middle of both sets choose the nearest, and its distance is then taken in double.
-//! Units are those of the points. Limit: of two candidates whose distances differ by less than 1e-6 of the extent either may
-//! be called the nearest.
+//! A template has hundreds of points and a cloud thousands: with wide vectors pairs are quicker
+//! than any tree, up to some ten million of them. Both sets are put in order along a curve that
+//! fills space, and cut into groups that lie close together; groups whose boxes are farther apart
+//! than what all their points have already found are passed over. Squared distances in single
+//! precision about the middle of both sets choose the nearest, and its distance is then taken in
+//! double. Units are those of the points. Limit: of two candidates whose distances differ by less
+//! than 1e-6 of the extent either may be called the nearest.
 
 use super::curve::{Ordered, bounds};
 use crate::algebra::vector::{Vec3, norm, sub};
@@ -18,7 +19,8 @@ const TILE: usize = 64;
 const ROWS: usize = 4;
 /// Numbers that are worked on at once.
 const LANES: usize = 8;
-/// Shares of what is bounded that are looked at first: the nearest boxes lower the bound for the others.
+/// Shares of what is bounded that are looked at first: the nearest boxes lower the bound for the
+/// others.
 const SHARES: [f32; 2] = [0.1, 1.0];
 
 /// For each point of a set the nearest of another: which, and how far.
@@ -28,7 +30,8 @@ pub struct Nearest {
     pub distance: Vec<f64>,
 }
 
-/// The nearest in `b` of each point of `a` (N, 3), and the nearest in `a` of each point of `b` (M, 3).
+/// The nearest in `b` of each point of `a` (N, 3), and the nearest in `a` of each point of `b` (M,
+/// 3).
 pub fn both_ways(a: &[Vec3], b: &[Vec3]) -> Result<(Nearest, Nearest)> {
     for (name, points) in [("first", a), ("second", b)] {
         if points.is_empty() {
@@ -175,7 +178,8 @@ impl Boxes {
         )
     }
 
-    /// Squared gaps between all the boxes and another: no pair of their points is nearer, also as rounded.
+    /// Squared gaps between all the boxes and another: no pair of their points is nearer, also as
+    /// rounded.
     #[inline(always)]
     fn gaps(&self, (low, high): ([f32; 3], [f32; 3]), gaps: &mut [f32]) {
         let count = gaps.len();
@@ -193,7 +197,8 @@ impl Boxes {
     }
 }
 
-/// Points of the second set, coordinate by coordinate, the last one repeated, with the nearest of the first set so far.
+/// Points of the second set, coordinate by coordinate, the last one repeated, with the nearest of
+/// the first set so far.
 struct Tile {
     at: [[f32; TILE]; 3],
     least: [f32; TILE],
@@ -322,7 +327,8 @@ mod tests {
 
     #[test]
     fn boxes_that_are_passed_over_hold_nothing_nearer() {
-        // A bent tube and a noisy cloud of one of its sides, with some points far off: many tiles and groups.
+        // A bent tube and a noisy cloud of one of its sides, with some points far off: many tiles
+        // and groups.
         let mut state = 1u64;
         let mut next = || {
             state = state

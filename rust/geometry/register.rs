@@ -1,13 +1,17 @@
-//! Registers the template of a finger to point clouds: where its vertices are, and which of them a cloud has seen.
+//! Registers the template of a finger to point clouds: where its vertices are, and which of them a
+//! cloud has seen.
 //!
-//!   E(p, R) = ARAP(p, R; f(u*)) + λ N/K Σ_k ω_k [(n_k·(x_k − c_k))² + τ |x_k − c_k|²] + B Σ_base |p_i − q_i|²
+//! E(p, R) = ARAP(p, R; f(u*)) + λ N/K Σ_k ω_k [(n_k·(x_k − c_k))² + τ |x_k − c_k|²] + B Σ_base
+//! |p_i − q_i|²
 //!
-//! From the model's shape f(u*) nearest to the cloud (`start.rs`), which is also the shape at rest of the ARAP term: the surface is
-//! asked only for what the model does not know. Data go from the cloud to the surface: K points c_k, each to the nearest place x_k of the
-//! surface (a blend of three vertices) along the normal n_k of the surface there, with Tukey weights ω_k whose width falls. So what was not
-//! seen asks for nothing, and outliers let go. The base is held where the clamp holds it. Each round takes new feet, weights and rotations,
-//! then solves for all vertices at once; the plane term couples x, y and z. What a round, unmarked finger does about its own axis no cloud
-//! tells. mm. Published objective for comparison: `paper.rs`.
+//! From the model's shape f(u*) nearest to the cloud (`start.rs`), which is also the shape at rest
+//! of the ARAP term: the surface is asked only for what the model does not know. Data go from the
+//! cloud to the surface: K points c_k, each to the nearest place x_k of the surface (a blend of
+//! three vertices) along the normal n_k of the surface there, with Tukey weights ω_k whose width
+//! falls. So what was not seen asks for nothing, and outliers let go. The base is held where the
+//! clamp holds it. Each round takes new feet, weights and rotations, then solves for all vertices
+//! at once; the plane term couples x, y and z. What a round, unmarked finger does about its own
+//! axis no cloud tells. mm. Published objective for comparison: `paper.rs`.
 
 use super::arap::Arap;
 use super::robust::{OF_MEDIAN, median, tukey};
@@ -17,7 +21,8 @@ use crate::algebra::sparse::{Factor, Pattern};
 use crate::algebra::vector::{Vec3, dot, sub};
 use crate::error::{Result, invalid};
 
-/// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many times its noise.
+/// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many
+/// times its noise.
 const WIDE: f64 = 3.0;
 const NARROW: f64 = 1.5;
 const OF_NOISE: f64 = 3.0;
@@ -71,7 +76,8 @@ pub struct Registered {
     pub places: Vec<Vec3>,
     /// Points that speak for each vertex (N,), by their weights.
     pub support: Vec<f64>,
-    /// RMS distance from the cloud to the surface, by the weights, and noise of the cloud along the normals.
+    /// RMS distance from the cloud to the surface, by the weights, and noise of the cloud along the
+    /// normals.
     pub residual_mm: f64,
     pub noise_mm: f64,
     /// Share of the cloud that counts.
@@ -194,7 +200,8 @@ impl<'a> Registrar<'a> {
             self.assemble(&arap, &pose.turns, &surface, &cloud, &feet, &weights);
             if !self.factor.refactor(&template.pattern, &self.values) {
                 return Err(invalid(
-                    "nothing holds the surface: no base and no points of the cloud near it; give the vertices of the base",
+                    "nothing holds the surface: no base and no points of the cloud near it; give \
+                    the vertices of the base",
                 ));
             }
             self.factor.solve(&template.pattern, &mut self.right);

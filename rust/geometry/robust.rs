@@ -1,6 +1,7 @@
 //! How much a point counts that lies so far off, and how far points of a cloud lie off usually. mm.
 
-/// Tukey's biweight: (1 − (d/c)²)² up to c, nothing beyond (Beaton & Tukey 1974, doi:10.1080/00401706.1974.10489171).
+/// Tukey's biweight: (1 − (d/c)²)² up to c, nothing beyond (Beaton & Tukey 1974,
+/// doi:10.1080/00401706.1974.10489171).
 pub fn tukey(distance: f64, cut: f64) -> f64 {
     let part = distance / cut;
     if part < 1.0 {

@@ -1,11 +1,14 @@
-//! The rotation nearest to a 3×3 matrix A: R that maximises tr(RᵀA), the rotation of its polar decomposition.
+//! The rotation nearest to a 3×3 matrix A: R that maximises tr(RᵀA), the rotation of its polar
+//! decomposition.
 //!
-//! From the rotation of the step before it is followed by Newton's method, ten times cheaper than a singular value
-//! decomposition. With P = A Rᵀ, v the axis of its skew part and M = tr(P) I − sym(P), a turn of R by φ about the unit axis n
-//! gives tr(P) − nᵀMn (1 − cos φ) + n·v sin φ. So from the axis of M⁻¹v the best angle is known in closed form,
-//! φ = atan2(n·v, nᵀMn), and no turn makes it worse. Near the maximum each round cubes the error. Where M is not positive definite
-//! the axis is v or that of M's lowest eigenvalue λ, about which half a turn gains −2λ: whichever gains more. So a saddle is left
-//! at once, and as tr(RᵀA) has one maximum, its other places without slope being saddles and its minimum, every start leads there.
+//! From the rotation of the step before it is followed by Newton's method, ten times cheaper than a
+//! singular value decomposition. With P = A Rᵀ, v the axis of its skew part and M = tr(P) I −
+//! sym(P), a turn of R by φ about the unit axis n gives tr(P) − nᵀMn (1 − cos φ) + n·v sin φ. So
+//! from the axis of M⁻¹v the best angle is known in closed form, φ = atan2(n·v, nᵀMn), and no turn
+//! makes it worse. Near the maximum each round cubes the error. Where M is not positive definite
+//! the axis is v or that of M's lowest eigenvalue λ, about which half a turn gains −2λ: whichever
+//! gains more. So a saddle is left at once, and as tr(RᵀA) has one maximum, its other places
+//! without slope being saddles and its minimum, every start leads there.
 
 use crate::algebra::vector::{Vec3, dot, norm};
 use crate::shape::modes::wide;
@@ -153,7 +156,8 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
     let slope = x * v[0] + y * v[1] + z * v[2];
     let dd = x * x + y * y + z * z;
     let root = (along * along + slope * slope * dd).map(f64::sqrt);
-    // Half the angle has the tangent slope·|d| / (along + root) = (root − along) / (slope·|d|): that which cancels nothing.
+    // Half the angle has the tangent slope·|d| / (along + root) = (root − along) / (slope·|d|):
+    // that which cancels nothing.
     let ahead = along.0.map(|along| along >= 0.0);
     let (whole, part) = (
         (along + root).or(slope * dd, ahead),
@@ -172,7 +176,8 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
     (next.map(|part| part * size), part * part * dd * size * size)
 }
 
-/// The axis to turn about where `m` is not positive definite: `v`, or that of its lowest eigenvalue. Rare: cells turned inside out.
+/// The axis to turn about where `m` is not positive definite: `v`, or that of its lowest
+/// eigenvalue. Rare: cells turned inside out.
 #[cold]
 #[inline(never)]
 fn off_saddle(m: &[Vec3; 3], v: Vec3) -> Vec3 {
@@ -236,7 +241,8 @@ mod tests {
             .sum()
     }
 
-    /// What no rotation's likeness is above: the sum of the singular values, the least of them with the sign of the determinant.
+    /// What no rotation's likeness is above: the sum of the singular values, the least of them with
+    /// the sign of the determinant.
     fn highest(a: &[Vec3; 3]) -> f64 {
         let values = Mat::from_fn(3, 3, |i, c| a[c][i])
             .singular_values()

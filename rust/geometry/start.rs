@@ -1,8 +1,10 @@
-//! Where a registration starts: the command whose shape, as the model predicts it, is nearest to a cloud.
+//! Where a registration starts: the command whose shape, as the model predicts it, is nearest to a
+//! cloud.
 //!
-//! Every candidate command is asked how far the cloud is from its vertices; the best are moved by Gauss-Newton on the distance from
-//! points to the surface, along its normals, with Tukey weights whose width falls from WIDE to NARROW. The start with the least
-//! robust cost wins. The shape is that of the model: commands are a means, not a measurement. mm.
+//! Every candidate command is asked how far the cloud is from its vertices; the best are moved by
+//! Gauss-Newton on the distance from points to the surface, along its normals, with Tukey weights
+//! whose width falls from WIDE to NARROW. The start with the least robust cost wins. The shape is
+//! that of the model: commands are a means, not a measurement. mm.
 
 use super::nearest::both_ways;
 use super::robust::{tukey, tukey_cost};
@@ -34,7 +36,8 @@ pub struct Start {
     pub command: Vec<f64>,
     pub places: Vec<Vec3>,
     pub cost: f64,
-    /// By how much larger than the template the cloud is, about the origin: the scale that fits best with the command.
+    /// By how much larger than the template the cloud is, about the origin: the scale that fits
+    /// best with the command.
     pub scale: f64,
     /// The next best of another shape: its cost, and how far its vertices are, mm RMS.
     pub other: Option<(f64, f64)>,
@@ -47,7 +50,8 @@ pub fn places(shape: &dyn Shape, command: &[f64]) -> Vec<Vec3> {
     out.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()
 }
 
-/// Find the start for a `cloud` among `candidates` (G, C), whose commands stay between `low` and `high` (C,).
+/// Find the start for a `cloud` among `candidates` (G, C), whose commands stay between `low` and
+/// `high` (C,).
 pub fn start(
     shape: &dyn Shape,
     triangles: &[[usize; 3]],
@@ -137,7 +141,8 @@ fn moved(
     })
 }
 
-/// One Gauss-Newton step of the distances along the normals, by the commands and, if it is `scaled`, by the scale.
+/// One Gauss-Newton step of the distances along the normals, by the commands and, if it is
+/// `scaled`, by the scale.
 fn ahead(
     surface: &Surface,
     cloud: &[Vec3],

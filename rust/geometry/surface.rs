@@ -1,4 +1,5 @@
-//! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the vertices move. mm.
+//! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the
+//! vertices move. mm.
 
 use crate::algebra::vector::{Vec3, cross, dot, norm, scaled, sub};
 use crate::error::{Result, invalid};
@@ -9,7 +10,8 @@ use parry3d_f64::shape::TriMesh;
 /// What a look starts from stands so far off the surface, mm, so that it is not in its own way.
 const OFF: f64 = 1e-3;
 
-/// From where it is asked which triangles can be seen at all: so many directions about z, at these heights above the horizon, rad.
+/// From where it is asked which triangles can be seen at all: so many directions about z, at these
+/// heights above the horizon, rad.
 const AROUND: usize = 24;
 const ABOVE: [f64; 3] = [0.02, 0.5, 1.0];
 
@@ -74,7 +76,8 @@ impl Surface {
         scaled(normal, 1.0 / norm(normal).max(f64::MIN_POSITIVE))
     }
 
-    /// Whether nothing of the surface stands between a place of it and an eye: `normal` points away from the body there.
+    /// Whether nothing of the surface stands between a place of it and an eye: `normal` points away
+    /// from the body there.
     pub fn sees(&self, eye: Vec3, place: Vec3, normal: Vec3) -> bool {
         let towards = sub(eye, place);
         if dot(towards, normal) <= 0.0 {
@@ -85,8 +88,9 @@ impl Surface {
         !self.mesh.intersects_local_ray(&ray, 1.0)
     }
 
-    /// The triangles that can be seen from beside or above (z), from far away, whatever the order of their corners: not the walls of
-    /// a cavity, nor what stands on the bench. All, where none is.
+    /// The triangles that can be seen from beside or above (z), from far away, whatever the order
+    /// of their corners: not the walls of a cavity, nor what stands on the bench. All, where none
+    /// is.
     pub fn shown(&self) -> Vec<usize> {
         let looks: Vec<Vec3> = (0..AROUND)
             .flat_map(|k| ABOVE.map(|up| (k as f64 / AROUND as f64 * std::f64::consts::TAU, up)))
@@ -213,7 +217,8 @@ mod tests {
             .flat_map(|[a, b, c, d]| [[a, b, c], [a, d, c]])
             .collect();
         let surface = Surface::new(&places, &triangles).unwrap();
-        assert_eq!(surface.shown(), (2..12).collect::<Vec<_>>()); // 0 and 1 are the side on which it stands
+        // 0 and 1 are the side on which it stands
+        assert_eq!(surface.shown(), (2..12).collect::<Vec<_>>());
         let alone = Surface::new(&places, &triangles[..2]).unwrap();
         assert_eq!(alone.shown(), [0, 1]);
     }

@@ -1,12 +1,15 @@
-//! What must be commanded now so that a certain command acts: the chain of effects, inverted one sample at a time.
+//! What must be commanded now so that a certain command acts: the chain of effects, inverted one
+//! sample at a time.
 //!
-//! Play and slack have no slope, so nothing is divided by one: each command is moved away from the last one until what would act
-//! (one sample of the chain, remembering nothing) has passed what is wanted, and that bracket is closed by halving and by
-//! secants. Of all commands that do, the nearest to the last one is taken, so that inside a play nothing moves. Commands that
-//! act on each other are taken in turns until they agree. A delay and a lag cannot be inverted, what they ask for lies in the
-//! past: they are left out here and previewed along a known path. After `new` nothing is allocated.
-//! Limits: what acts must not fall while its command rises (or the other way round); a user's own effect is refused.
-//! Pinned by chain_tests.rs and tests/model/test_kinematics.py.
+//! Play and slack have no slope, so nothing is divided by one: each command is moved away from the
+//! last one until what would act (one sample of the chain, remembering nothing) has passed what is
+//! wanted, and that bracket is closed by halving and by secants. Of all commands that do, the
+//! nearest to the last one is taken, so that inside a play nothing moves. Commands that act on each
+//! other are taken in turns until they agree. A delay and a lag cannot be inverted, what they ask
+//! for lies in the past: they are left out here and previewed along a known path. After `new`
+//! nothing is allocated. Limits: what acts must not fall while its command rises (or the other way
+//! round); a user's own effect is refused. Pinned by chain_tests.rs and
+//! tests/model/test_kinematics.py.
 
 use crate::effects::{Chain, Context};
 use crate::error::{Result, invalid};
@@ -40,8 +43,8 @@ pub struct Inverse {
 }
 
 impl Inverse {
-    /// Of a `chain` with `params` (P,), whose commands stay within `low` and `high` (C,) mm. `context` says what the world is like; its
-    /// times do not matter.
+    /// Of a `chain` with `params` (P,), whose commands stay within `low` and `high` (C,) mm.
+    /// `context` says what the world is like; its times do not matter.
     pub fn new(
         chain: &Chain,
         params: &[f64],
@@ -55,7 +58,8 @@ impl Inverse {
         let turned = |c: usize| !(low[c].is_finite() && high[c].is_finite() && low[c] <= high[c]);
         if low.len() != channels || high.len() != channels || (0..channels).any(turned) {
             return Err(invalid(format!(
-                "bounds {low:?} and {high:?} for {channels} commands; give finite numbers for each, low first"
+                "bounds {low:?} and {high:?} for {channels} commands; give finite numbers for \
+                each, low first"
             )));
         }
         let (chain, params) = chain.without(params, PREVIEWED)?;
@@ -81,8 +85,9 @@ impl Inverse {
         Ok(made)
     }
 
-    /// The same with commands that stay while what acts is off by no more than `band` mm. Whoever rounds commands needs one of as
-    /// much as that: else half a tick too far asks for the whole play back.
+    /// The same with commands that stay while what acts is off by no more than `band` mm. Whoever
+    /// rounds commands needs one of as much as that: else half a tick too far asks for the whole
+    /// play back.
     pub fn with_band(self, band: f64) -> Inverse {
         Inverse {
             band: band.max(CLOSE),
@@ -94,8 +99,8 @@ impl Inverse {
         self.low.len()
     }
 
-    /// Whether `wanted` (C,) lies beyond what the bounds could bring about by more than half their width: no aim, and not one
-    /// that should be answered by the nearest command.
+    /// Whether `wanted` (C,) lies beyond what the bounds could bring about by more than half their
+    /// width: no aim, and not one that should be answered by the nearest command.
     pub fn absurd(&self, wanted: &[f64]) -> bool {
         wanted.iter().zip(&self.by).any(|(mm, (c, rises))| {
             let (low, high) = if *rises {
@@ -177,8 +182,8 @@ impl Inverse {
         self.acts[a]
     }
 
-    /// Write the command (C,) that makes `wanted` (C,) mm act `dt` seconds after the last one, the nearest to it; returns by how much
-    /// (mm) the worst channel misses, within the bounds.
+    /// Write the command (C,) that makes `wanted` (C,) mm act `dt` seconds after the last one, the
+    /// nearest to it; returns by how much (mm) the worst channel misses, within the bounds.
     pub fn command(&mut self, wanted: &[f64], dt: f64, command: &mut [f64]) -> f64 {
         if !self.settled {
             // Nothing was commanded yet: all has been at rest forever.

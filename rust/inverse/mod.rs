@@ -1,7 +1,9 @@
-//! Inverse kinematics: the effective command for a place of the tip, and the command for an effective one.
+//! Inverse kinematics: the effective command for a place of the tip, and the command for an
+//! effective one.
 //!
-//! `solve.rs` finds the one by bounded Levenberg–Marquardt on the tip's own slopes; `published.rs` as the paper does it;
-//! `chain.rs` the other, by bracketing one sample of the chain of effects, which the control loop does every period.
+//! `solve.rs` finds the one by bounded Levenberg–Marquardt on the tip's own slopes; `published.rs`
+//! as the paper does it; `chain.rs` the other, by bracketing one sample of the chain of effects,
+//! which the control loop does every period.
 
 pub mod chain;
 pub mod published;

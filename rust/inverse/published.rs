@@ -1,8 +1,10 @@
 //! Inverse kinematics as the paper does it, to compare with.
 //!
-//! A coarse grid for the first waypoint only, then Nelder–Mead (1965) and a short polish by Adam (Kingma & Ba 2015) on the slopes of
-//! the model; every further waypoint begins where the last one ended. The paper gives no numbers: those below are ours.
-//! Commands are held within their bounds by clamping, as the paper's would be. Pinned by solve_tests.rs and tests/model/test_kinematics.py.
+//! A coarse grid for the first waypoint only, then Nelder–Mead (1965) and a short polish by Adam
+//! (Kingma & Ba 2015) on the slopes of the model; every further waypoint begins where the last one
+//! ended. The paper gives no numbers: those below are ours. Commands are held within their bounds
+//! by clamping, as the paper's would be. Pinned by solve_tests.rs and
+//! tests/model/test_kinematics.py.
 
 use super::solve::{Found, Reach};
 use super::{Distance, PLACE};

@@ -1,12 +1,15 @@
 //! Where the tip can go within bounds, and what must act so that it is there.
 //!
-//! Levenberg–Marquardt on the exact slopes of the tip (Marquardt 1963; damping after Nielsen 1999, IMM-REP-1999-05), commands held
-//! within their bounds by an active set: one that stands at a bound and is pushed beyond it stays there. A path goes on from its
-//! last waypoint. A single point, and a waypoint that is not reached, begin at the nearest of many places that were looked at
-//! beforehand, several far apart ones, so that a fold of the workspace is no trap. What cannot be reached ends at the nearest
-//! point found, with its distance. A finger bent far by one pair of tendons has slack in the others, where slopes are zero: hence the
-//! many starts. Limit: where tendons fall slack the tip of an interpolated sweep folds back by micrometres within
-//! some tenths of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and tests/model/test_kinematics.py.
+//! Levenberg–Marquardt on the exact slopes of the tip (Marquardt 1963; damping after Nielsen 1999,
+//! IMM-REP-1999-05), commands held within their bounds by an active set: one that stands at a bound
+//! and is pushed beyond it stays there. A path goes on from its last waypoint. A single point, and
+//! a waypoint that is not reached, begin at the nearest of many places that were looked at
+//! beforehand, several far apart ones, so that a fold of the workspace is no trap. What cannot be
+//! reached ends at the nearest point found, with its distance. A finger bent far by one pair of
+//! tendons has slack in the others, where slopes are zero: hence the many starts. Limit: where
+//! tendons fall slack the tip of an interpolated sweep folds back by micrometres within some tenths
+//! of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and
+//! tests/model/test_kinematics.py.
 
 use super::{Distance, PLACE};
 use crate::algebra::dense::eliminate;
@@ -14,16 +17,20 @@ use crate::error::{Result, invalid};
 use crate::shape::Shape;
 use std::sync::Arc;
 
-/// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
+/// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as
+/// much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a step.
+/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a
+/// step.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
-/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint before.
+/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint
+/// before.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds from each start of a search that begins anew: the way to a place within reach takes three or four.
+/// Rounds from each start of a search that begins anew: the way to a place within reach takes three
+/// or four.
 const BRIEF: usize = 12;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
@@ -56,7 +63,8 @@ pub struct Found {
 }
 
 impl Reach {
-    /// A tip `shape` (three outputs) whose commands stay within `low` and `high` (C,); only the `axes` of a target count.
+    /// A tip `shape` (three outputs) whose commands stay within `low` and `high` (C,); only the
+    /// `axes` of a target count.
     pub fn new(
         shape: Arc<dyn Shape>,
         low: Vec<f64>,
@@ -72,7 +80,8 @@ impl Reach {
         }
         if channels == 0 || low.len() != channels || high.len() != channels {
             return Err(invalid(format!(
-                "bounds of {} and {} numbers for {channels} commands; give one each, and at least one command",
+                "bounds of {} and {} numbers for {channels} commands; give one each, and at least \
+                one command",
                 low.len(),
                 high.len()
             )));
@@ -118,7 +127,8 @@ impl Reach {
         (&self.low, &self.high)
     }
 
-    /// What must act so that the tip is nearest to `target`, a single point, or one that follows `from`.
+    /// What must act so that the tip is nearest to `target`, a single point, or one that follows
+    /// `from`.
     pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         self.search(&mut Search::new(self), target, from)
     }
@@ -297,7 +307,8 @@ impl Search<'_> {
                     -moved(a) * (2.0 * gradient[a] + bent)
                 })
                 .sum();
-            // With slopes at once: most trials are taken, and a pass that reads a network's weights gives both.
+            // With slopes at once: most trials are taken, and a pass that reads a network's weights
+            // gives both.
             let there = self
                 .tip
                 .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
@@ -313,7 +324,8 @@ impl Search<'_> {
                 (now, (gradient, normal), next) = (there, next, (gradient, normal));
                 place = self.tip.place;
             } else {
-                // There already, and no nearer: what is left is the round-off of a model in single precision.
+                // There already, and no nearer: what is left is the round-off of a model in single
+                // precision.
                 if now.sqrt() <= REACHED {
                     break;
                 }
@@ -344,7 +356,8 @@ impl Search<'_> {
             !held
         }));
         self.trial.copy_from_slice(u);
-        // Commands whose step ends beyond a bound stop there; the others are solved again without them.
+        // Commands whose step ends beyond a bound stop there; the others are solved again without
+        // them.
         while !self.free.is_empty() {
             let n = self.free.len();
             let rows = &mut self.system[..n * (n + 1)];

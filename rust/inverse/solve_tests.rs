@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 const ALL: [bool; 3] = [true; 3];
 
-/// A finger that bends with constant curvature: angles 0.1 rad a mm of each of two commands, 80 mm long.
+/// A finger that bends with constant curvature: angles 0.1 rad a mm of each of two commands, 80 mm
+/// long.
 struct Arc3;
 
 impl Shape for Arc3 {
@@ -101,7 +102,8 @@ fn a_path_costs_a_few_looks_a_waypoint_and_does_not_jump() {
 #[test]
 fn what_is_out_of_reach_ends_at_the_nearest_place_with_its_distance() {
     let reach = finger(ALL);
-    // Beyond a corner of the bounds, and beside an edge: the nearest of a million places is no nearer.
+    // Beyond a corner of the bounds, and beside an edge: the nearest of a million places is no
+    // nearer.
     for target in [
         [60.0, 50.0, 60.0],
         [70.0, 0.0, 40.0],

@@ -1,4 +1,5 @@
-//! Constants before and after a linear layer, folded into it in double precision when a file is read.
+//! Constants before and after a linear layer, folded into it in double precision when a file is
+//! read.
 
 use super::Step;
 use super::layers::Linear;

@@ -1,8 +1,9 @@
 //! Layers at work on a few columns side by side: commands, or one command and its tangents.
 //!
-//! Weights are packed [rows/32][columns][32], so that one pass reads them once, in order; a number of each column is broadcast
-//! against them, and all sums of a block stay in registers (`GROUP`). Every sum goes over its inputs in order, however many
-//! columns stand beside it, so that a command has the same numbers alone and in a batch.
+//! Weights are packed [rows/32][columns][32], so that one pass reads them once, in order; a number
+//! of each column is broadcast against them, and all sums of a block stay in registers (`GROUP`).
+//! Every sum goes over its inputs in order, however many columns stand beside it, so that a command
+//! has the same numbers alone and in a batch.
 
 use pulp::Simd;
 use std::f32::consts::{FRAC_1_SQRT_2, LN_2, LOG2_E};
@@ -52,7 +53,8 @@ impl<const N: usize> Columns<'_, N> {
     }
 }
 
-/// How far apart the columns of a network lie: no power of two, which would meet in one place of the cache.
+/// How far apart the columns of a network lie: no power of two, which would meet in one place of
+/// the cache.
 pub(super) fn stride(widest: usize) -> usize {
     widest.next_multiple_of(BLOCK) + BLOCK / 2
 }
@@ -86,11 +88,12 @@ impl Linear {
         &mut self.packed[place]
     }
 
-    /// Write W x + b of every column to `out`, beyond the last row up to the end of its block zeros.
+    /// Write W x + b of every column to `out`, beyond the last row up to the end of its block
+    /// zeros.
     #[inline(always)]
     pub fn apply<S: Simd, const N: usize>(&self, simd: S, x: &Columns<N>, out: &mut Columns<N>) {
-        // As many sums as there are registers for, or as the plain loops of a processor without any can keep, and enough of them
-        // that none waits for the one before.
+        // As many sums as there are registers for, or as the plain loops of a processor without any
+        // can keep, and enough of them that none waits for the one before.
         match (S::F32_LANES, N) {
             (16, ..=4) => self.sums::<S, N, 2, 2>(simd, x, out),
             (16, _) => self.sums::<S, N, 2, 1>(simd, x, out),
@@ -133,7 +136,8 @@ impl Linear {
         }
     }
 
-    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or beside it.
+    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or beside
+    /// it.
     #[inline(always)]
     fn group<S: Simd, const N: usize, const V: usize, const B: usize>(
         &self,
@@ -176,8 +180,8 @@ impl Linear {
     }
 }
 
-/// Some inputs of a layer: those that are not zero in all columns. Behind Relu half of them are, tangents too, and their weights
-/// are not even read.
+/// Some inputs of a layer: those that are not zero in all columns. Behind Relu half of them are,
+/// tangents too, and their weights are not even read.
 struct Inputs<const N: usize> {
     count: usize,
     places: [u32; INPUTS],
@@ -264,8 +268,9 @@ fn each<const N: usize>(x: &mut Columns<N>, width: usize, law: impl Fn(f32) -> (
 
 /// The share of a standard normal distribution below `x`, and its density there; to 3e-7.
 ///
-/// erf by the rational function of Eigen (Guennebaud et al., https://eigen.tuxfamily.org, MathFunctionsImpl.h), exp by its
-/// series about the nearest power of two: plain arithmetic, which compiles to vectors.
+/// erf by the rational function of Eigen (Guennebaud et al., https://eigen.tuxfamily.org,
+/// MathFunctionsImpl.h), exp by its series about the nearest power of two: plain arithmetic, which
+/// compiles to vectors.
 #[inline(always)]
 pub(super) fn normal(x: f32) -> (f32, f32) {
     const DENSITY: f32 = 0.398_942_3; // of x = 0
@@ -327,8 +332,9 @@ pub(super) fn affine<const N: usize>(x: &mut Columns<N>, scale: &[f32], shift: &
     }
 }
 
-/// Take the mean from the first `width` numbers of every column and divide them by their standard deviation; tangents go
-/// with the first column: with y = (x − m)/σ, dy = (dx − mean(dx) − y·mean(y·dx))/σ.
+/// Take the mean from the first `width` numbers of every column and divide them by their standard
+/// deviation; tangents go with the first column: with y = (x − m)/σ, dy = (dx − mean(dx) −
+/// y·mean(y·dx))/σ.
 #[inline(always)]
 pub(super) fn normalise<const N: usize>(x: &mut Columns<N>, width: usize, epsilon: f32) {
     let part = 1.0 / width as f32;

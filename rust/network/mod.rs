@@ -2,13 +2,16 @@
 //!
 //!   x₀ = u,   x_{k+1} = a_k(W_k x_k + b_k),   out = W x + b
 //!
-//! with Relu, Gelu (Hendrycks & Gimpel 2016, arXiv:1606.08415) or a normalised layer (Ba et al. 2016, arXiv:1607.06450) as a_k. Constants
-//! before and after a linear layer are folded into it in double precision when the file is read (`onnx.rs`, `fold.rs`); the layers then run in single
-//! precision, several commands side by side, or one command with its slopes (a tangent for each channel) in the same pass (`layers.rs`),
-//! with the widest vectors that this processor has, which is asked when the file is read. A pass reads the weights once and takes little
-//! longer than that. It allocates nothing: each thread keeps the room that passes work in, made when a network is read there, or in
-//! the first pass of another thread; so none waits for another.
-//! Limits: values are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the side above.
+//! with Relu, Gelu (Hendrycks & Gimpel 2016, arXiv:1606.08415) or a normalised layer (Ba et al.
+//! 2016, arXiv:1607.06450) as a_k. Constants before and after a linear layer are folded into it in
+//! double precision when the file is read (`onnx.rs`, `fold.rs`); the layers then run in single
+//! precision, several commands side by side, or one command with its slopes (a tangent for each
+//! channel) in the same pass (`layers.rs`), with the widest vectors that this processor has, which
+//! is asked when the file is read. A pass reads the weights once and takes little longer than that.
+//! It allocates nothing: each thread keeps the room that passes work in, made when a network is
+//! read there, or in the first pass of another thread; so none waits for another. Limits: values
+//! are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the
+//! side above.
 
 mod fold;
 mod layers;
@@ -210,7 +213,8 @@ impl Network {
         rows.chain([self.channels])
     }
 
-    /// Run `N` columns, of which `first(n, c)` is input c of column n; `take(n, outputs)` is given what comes out.
+    /// Run `N` columns, of which `first(n, c)` is input c of column n; `take(n, outputs)` is given
+    /// what comes out.
     #[inline(always)]
     fn columns<const N: usize>(
         &self,
@@ -263,7 +267,8 @@ impl Network {
         }
     }
 
-    /// The slopes (M, C) at `u`, and the outputs where they are wanted; one pass where there are up to seven channels.
+    /// The slopes (M, C) at `u`, and the outputs where they are wanted; one pass where there are up
+    /// to seven channels.
     fn slopes(&self, u: &[f64], mut values: Option<&mut [f64]>, slopes: &mut [f64]) {
         let channels = self.channels;
         for c in (0..channels).step_by(COLUMNS - 1) {

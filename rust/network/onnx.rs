@@ -1,8 +1,9 @@
-//! Reads the ONNX graphs that training exports, and no others: one chain of Gemm, Relu, Gelu and LayerNormalization, with Sub, Div,
-//! Mul and Add of constants between them.
+//! Reads the ONNX graphs that training exports, and no others: one chain of Gemm, Relu, Gelu and
+//! LayerNormalization, with Sub, Div, Mul and Add of constants between them.
 //!
-//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such a graph uses and those by which a
-//! graph would reach beyond itself ([`check`]). Anything else is refused by name.
+//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such
+//! a graph uses and those by which a graph would reach beyond itself ([`check`]). Anything else is
+//! refused by name.
 
 use super::{Activation, Layer};
 use crate::error::{Result, invalid};
@@ -105,8 +106,9 @@ struct Constant {
     numbers: Vec<f64>,
 }
 
-/// Refuses a file whose graph reaches beyond itself, or may never end: weights in other files, graphs within nodes (`Loop`, `If`,
-/// `Scan`), functions and operators of another domain than ONNX's own. Any other graph runs each of its nodes once.
+/// Refuses a file whose graph reaches beyond itself, or may never end: weights in other files,
+/// graphs within nodes (`Loop`, `If`, `Scan`), functions and operators of another domain than
+/// ONNX's own. Any other graph runs each of its nodes once.
 pub fn check(file: &[u8]) -> Result<()> {
     decode(file).map(|_| ())
 }
@@ -140,7 +142,8 @@ fn inside(tensor: &Tensor) -> Result<()> {
         return Ok(());
     }
     Err(invalid(format!(
-        "the numbers of '{:.80}' are in another file; export the graph with its weights in it (save_as_external_data=False)",
+        "the numbers of '{:.80}' are in another file; export the graph with its weights in it \
+        (save_as_external_data=False)",
         tensor.name
     )))
 }
@@ -149,14 +152,16 @@ fn inside(tensor: &Tensor) -> Result<()> {
 fn simple(node: &Node) -> Result<()> {
     if !matches!(&node.domain[..], "" | "ai.onnx") {
         return Err(invalid(format!(
-            "the operator {:.40} is of the domain '{:.40}', only ONNX's own operators are read; export it without it",
+            "the operator {:.40} is of the domain '{:.40}', only ONNX's own operators are read; \
+            export it without it",
             node.op_type, node.domain
         )));
     }
     for attribute in &node.attribute {
         if attribute.g.is_some() || !attribute.graphs.is_empty() {
             return Err(invalid(format!(
-                "the graph holds '{:.40}', a loop or branch that may never end; export a graph without control flow",
+                "the graph holds '{:.40}', a loop or branch that may never end; export a graph \
+                without control flow",
                 node.op_type
             )));
         }
@@ -189,7 +194,8 @@ pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
     for node in &graph.node {
         if node.input.first().map(String::as_str) != Some(at) || node.output.len() != 1 {
             return Err(invalid(format!(
-                "the node {} of the graph does not follow on '{at}'; only a chain of layers is read",
+                "the node {} of the graph does not follow on '{at}'; only a chain of layers is \
+                read",
                 node.op_type
             )));
         }
@@ -245,7 +251,8 @@ fn constants(tensors: Vec<Tensor>) -> Result<HashMap<String, Constant>> {
         };
         if tensor.data_type != FLOAT {
             return Err(invalid(format!(
-                "constant '{name}' holds {}; the core's network pass reads weights of 32-bit floats alone",
+                "constant '{name}' holds {}; the core's network pass reads weights of 32-bit \
+                floats alone",
                 type_name(tensor.data_type)
             )));
         }
@@ -366,8 +373,8 @@ fn layer(node: &Node, constants: &HashMap<String, Constant>) -> Result<Layer> {
             Ok(Layer::Scale(by.iter().map(|v| 1.0 / v).collect()))
         }
         other => Err(invalid(format!(
-            "the graph holds '{other:.40}', read are Gemm, Relu, Gelu, LayerNormalization, Sub, Div, Mul, Add; export it with \
-             softmap-training"
+            "the graph holds '{other:.40}', read are Gemm, Relu, Gelu, LayerNormalization, Sub, \
+             Div, Mul, Add; export it with softmap-training"
         ))),
     }
 }

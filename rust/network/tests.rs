@@ -1,4 +1,5 @@
-//! The layers against plain loops in double precision, slopes against differences, and files that are refused.
+//! The layers against plain loops in double precision, slopes against differences, and files that
+//! are refused.
 
 use super::layers::normal;
 use super::{Activation, Layer, Network};
@@ -6,7 +7,8 @@ use crate::allocations::allocations;
 use crate::shape::{Shape, Work};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Numbers between -size and size, about as many above 0 as below: where all are below, nothing lives behind Relu.
+/// Numbers between -size and size, about as many above 0 as below: where all are below, nothing
+/// lives behind Relu.
 fn numbers(seed: u64, count: usize, size: f64) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut next = || {
@@ -27,7 +29,8 @@ fn linear(seed: u64, rows: usize, columns: usize) -> Layer {
     }
 }
 
-/// The network of a residual: normalised commands, two hidden layers of both kinds, an output in mm.
+/// The network of a residual: normalised commands, two hidden layers of both kinds, an output in
+/// mm.
 fn layers() -> Vec<Layer> {
     vec![
         Layer::Shift(vec![-1.0, 2.0]),
@@ -227,8 +230,8 @@ fn values_with_slopes_are_those_of_each() {
     }
 }
 
-/// How often this thread asks for memory in every kind of pass: one command, a batch that is no multiple of what runs side by
-/// side, slopes, and both.
+/// How often this thread asks for memory in every kind of pass: one command, a batch that is no
+/// multiple of what runs side by side, slopes, and both.
 fn asked(network: &Network, values: &mut [f64], slopes: &mut [f64], rows: &[f64]) -> [usize; 4] {
     let (channels, size) = (network.channels(), network.size());
     let u = &rows[..channels];
@@ -320,7 +323,8 @@ fn every_set_of_vectors_gives_the_same_and_the_widest_is_taken() {
             }
             all.push(found);
         }
-        // Five layers of sums of up to a thousand numbers, in single precision: fused or not, in another order.
+        // Five layers of sums of up to a thousand numbers, in single precision: fused or not, in
+        // another order.
         for found in &all[1..] {
             for (found, plain) in found.iter().zip(&all[0]) {
                 let size = plain.iter().fold(0.0, |most: f64, v| most.max(v.abs()));

@@ -1,4 +1,5 @@
-//! What one call of the predictor works on: parameter sets in groups that share their shapes, and what acts in each.
+//! What one call of the predictor works on: parameter sets in groups that share their shapes, and
+//! what acts in each.
 
 use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
@@ -26,8 +27,8 @@ pub struct Job<'a> {
     pub cameras: Vec<Camera>,
     /// Clock of each group.
     pub clock: Vec<usize>,
-    /// Group of each set (sets with equal parameters of effective commands, clock and numbers of the prior), number of
-    /// sets in it, and its bending.
+    /// Group of each set (sets with equal parameters of effective commands, clock and numbers of
+    /// the prior), number of sets in it, and its bending.
     pub group: Vec<usize>,
     pub members: Vec<usize>,
     pub bodies: Vec<Body>,
@@ -116,9 +117,13 @@ impl Body {
             let prior = body.prior.with_number(name, *factor).ok_or_else(|| {
                 let known = self.prior.numbers().join(", ");
                 invalid(format!(
-                    "an effect changes the number '{name}' of the prior by {factor:.3}; this prior has {}; leave that \
-                     effect out",
-                    if known.is_empty() { "none to change" } else { &known }
+                    "an effect changes the number '{name}' of the prior by {factor:.3}; this prior \
+                     has {}; leave that effect out",
+                    if known.is_empty() {
+                        "none to change"
+                    } else {
+                        &known
+                    }
                 ))
             })?;
             let fields = Arc::new(body.fields.with_number(name, *factor));

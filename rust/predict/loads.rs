@@ -1,9 +1,10 @@
 //! What loads the body in one call, and bodies of their own for loads that recur.
 //!
-//! A run declares few directions of gravity and few weights, and most shape effects add the same at every frame: hundreds of
-//! frames of a set share their coefficients. Under loads that recur the body answers as one with few loads, all dead ones and
-//! all changes of design (`answer.rs`), at a third of the price and with the same answer but for round-off. Which frames do
-//! is each set's own affair, so that a set's numbers do not depend on what is asked with it.
+//! A run declares few directions of gravity and few weights, and most shape effects add the same at
+//! every frame: hundreds of frames of a set share their coefficients. Under loads that recur the
+//! body answers as one with few loads, all dead ones and all changes of design (`answer.rs`), at a
+//! third of the price and with the same answer but for round-off. Which frames do is each set's own
+//! affair, so that a set's numbers do not depend on what is asked with it.
 
 use super::job::Job;
 use super::{NEGLIGIBLE, Predictor, Scratch};
@@ -15,7 +16,8 @@ use crate::response::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Frames of a set that must share their loads for a body of their own to pay, and the most such bodies that are kept.
+/// Frames of a set that must share their loads for a body of their own to pay, and the most such
+/// bodies that are kept.
 const MANY: usize = 32;
 const KEPT: usize = 64;
 
@@ -26,7 +28,8 @@ fn key(loads: &Coefficients) -> Key {
     loads.map(f64::to_bits)
 }
 
-/// The body under certain loads, which are a few of its own: how much of each there is, all of it or none.
+/// The body under certain loads, which are a few of its own: how much of each there is, all of it
+/// or none.
 pub struct Loaded {
     fields: Fields,
     answer: Answer,
@@ -170,8 +173,8 @@ impl Predictor {
         self.loads_at(job.chain, set, u, remembered, job.context(b, k))
     }
 
-    /// Coefficients of the fields at the effective command `u` with the memory `remembered`, including those that the
-    /// context declares; a required field that is absent is an error.
+    /// Coefficients of the fields at the effective command `u` with the memory `remembered`,
+    /// including those that the context declares; a required field that is absent is an error.
     pub(super) fn loads_at(
         &self,
         chain: &Chain,

@@ -1,13 +1,18 @@
-//! From commands to measured points: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
+//! From commands to measured points: chain → shape and fields → sensing, for many parameter sets at
+//! once. Every fit calls this.
 //!
-//! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
-//! chain at the command times and is read linearly at the seen times, less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by
-//! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape
-//! effects add, loads and changes of design alike; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
+//! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`.
+//! `u_eff(t)` comes out of the chain at the command times and is read linearly at the seen times,
+//! less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by
+//! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N),
+//! plus what the shape effects add, loads and changes of design alike; a prior whose stiffness is
+//! not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables'
+//! tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
-//! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
-//! cost next to nothing. What loads and changes of the modulus do beyond their fields comes from `second.rs`, where the
-//! prior has it. Limits: other changes of design are answered linearly.
+//! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in
+//! shape and sensing parameters cost next to nothing. What loads and changes of the modulus do
+//! beyond their fields comes from `second.rs`, where the prior has it. Limits: other changes of
+//! design are answered linearly.
 
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
@@ -34,7 +39,8 @@ pub struct Predictor {
     answer: Answer,
     contact: Option<Arc<Contact>>,
     positions: Vec<bool>,
-    /// Whether the outputs are vectors; else they are linear forms of such, which nothing can sense.
+    /// Whether the outputs are vectors; else they are linear forms of such, which nothing can
+    /// sense.
     vectors: bool,
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
@@ -43,7 +49,8 @@ pub struct Predictor {
 }
 
 impl Predictor {
-    /// Compose a prior (3V outputs) with its fields, by name; `positions` (V,) is false for directions, which only turn.
+    /// Compose a prior (3V outputs) with its fields, by name; `positions` (V,) is false for
+    /// directions, which only turn.
     pub fn new(
         prior: Arc<dyn Shape>,
         fields: Vec<(String, Arc<dyn Shape>)>,
@@ -54,7 +61,8 @@ impl Predictor {
     ) -> Result<Predictor> {
         if prior.size() != 3 * positions.len() {
             return Err(invalid(format!(
-                "the prior has {} outputs, positions has {} entries; three outputs for each are wanted",
+                "the prior has {} outputs, positions has {} entries; three outputs for each are \
+                wanted",
                 prior.size(),
                 positions.len()
             )));
@@ -69,7 +77,8 @@ impl Predictor {
             };
             if field.size() != prior.size() || field.channels() != prior.channels() {
                 return Err(invalid(format!(
-                    "the field {name} maps {} commands to {} numbers, the prior {} to {}; they must agree",
+                    "the field {name} maps {} commands to {} numbers, the prior {} to {}; they \
+                    must agree",
                     field.channels(),
                     field.size(),
                     prior.channels(),
@@ -82,7 +91,8 @@ impl Predictor {
             known.push(Some(field.clone()));
             if field.size() != prior.size() || field.channels() != prior.channels() {
                 return Err(invalid(format!(
-                    "a cable's field maps {} commands to {} numbers, the prior {} to {}; they must agree",
+                    "a cable's field maps {} commands to {} numbers, the prior {} to {}; they must \
+                    agree",
                     field.channels(),
                     field.size(),
                     prior.channels(),
@@ -95,8 +105,8 @@ impl Predictor {
             let found = (second.channels(), second.outputs(), second.tendons());
             if found != (prior.channels(), prior.size(), tendons) {
                 return Err(invalid(format!(
-                    "the second level of loads has {} commands, {} outputs and {} tendons, the prior {}, {} and {tendons}; \
-                     they must agree",
+                    "the second level of loads has {} commands, {} outputs and {} tendons, the \
+                     prior {}, {} and {tendons}; they must agree",
                     found.0,
                     found.1,
                     found.2,
@@ -129,8 +139,8 @@ impl Predictor {
         }
     }
 
-    /// The same without the loads that a run declares: for a prior whose fields have no known scale. Gravity still tells
-    /// the effects which way a weight pulls.
+    /// The same without the loads that a run declares: for a prior whose fields have no known
+    /// scale. Gravity still tells the effects which way a weight pulls.
     pub fn without_declared_loads(self) -> Predictor {
         Predictor {
             declared: false,
@@ -138,8 +148,9 @@ impl Predictor {
         }
     }
 
-    /// The same with linear forms of the outputs in their place: `weights` (3V, M). M must be a multiple of 3; forms of zeros fill
-    /// up. Tables alone are seen so, as plain ones; None where the prior or a field is something else.
+    /// The same with linear forms of the outputs in their place: `weights` (3V, M). M must be a
+    /// multiple of 3; forms of zeros fill up. Tables alone are seen so, as plain ones; None where
+    /// the prior or a field is something else.
     pub fn through(&self, weights: &[f64], forms: usize) -> Result<Option<Predictor>> {
         let zero = vec![0.0; forms];
         let plain = |shape: &Arc<dyn Shape>| -> Result<Option<Arc<dyn Shape>>> {
@@ -210,12 +221,14 @@ impl Predictor {
         }
         if !self.vectors && chain.senses() {
             return Err(invalid(
-                "the chain changes what is seen, which linear forms of it do not know; predict with it, and form then",
+                "the chain changes what is seen, which linear forms of it do not know; predict \
+                with it, and form then",
             ));
         }
         if conditions.is_empty() && chain.channels() > 0 && !t_seen.is_empty() {
             return Err(invalid(
-                "nothing was commanded (T = 0), so nothing can be predicted; give at least one sample",
+                "nothing was commanded (T = 0), so nothing can be predicted; give at least one \
+                sample",
             ));
         }
         Ok(())
@@ -267,7 +280,8 @@ impl Predictor {
         Ok(out)
     }
 
-    /// Write the prior of a group at a frame to `out`; the nodes that carry its command are kept for what follows.
+    /// Write the prior of a group at a frame to `out`; the nodes that carry its command are kept
+    /// for what follows.
     fn bend(&self, job: &Job, (group, k): (usize, usize), scratch: &mut Scratch, out: &mut [f64]) {
         let (u, prior) = (job.at(group, k), &job.bodies[group].prior);
         scratch.nodes.clear();
@@ -332,7 +346,8 @@ impl Predictor {
         fields.add(u, nodes, weights, field, out);
     }
 
-    /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
+    /// Whether a coefficient means something to this body: its field is there, or it is that of
+    /// cables.
     fn has(&self, coefficient: usize) -> bool {
         match coefficient {
             field if field < TENDON => self.body.fields.get(field).is_some(),
@@ -353,8 +368,8 @@ impl Predictor {
             names => format!("the effect {} or what the run declares", names.join(", ")),
         };
         invalid(format!(
-            "{wants} asks for {value:.3e} of the field {}, which this model does not have; build the model with its \
-             fields, or leave that effect out",
+            "{wants} asks for {value:.3e} of the field {}, which this model does not have; build \
+             the model with its fields, or leave that effect out",
             name(field)
         ))
     }

@@ -6,7 +6,8 @@ use super::loads::{Acting, Load};
 use crate::error::Result;
 use rayon::prelude::*;
 
-/// What the members of a group share at all frames: the prior (K, 3V), by itself and under the loads of the first of them.
+/// What the members of a group share at all frames: the prior (K, 3V), by itself and under the
+/// loads of the first of them.
 pub struct Shapes {
     prior: Vec<f64>,
     loaded: Vec<f64>,
@@ -14,7 +15,8 @@ pub struct Shapes {
 }
 
 impl Shapes {
-    /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the whole, loads included.
+    /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the
+    /// whole, loads included.
     pub fn copy(
         &self,
         predictor: &Predictor,

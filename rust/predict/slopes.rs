@@ -1,8 +1,10 @@
-//! What acts on the shape, and how the frame answers small changes of it: all that a linearised screening needs.
+//! What acts on the shape, and how the frame answers small changes of it: all that a linearised
+//! screening needs.
 //!
-//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of whole frames (prior, fields,
-//! cables, sensing) over the acting command. Their steps are the caller's: where tendons fall slack under a load the true
-//! slope jumps within some hundredths of a millimetre, and says nothing about a change of half a millimetre.
+//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of whole
+//! frames (prior, fields, cables, sensing) over the acting command. Their steps are the caller's:
+//! where tendons fall slack under a load the true slope jumps within some hundredths of a
+//! millimetre, and says nothing about a change of half a millimetre.
 
 use super::Predictor;
 use super::job::Job;
@@ -27,7 +29,8 @@ impl Predictor {
         Ok(frames.flat_map(|(g, k)| job.at(g, k)).copied().collect())
     }
 
-    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, for one parameter set (P,).
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, for one
+    /// parameter set (P,).
     pub fn slopes(
         &self,
         chain: &Chain,

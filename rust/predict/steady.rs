@@ -1,8 +1,9 @@
 //! A predictor under constant conditions, as a shape: the model of inverse kinematics.
 //!
-//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u the effective command at the body; nothing is sensed. Slopes of the
-//! prior are its own. Slopes of the loads' answers are central differences over [`STEP`] to both sides, because they
-//! change slowly. Shape effects with a memory are taken at rest, without memory.
+//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u the effective command at the body; nothing is
+//! sensed. Slopes of the prior are its own. Slopes of the loads' answers are central differences
+//! over [`STEP`] to both sides, because they change slowly. Shape effects with a memory are taken
+//! at rest, without memory.
 
 use super::Predictor;
 use super::job::Body;
@@ -25,8 +26,8 @@ struct Still {
     context: Context,
 }
 
-/// The outputs of `predictor` under the shape and prior effects of a chain with `params` (P,), in one context: its prior where
-/// nothing loads it.
+/// The outputs of `predictor` under the shape and prior effects of a chain with `params` (P,), in
+/// one context: its prior where nothing loads it.
 pub fn still(
     predictor: &Arc<Predictor>,
     chain: &Chain,
@@ -42,7 +43,8 @@ pub fn still(
             chain.channels()
         )));
     }
-    // What is missing is said here, at home and to both sides of it; elsewhere it would be left out.
+    // What is missing is said here, at home and to both sides of it; elsewhere it would be left
+    // out.
     let relaxed = vec![0.0; chain.remembered()];
     let mut loaded = false;
     for side in 0..=2 * channels {

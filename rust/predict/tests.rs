@@ -1,4 +1,5 @@
-//! The predictor: frames between samples, sets that share shapes, and what it says of absent fields.
+//! The predictor: frames between samples, sets that share shapes, and what it says of absent
+//! fields.
 
 use super::*;
 use crate::shape::table::Table;

@@ -1,4 +1,5 @@
-//! Numbers from Python: anything NumPy reads as float64, checked for shape and finiteness, with one-line errors.
+//! Numbers from Python: anything NumPy reads as float64, checked for shape and finiteness, with
+//! one-line errors.
 
 use crate::Error;
 use numpy::{AllowTypeChange, PyArrayLike1, PyArrayLikeDyn, PyUntypedArrayMethods, TypeMustMatch};
@@ -13,7 +14,8 @@ pub struct Floats {
     pub data: Vec<f64>,
 }
 
-/// Read `value` as float64 of as many axes as `axes`, whose names are for the error; `None` entries may have any length.
+/// Read `value` as float64 of as many axes as `axes`, whose names are for the error; `None` entries
+/// may have any length.
 pub fn floats(
     name: &str,
     value: &Bound<'_, PyAny>,
@@ -50,7 +52,8 @@ pub fn floats(
     let data = view
         .as_slice()
         .map_or_else(|| view.iter().copied().collect(), <[f64]>::to_vec);
-    // Whole chunks without a branch in them: fits ask again and again with records of tens of thousands of numbers.
+    // Whole chunks without a branch in them: fits ask again and again with records of tens of
+    // thousands of numbers.
     let finite = |part: &[f64]| part.iter().fold(true, |all, value| all & value.is_finite());
     if data.chunks(CHUNK).all(finite) {
         return Ok(Floats { shape, data });

@@ -6,8 +6,9 @@ use crate::response::cables::Cables;
 use crate::response::second_order::Second;
 use pyo3::prelude::*;
 
-/// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` → (n·(F + n),) mm per unit
-/// of each of `FIELDS` and of tension, `fields` → displacements per 1 N in each cable.
+/// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` →
+/// (n·(F + n),) mm per unit of each of `FIELDS` and of tension, `fields` → displacements per 1 N in
+/// each cable.
 #[pyclass(name = "Cables", module = "softmap_edge._core", frozen)]
 pub struct PyCables {
     pub inner: Cables,
@@ -28,7 +29,8 @@ impl PyCables {
         Ok(PyCables { inner })
     }
 
-    /// The same cables with their fields seen through a linear map: `weights` (M, M2), `offset` (M2,).
+    /// The same cables with their fields seen through a linear map: `weights` (M, M2), `offset`
+    /// (M2,).
     fn project(
         &self,
         py: Python<'_>,
@@ -44,10 +46,11 @@ impl PyCables {
     }
 }
 
-/// What loads do beyond their fields: `numbers` (nodes, P·(m + n) + 6 + n) over the grid of `axes`: mode weights and stretches (mm)
-/// of each pair of loads and tensions, row by row, then the growth of each; for n `tendons` that answer, and `modes` (m, M).
-/// `moduli` (nodes, Q·(m + n) + 9), if there are any, are the same of the pairs with a modulus: of each with all loads, all
-/// tensions and the moduli from itself on.
+/// What loads do beyond their fields: `numbers` (nodes, P·(m + n) + 6 + n) over the grid of `axes`:
+/// mode weights and stretches (mm) of each pair of loads and tensions, row by row, then the growth
+/// of each; for n `tendons` that answer, and `modes` (m, M). `moduli` (nodes, Q·(m + n) + 9), if
+/// there are any, are the same of the pairs with a modulus: of each with all loads, all tensions
+/// and the moduli from itself on.
 #[pyclass(name = "Second", module = "softmap_edge._core", frozen)]
 pub struct PySecond {
     pub inner: Second,

@@ -96,7 +96,8 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
         .map_err(|fault| LimitError::new_err((fault.text, fault.name, fault.servo)))
 }
 
-/// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are about home.
+/// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are
+/// about home.
 #[pyfunction]
 pub fn limit_ranges(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let told = PyDict::new(py);
@@ -132,12 +133,14 @@ fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
     )
 }
 
-/// Run the control loop in this process until its orders end: `orders` and `reports` are descriptors of pipes.
+/// Run the control loop in this process until its orders end: `orders` and `reports` are
+/// descriptors of pipes.
 ///
-/// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are the calibration's; with a
-/// `chain` (names, params, low and high (C,) mm, gravity, load, temperature) commands are what should act through it;
-/// emergency stops are `gpio` (chip, line, pressed when low) and `heartbeat` (host, port, key, s between beats at most);
-/// `record` a file to record to, `setup` the document that begins it.
+/// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are
+/// the calibration's; with a `chain` (names, params, low and high (C,) mm, gravity, load,
+/// temperature) commands are what should act through it; emergency stops are `gpio` (chip, line,
+/// pressed when low) and `heartbeat` (host, port, key, s between beats at most); `record` a file to
+/// record to, `setup` the document that begins it.
 #[pyfunction]
 #[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, chain=None, gpio=None, heartbeat=None, record=None, setup=""))]
 pub fn control_loop(
@@ -205,7 +208,8 @@ impl PyReading {
         Ok(PyReading { reading })
     }
 
-    /// The messages (topic, ns, bytes) that are whole and new, and whether whoever wrote it has closed it.
+    /// The messages (topic, ns, bytes) that are whole and new, and whether whoever wrote it has
+    /// closed it.
     fn more<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Message<'py>>, bool)> {
         let mut found = vec![];
         let ended = py.detach(|| {
@@ -231,10 +235,11 @@ pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Vec<Message<'_>
     Ok(messages(py, found))
 }
 
-/// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware, torque, tripped).
+/// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware,
+/// torque, tripped).
 type Sensed = (i32, u16, Option<f64>, f64, f64, Option<(u8, bool, bool)>);
-/// A period: now, feedback, whether the deadman was pressed if it was heard, targets, whether they are new, request,
-/// emergency.
+/// A period: now, feedback, whether the deadman was pressed if it was heard, targets, whether they
+/// are new, request, emergency.
 type Told = (
     u64,
     Vec<Option<Sensed>>,

@@ -20,7 +20,8 @@ const WIDTH: usize = size_of::<Coefficients>() / size_of::<f64>();
 /// Gravity of a hanging finger, for calls in which nothing depends on it.
 const HANGING: [f64; 3] = [0.0, 0.0, 1.0];
 
-/// Effects composed in stage order for C channels; parameters and state are arrays that the caller keeps.
+/// Effects composed in stage order for C channels; parameters and state are arrays that the caller
+/// keeps.
 #[pyclass(name = "Chain", module = "softmap_edge._core", frozen)]
 pub struct PyChain {
     pub(super) chain: Chain,
@@ -89,7 +90,8 @@ impl PyChain {
         self.column(py, |p| p.highest(self.chain.channels()))
     }
 
-    /// How far a fit may go beyond `high`, in halves of the range of the commands; 0 if it is not limited so.
+    /// How far a fit may go beyond `high`, in halves of the range of the commands; 0 if it is not
+    /// limited so.
     #[getter]
     fn half_ranges<'py>(&self, py: Python<'py>) -> Row<'py> {
         self.column(py, |p| match p.reach {
@@ -117,7 +119,8 @@ impl PyChain {
         self.column(py, |p| p.integer)
     }
 
-    /// The group (P,) of each parameter: numbers of one group are equal unless they are set separately.
+    /// The group (P,) of each parameter: numbers of one group are equal unless they are set
+    /// separately.
     #[getter]
     fn tie<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let groups: Vec<i64> = self.chain.tie().into_iter().map(|g| g as i64).collect();
@@ -130,7 +133,8 @@ impl PyChain {
         self.chain.group_labels()
     }
 
-    /// What each number of a parameter set (P,) stands for; None where it is a number like any other.
+    /// What each number of a parameter set (P,) stands for; None where it is a number like any
+    /// other.
     fn meanings(&self, params: Value<'_, '_>) -> PyResult<Vec<Option<String>>> {
         let params = one_set(&self.chain, params)?;
         self.chain.check(&params)?;
@@ -164,7 +168,8 @@ impl PyChain {
         Ok(both.0)
     }
 
-    /// Like `rollout`, and the states (B, S) at the end of the record, with which the next one goes on.
+    /// Like `rollout`, and the states (B, S) at the end of the record, with which the next one goes
+    /// on.
     #[pyo3(signature = (params, u, t, gravity=None, load=None, temperature=None, state=None))]
     fn advance<'py>(
         &self,
@@ -265,9 +270,10 @@ impl PyChain {
         self.chain.numbers()
     }
 
-    /// Coefficients (B, K, F + 14) of `FIELDS`, of the compliance of the cables that +u and −u of each command pull, and of an obstacle (`loads.rs`) that the shape
-    /// effects add, for gravity (K, 3), load (K,) g and the effective command (K, C). Effects with a memory take its
-    /// rows as a record.
+    /// Coefficients (B, K, F + 14) of `FIELDS`, of the compliance of the cables that +u and −u of
+    /// each command pull, and of an obstacle (`loads.rs`) that the shape effects add, for gravity
+    /// (K, 3), load (K,) g and the effective command (K, C). Effects with a memory take its rows as
+    /// a record.
     #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]
     fn coefficients<'py>(
         &self,
@@ -388,13 +394,15 @@ impl PyChain {
     }
 }
 
-/// How many numbers a parameter set has with one number for each shared parameter; None if no parameter is shared.
+/// How many numbers a parameter set has with one number for each shared parameter; None if no
+/// parameter is shared.
 fn tied(chain: &Chain) -> Option<usize> {
     let groups = chain.tie().last().map_or(0, |last| last + 1);
     (groups < chain.width()).then_some(groups)
 }
 
-/// One parameter set (P,) of a chain. A set with one number for each group of `tie` is spread to all channels.
+/// One parameter set (P,) of a chain. A set with one number for each group of `tie` is spread to
+/// all channels.
 pub(super) fn one_set(chain: &Chain, params: Value<'_, '_>) -> PyResult<Vec<f64>> {
     if let Some(groups) = tied(chain) {
         let given = floats("params", params, &[("P", None)])?.data;
@@ -405,7 +413,8 @@ pub(super) fn one_set(chain: &Chain, params: Value<'_, '_>) -> PyResult<Vec<f64>
     Ok(floats("params", params, &[("P", Some(chain.width()))])?.data)
 }
 
-/// Commands (T, C) and the world around them; what is absent is constant, gravity that of a hanging finger.
+/// Commands (T, C) and the world around them; what is absent is constant, gravity that of a hanging
+/// finger.
 pub(super) fn record(
     u: Value<'_, '_>,
     channels: Option<usize>,

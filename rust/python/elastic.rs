@@ -20,7 +20,8 @@ pub struct PyElasticRod {
 fn tendons(ends: &[usize], channel: &[usize], pull: &[f64]) -> Result<Vec<Tendon>> {
     if ends.len() != channel.len() || ends.len() != pull.len() {
         return Err(Error::Invalid(format!(
-            "tendons end in {} segments, are drawn in by {} commands and {} numbers of mm; give one of each per tendon",
+            "tendons end in {} segments, are drawn in by {} commands and {} numbers of mm; give \
+            one of each per tendon",
             ends.len(),
             channel.len(),
             pull.len()
@@ -47,8 +48,9 @@ fn row(rows: &[f64], i: usize, channels: usize) -> &[f64] {
 
 #[pymethods]
 impl PyElasticRod {
-    /// `ends`, `channel` (from 0) and `pull` (mm per unit of command) are one a tendon; `at` places the markers, in
-    /// segments from the base; `numbers` (P,) are as `labels` names them: rad, mm, stiffness in mm².
+    /// `ends`, `channel` (from 0) and `pull` (mm per unit of command) are one a tendon; `at` places
+    /// the markers, in segments from the base; `numbers` (P,) are as `labels` names them: rad, mm,
+    /// stiffness in mm².
     #[new]
     fn new(
         segments: usize,
@@ -74,7 +76,8 @@ impl PyElasticRod {
         self.rod.layout().labels()
     }
 
-    /// Bending (n, 2S) rad of the segments and stretch (n, tendons) mm; a stretch below 0 is how slack a cable is.
+    /// Bending (n, 2S) rad of the segments and stretch (n, tendons) mm; a stretch below 0 is how
+    /// slack a cable is.
     #[allow(clippy::type_complexity)]
     fn state<'py>(
         &self,
@@ -126,13 +129,15 @@ impl PyElasticRod {
     }
 }
 
-/// Marker displacements (n, 3M) mm of an elastic rod under one unit of a load or of a change of its body.
+/// Marker displacements (n, 3M) mm of an elastic rod under one unit of a load or of a change of its
+/// body.
 #[pyclass(name = "ElasticField", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyElasticField;
 
 #[pymethods]
 impl PyElasticField {
-    /// `name`: gravity_x|y|z, tip_force_x|y|z, stiff_0…6 or curve_x|y; `flexibility` mm/N, one over the stiffness of a tendon.
+    /// `name`: gravity_x|y|z, tip_force_x|y|z, stiff_0…6 or curve_x|y; `flexibility` mm/N, one over
+    /// the stiffness of a tendon.
     #[new]
     fn new(
         rod: PyRef<'_, PyElasticRod>,

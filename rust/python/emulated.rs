@@ -48,8 +48,8 @@ impl Place {
     }
 }
 
-/// Servos with a tendon behind each, and faults on command: at a pseudo-terminal, or `simulated` at a socket, where time
-/// passes as their master takes steps (`hold`, `advance`).
+/// Servos with a tendon behind each, and faults on command: at a pseudo-terminal, or `simulated` at
+/// a socket, where time passes as their master takes steps (`hold`, `advance`).
 #[pyclass(name = "EmulatedBus", module = "softmap_edge._core", frozen)]
 pub struct PyEmulatedBus {
     terminal: Mutex<Place>,
@@ -85,8 +85,8 @@ impl PyEmulatedBus {
 
 #[pymethods]
 impl PyEmulatedBus {
-    /// `servos` are (id, model number, baud rate, ticks of the horn); `delay` and `lag` in s; `load` are (ticks, mA) of
-    /// each, ascending.
+    /// `servos` are (id, model number, baud rate, ticks of the horn); `delay` and `lag` in s;
+    /// `load` are (ticks, mA) of each, ascending.
     #[new]
     #[pyo3(signature = (servos, load, *, delay=0.02, lag=0.04, seed=0, simulated=false))]
     fn new(
@@ -100,7 +100,8 @@ impl PyEmulatedBus {
         let times = [delay, lag].iter().all(|time| (0.0..=1.0).contains(time));
         if servos.is_empty() || servos.len() != load.len() || !times {
             return Err(trouble(format!(
-                "{} servos with {} loads, delay {delay} s, lag {lag} s; one load a servo and times from 0 to 1 s are allowed",
+                "{} servos with {} loads, delay {delay} s, lag {lag} s; one load a servo and times \
+                from 0 to 1 s are allowed",
                 servos.len(),
                 load.len()
             )));
@@ -147,7 +148,8 @@ impl PyEmulatedBus {
         self.terminal().path().to_owned()
     }
 
-    /// What the wire does to answers: chances that one is lost, damaged or follows junk, s that it is late, and no power.
+    /// What the wire does to answers: chances that one is lost, damaged or follows junk, s that it
+    /// is late, and no power.
     #[pyo3(signature = (*, drop=0.0, damage=0.0, junk=0.0, slow=0.0, unpowered=false))]
     fn faults(
         &self,
@@ -175,8 +177,9 @@ impl PyEmulatedBus {
         Ok(())
     }
 
-    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn or wound the other way, its horn is
-    /// blocked, it does not keep to its current cap. What is not given stays as it is.
+    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn or wound the
+    /// other way, its horn is blocked, it does not keep to its current cap. What is not given stays
+    /// as it is.
     #[pyo3(signature = (servo, *, mute=None, stuck=None, torn=None, reversed=None, jammed=None, uncapped=None))]
     fn damage(
         &self,
@@ -226,7 +229,8 @@ impl PyEmulatedBus {
         Ok(())
     }
 
-    /// Make everything as it was mounted: nothing is broken, ids and horns are as they were, the servos have just started.
+    /// Make everything as it was mounted: nothing is broken, ids and horns are as they were, the
+    /// servos have just started.
     fn mend(&self) {
         self.terminal().emulator().mend();
     }
@@ -266,8 +270,9 @@ impl PyEmulatedBus {
         py.detach(|| self.terminal().unplug());
     }
 
-    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks), whether it has torque,
-    /// whether its watchdog tripped, and how its horn pulls: 1 as it should, -1 the wrong way, 0 for a torn tendon.
+    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks),
+    /// whether it has torque, whether its watchdog tripped, and how its horn pulls: 1 as it should,
+    /// -1 the wrong way, 0 for a torn tendon.
     fn state(&self) -> (f64, Vec<(f64, bool, bool, f64)>) {
         let terminal = self.terminal();
         let now = terminal.now();
@@ -292,7 +297,8 @@ impl PyEmulatedBus {
         self.clock(py, |time| time.hold(at))
     }
 
-    /// Grant simulated time up to `until` ns and wait, `most` s at most, until the loop has used it up; whether it has.
+    /// Grant simulated time up to `until` ns and wait, `most` s at most, until the loop has used it
+    /// up; whether it has.
     fn advance(&self, py: Python<'_>, until: u64, most: f64) -> PyResult<bool> {
         self.clock(py, |time| time.advance(until, seconds(most)))
     }
@@ -302,7 +308,8 @@ impl PyEmulatedBus {
         self.clock(py, |time| time.free(free))
     }
 
-    /// Paced time goes on for `window` s more, without one whatever happens; s for which the computer was too busy so far.
+    /// Paced time goes on for `window` s more, without one whatever happens; s for which the
+    /// computer was too busy so far.
     fn there(&self, py: Python<'_>, window: Option<f64>) -> PyResult<f64> {
         self.clock(py, |time| time.there(window.map(seconds)).as_secs_f64())
     }
@@ -319,6 +326,7 @@ fn seconds(time: f64) -> Duration {
 
 fn unserved(fault: std::io::Error) -> PyErr {
     trouble(format!(
-        "no socket for simulated servos ({fault}); see that the folder for temporary files can be written (TMPDIR)"
+        "no socket for simulated servos ({fault}); see that the folder for temporary files can be \
+        written (TMPDIR)"
     ))
 }

@@ -13,7 +13,8 @@ type Rows<'py> = Bound<'py, PyArray2<f64>>;
 type Which<'py> = Bound<'py, PyArray1<i64>>;
 /// Basis (K, r) and strength (r,) of a kernel over frames.
 type Kernel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
-/// Training and test frames of a fold; basis and strength of the kernel over the training frames, then over the test frames.
+/// Training and test frames of a fold; basis and strength of the kernel over the training frames,
+/// then over the test frames.
 type Fold<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
@@ -53,9 +54,10 @@ pub struct PySeries {
 
 #[pymethods]
 impl PySeries {
-    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer codes of `orientation` (T,);
-    /// `orientations` are the codes of all runs that are fitted together, if this is one of several; `free_map` says that the
-    /// static map was learned freely, which leaves out columns that imitate its error.
+    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer
+    /// codes of `orientation` (T,); `orientations` are the codes of all runs that are fitted
+    /// together, if this is one of several; `free_map` says that the static map was learned freely,
+    /// which leaves out columns that imitate its error.
     #[new]
     #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None, orientations=None, free_map=false))]
     fn new(
@@ -199,8 +201,9 @@ pub struct PyLevel {
 
 #[pymethods]
 impl PyLevel {
-    /// `form` (M,): model-error variance of each mode. `kernel`: (basis (K, r), strength (r,)) over all frames. `folds`: one
-    /// (train, test, train basis, train strength, test basis, test strength) per fold.
+    /// `form` (M,): model-error variance of each mode. `kernel`: (basis (K, r), strength (r,)) over
+    /// all frames. `folds`: one (train, test, train basis, train strength, test basis, test
+    /// strength) per fold.
     #[new]
     fn new(form: Value<'_, '_>, kernel: Kernel<'_>, folds: Vec<Fold<'_>>) -> PyResult<PyLevel> {
         let form = floats("form", form, &[("M", None)])?.data;
@@ -228,7 +231,8 @@ impl PyLevel {
         self.level.names()
     }
 
-    /// Add columns base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
+    /// Add columns base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight`
+    /// (n, K).
     fn add(
         &mut self,
         name: &str,
@@ -257,7 +261,8 @@ impl PyLevel {
         Ok(self.level.close(&residual)?)
     }
 
-    /// Return the held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each.
+    /// Return the held-out loss (F,) of each fold, fitting the columns of `names` with one ridge
+    /// each.
     fn losses<'py>(
         &mut self,
         py: Python<'py>,

@@ -25,8 +25,8 @@ type Bends<'py> = (
     Bound<'py, PyArray2<f64>>,
 );
 
-/// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus MPa, and whether it
-/// holds each cell, None for all.
+/// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus
+/// MPa, and whether it holds each cell, None for all.
 type Boxed = (Vec3, Vec3, Option<f64>, f64, Option<Vec<bool>>);
 
 /// A tendon by points (n, 3) mm, or by (angle, turn, (z, radius) pairs) in rad and mm.
@@ -36,7 +36,8 @@ enum Way {
     Points(Vec<Vec3>),
 }
 
-/// A finger's solid; `points` (rest places of another template, mm) are reported instead of its own surface.
+/// A finger's solid; `points` (rest places of another template, mm) are reported instead of its own
+/// surface.
 #[pyclass(frozen, module = "softmap_edge._core")]
 pub struct Solid {
     simulation: Simulation,
@@ -44,8 +45,9 @@ pub struct Solid {
 
 #[pymethods]
 impl Solid {
-    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`. `change` says
-    /// by how much the body differs from the rest: names and amounts of the fields of a design.
+    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if
+    /// `by_tension`. `change` says by how much the body differs from the rest: names and amounts of
+    /// the fields of a design.
     #[new]
     #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, load_at=None, points=None, tolerance=2.5, change=Vec::new()))]
     fn new(
@@ -116,14 +118,16 @@ impl Solid {
                 .and_then(|f| change::changed(&design, &drive, LOADS + f, by));
             design = changed.ok_or_else(|| {
                 invalid(format!(
-                    "change {name} by {by}: allowed are finite amounts of {}, and of routing only for commands there are",
+                    "change {name} by {by}: allowed are finite amounts of {}, and of routing only \
+                    for commands there are",
                     FIELDS[LOADS..PUSH].join(", ")
                 ))
             })?;
         }
         let template = points.map(|p| vectors(&p, "points")).transpose()?;
         let simulation = py.detach(|| {
-            // Points are material: they are found in the body as it is described, and go where it goes.
+            // Points are material: they are found in the body as it is described, and go where it
+            // goes.
             let points = match template {
                 None => Points::surface(&design.mesh),
                 Some(places) => Points::embedded(&design.mesh, &places, tolerance)?,
@@ -210,7 +214,8 @@ impl Solid {
         self.bent(py, shapes)
     }
 
-    /// Places (K, N, 3) at commands (K, C) under one gravity, Newton's method starting where `other` puts the nodes.
+    /// Places (K, N, 3) at commands (K, C) under one gravity, Newton's method starting where
+    /// `other` puts the nodes.
     #[pyo3(signature = (other, commands, gravity, load, progress=None))]
     fn path_from<'py>(
         &self,
@@ -229,8 +234,9 @@ impl Solid {
         Ok(self.bent(py, shapes)?.0)
     }
 
-    /// At the equilibria of commands (S, C): second derivatives (S, P, N, 3) of the vertices and (S, P, T) of the stretch of
-    /// the cables, for each pair of `LOADS`, `MODULI` and the tensions, row by row; growth of the answers for each of these.
+    /// At the equilibria of commands (S, C): second derivatives (S, P, N, 3) of the vertices and
+    /// (S, P, T) of the stretch of the cables, for each pair of `LOADS`, `MODULI` and the tensions,
+    /// row by row; growth of the answers for each of these.
     #[pyo3(signature = (commands, gravity, load, progress=None))]
     fn bends<'py>(
         &self,
@@ -266,9 +272,10 @@ impl Solid {
         ))
     }
 
-    /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per unit of each field, by
-    /// name, then per 1 N in each cable as `tension_0…`, and `stretch` (S, T, F + T) of the cables under the same: `FIELDS`,
-    /// zero where there is none, then tensions. Changes of `design` are answered if asked.
+    /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per
+    /// unit of each field, by name, then per 1 N in each cable as `tension_0…`, and `stretch` (S,
+    /// T, F + T) of the cables under the same: `FIELDS`, zero where there is none, then tensions.
+    /// Changes of `design` are answered if asked.
     #[pyo3(signature = (commands, gravity, load, design=false, progress=None))]
     fn fields<'py>(
         &self,

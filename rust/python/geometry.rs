@@ -41,8 +41,9 @@ fn rows<'py>(py: Python<'py>, points: Vec<Vec3>) -> PyResult<Bound<'py, PyAny>> 
         .into_any())
 }
 
-/// Chamfer distance of a template (N, 3) and a cloud (M, 3): `there`, `back` (mm), `distance` and `index` of each point's nearest,
-/// both ways, and the `gradient` (N, 3) of their sum. `seen` (N,) and `trusted` (M,) weigh the points.
+/// Chamfer distance of a template (N, 3) and a cloud (M, 3): `there`, `back` (mm), `distance` and
+/// `index` of each point's nearest, both ways, and the `gradient` (N, 3) of their sum. `seen` (N,)
+/// and `trusted` (M,) weigh the points.
 #[pyfunction]
 #[pyo3(signature = (template, cloud, seen=None, trusted=None))]
 pub fn chamfer<'py>(
@@ -83,7 +84,8 @@ pub fn chamfer<'py>(
     Ok(out)
 }
 
-/// A triangle surface: `vertices` (N, 3) mm, `triangles` (T, 3), outwards by the order of their corners.
+/// A triangle surface: `vertices` (N, 3) mm, `triangles` (T, 3), outwards by the order of their
+/// corners.
 #[pyclass(name = "Surface", module = "softmap_edge._core", frozen)]
 pub struct PySurface {
     inner: Surface,
@@ -97,7 +99,8 @@ impl PySurface {
         Ok(PySurface { inner })
     }
 
-    /// The nearest place of the surface to each of `points` (M, 3): places (M, 3), distances (M,) mm.
+    /// The nearest place of the surface to each of `points` (M, 3): places (M, 3), distances (M,)
+    /// mm.
     fn nearest<'py>(
         &self,
         py: Python<'py>,
@@ -112,7 +115,8 @@ impl PySurface {
         ))
     }
 
-    /// Which of the places (M, 3) of the surface, with outward `normals` (M, 3), an `eye` (3,) sees.
+    /// Which of the places (M, 3) of the surface, with outward `normals` (M, 3), an `eye` (3,)
+    /// sees.
     fn seen<'py>(
         &self,
         py: Python<'py>,
@@ -128,7 +132,8 @@ impl PySurface {
     }
 }
 
-/// The surface of a finger, ready to be registered: `rest` (N, 3) mm, `triangles` (T, 3), `base` the vertices that the clamp holds.
+/// The surface of a finger, ready to be registered: `rest` (N, 3) mm, `triangles` (T, 3), `base`
+/// the vertices that the clamp holds.
 #[pyclass(name = "Registration", module = "softmap_edge._core", frozen)]
 pub struct PyRegistration {
     template: Template,
@@ -164,8 +169,9 @@ impl PyRegistration {
         )
     }
 
-    /// Deform the surface as rigidly as possible, from rest, for so many `rounds`: vertices (N, 3), drawn to `goals` (N, 3) with
-    /// `strength` (N,), 0 for those that go where the others want them.
+    /// Deform the surface as rigidly as possible, from rest, for so many `rounds`: vertices (N, 3),
+    /// drawn to `goals` (N, 3) with `strength` (N,), 0 for those that go where the others want
+    /// them.
     fn deformed<'py>(
         &self,
         py: Python<'py>,
@@ -186,9 +192,10 @@ impl PyRegistration {
         rows(py, places)
     }
 
-    /// Register `clouds` [(M, 3)] mm in parallel, each from the shape of the model nearest to it among the commands `candidates`
-    /// (G, C), which stay between `low` and `high` (C,). One dict each: vertices (N, 3), support (N,), command (C,), start
-    /// (N, 3), start_cost, scale, other (its cost, mm), residual_mm, noise_mm, used, rounds, settled.
+    /// Register `clouds` [(M, 3)] mm in parallel, each from the shape of the model nearest to it
+    /// among the commands `candidates` (G, C), which stay between `low` and `high` (C,). One dict
+    /// each: vertices (N, 3), support (N,), command (C,), start (N, 3), start_cost, scale, other
+    /// (its cost, mm), residual_mm, noise_mm, used, rounds, settled.
     #[pyo3(signature = (shape, clouds, candidates, low, high, cloud=3.0, points=2000, rounds=25, base=100.0))]
     fn robust<'py>(
         &self,
@@ -239,7 +246,8 @@ impl PyRegistration {
             .collect()
     }
 
-    /// Register a cloud (M, 3) by the published objective, with λ as `strength` (N,): vertices (N, 3) and rounds.
+    /// Register a cloud (M, 3) by the published objective, with λ as `strength` (N,): vertices (N,
+    /// 3) and rounds.
     fn published<'py>(
         &self,
         py: Python<'py>,

@@ -13,10 +13,12 @@ use pyo3::prelude::*;
 
 type Row<'py> = Bound<'py, PyArray1<f64>>;
 type Rows<'py> = Bound<'py, PyArray2<f64>>;
-/// What acts (T, C), the tip there (T, 3), mm to the targets (T,), how often the tip was asked (T,).
+/// What acts (T, C), the tip there (T, 3), mm to the targets (T,), how often the tip was asked
+/// (T,).
 type Path<'py> = (Rows<'py>, Rows<'py>, Row<'py>, Bound<'py, PyArray1<i64>>);
 
-/// Where a tip (a shape of three outputs) can go while what acts stays within `low` and `high` (C,) mm.
+/// Where a tip (a shape of three outputs) can go while what acts stays within `low` and `high` (C,)
+/// mm.
 #[pyclass(name = "Reach", module = "softmap_edge._core", frozen)]
 pub struct PyReach {
     reach: Reach,
@@ -50,8 +52,9 @@ impl PyReach {
         ))
     }
 
-    /// What acts (T, C) so that the tip is nearest to each of `targets` (T, 3), one after the other, the first after `start`
-    /// (C,): also places (T, 3), distances (T,) mm, and how often the tip was asked (T,). `published` is the paper's way.
+    /// What acts (T, C) so that the tip is nearest to each of `targets` (T, 3), one after the
+    /// other, the first after `start` (C,): also places (T, 3), distances (T,) mm, and how often
+    /// the tip was asked (T,). `published` is the paper's way.
     #[pyo3(signature = (targets, start=None, published=false))]
     fn path<'py>(
         &self,
@@ -85,13 +88,15 @@ impl PyReach {
     }
 }
 
-/// What must be commanded so that a certain command acts: a chain without its delays, inverted one sample at a time.
+/// What must be commanded so that a certain command acts: a chain without its delays, inverted one
+/// sample at a time.
 #[pyclass(name = "Inverse", module = "softmap_edge._core")]
 pub struct PyInverse {
     inverse: Inverse,
 }
 
-/// A chain inverted in a world of gravity (3,), load (g) and temperature (°C), its commands within `low` and `high` (C,).
+/// A chain inverted in a world of gravity (3,), load (g) and temperature (°C), its commands within
+/// `low` and `high` (C,).
 pub(super) fn inverted(
     chain: &Chain,
     params: Value<'_, '_>,
@@ -136,7 +141,8 @@ impl PyInverse {
         Ok(self.inverse.settle(&u).to_vec().into_pyarray(py))
     }
 
-    /// The command (C,) that makes `wanted` (C,) act `dt` seconds after the last one, and by how much (mm) it misses.
+    /// The command (C,) that makes `wanted` (C,) act `dt` seconds after the last one, and by how
+    /// much (mm) it misses.
     fn command<'py>(
         &mut self,
         py: Python<'py>,
@@ -155,7 +161,8 @@ impl PyInverse {
         Ok(self.inverse.passed(&u, dt).to_vec().into_pyarray(py))
     }
 
-    /// One after the other: commands (T, C) that make `wanted` (T, C) act at times `t` (T,) s, and what they make act (T, C).
+    /// One after the other: commands (T, C) that make `wanted` (T, C) act at times `t` (T,) s, and
+    /// what they make act (T, C).
     fn path<'py>(
         &mut self,
         py: Python<'py>,

@@ -42,8 +42,9 @@ impl From<Error> for PyErr {
     }
 }
 
-/// Run what asks a chain without the interpreter, on a thread of rayon's: what is parallel inside then wakes no other by
-/// itself, which costs more than many rows where there is one alone. A user's own law can be interrupted meanwhile.
+/// Run what asks a chain without the interpreter, on a thread of rayon's: what is parallel inside
+/// then wakes no other by itself, which costs more than many rows where there is one alone. A
+/// user's own law can be interrupted meanwhile.
 fn at_work<T: Send>(
     py: Python<'_>,
     chain: &Chain,
@@ -100,10 +101,11 @@ mod _core {
     #[pymodule_export]
     use super::table::PyTable;
 
-    /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`;
-    /// `LOADS`, those of them that are dead loads; `MODULI`, those of the modulus; `STATIONS`, shares of the height at which
-    /// an obstacle can push; `FAST_FIRMWARE`, that from which servos answer in one packet;
-    /// `HARDWARE_ERRORS`, bits of the hardware error status and what they mean; and `STANDARD_GRAVITY`.
+    /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of
+    /// `Chain.coefficients`; `LOADS`, those of them that are dead loads; `MODULI`, those of the
+    /// modulus; `STATIONS`, shares of the height at which an obstacle can push; `FAST_FIRMWARE`,
+    /// that from which servos answer in one packet; `HARDWARE_ERRORS`, bits of the hardware error
+    /// status and what they mean; and `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;

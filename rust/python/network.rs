@@ -6,7 +6,8 @@ use crate::network::{Network, check};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
-/// A network of an ONNX `file` (its bytes) that `softmap-training` wrote: commands (n, C) to numbers (n, M).
+/// A network of an ONNX `file` (its bytes) that `softmap-training` wrote: commands (n, C) to
+/// numbers (n, M).
 #[pyclass(name = "Network", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyNetwork {
     network: Arc<Network>,

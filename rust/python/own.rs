@@ -1,4 +1,5 @@
-//! Binding of a user's own effects: what a Python file declares, and its law, which takes the interpreter for each record.
+//! Binding of a user's own effects: what a Python file declares, and its law, which takes the
+//! interpreter for each record.
 
 use super::arrays::floats;
 use crate::Error;
@@ -37,8 +38,9 @@ struct Number {
     integer: bool,
 }
 
-/// Add an effect to the registry: its declaration, and `rollout(params (P,), u (T, C), t, gravity (T, 3), load, temperature)`
-/// that returns (T, C). It must take any T and C above 0 and say in one line what went wrong.
+/// Add an effect to the registry: its declaration, and `rollout(params (P,), u (T, C), t, gravity
+/// (T, 3), load, temperature)` that returns (T, C). It must take any T and C above 0 and say in one
+/// line what went wrong.
 #[pyfunction]
 pub fn register(declaration: Bound<'_, PyAny>, rollout: Py<PyAny>) -> PyResult<()> {
     let d: Declared = declaration.extract()?;

@@ -15,7 +15,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
 
-/// Places, fields, cables and second level of the stations that an obstacle can stop, and their radii.
+/// Places, fields, cables and second level of the stations that an obstacle can stop, and their
+/// radii.
 type Stations<'py> = (
     PyRef<'py, PyShape>,
     Bound<'py, PyDict>,
@@ -32,9 +33,11 @@ pub struct PyPredictor {
 
 #[pymethods]
 impl PyPredictor {
-    /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
-    /// `second` is what loads do beyond their fields. `contact` makes it possible to stop the body: a shape of the places of its
-    /// stations, fields, cables and second level seen at them, and their radii. Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
+    /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is
+    /// what the prior was solved with. `second` is what loads do beyond their fields. `contact`
+    /// makes it possible to stop the body: a shape of the places of its stations, fields, cables
+    /// and second level seen at them, and their radii. Without `declared_loads` the gravity and
+    /// load of a run are not applied: the scale of the fields is not known.
     #[new]
     #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true, contact=None, second=None))]
     fn new(
@@ -86,7 +89,8 @@ impl PyPredictor {
         })
     }
 
-    /// The predictor of linear forms of the outputs, `weights` (3V, M) with M a multiple of 3; None where a shape is no table.
+    /// The predictor of linear forms of the outputs, `weights` (3V, M) with M a multiple of 3; None
+    /// where a shape is no table.
     fn through(&self, py: Python<'_>, weights: Value<'_, '_>) -> PyResult<Option<PyPredictor>> {
         let size = Some(3 * self.predictor.vectors());
         let weights = floats("weights", weights, &[("3V", size), ("M", None)])?;
@@ -103,8 +107,9 @@ impl PyPredictor {
         }))
     }
 
-    /// The outputs (3V) as a shape of what acts, in a world that stays as it is: a chain's shape and prior effects with `params` (P,),
-    /// gravity (3,), load (g), temperature (°C). Channel and sensing effects are left out.
+    /// The outputs (3V) as a shape of what acts, in a world that stays as it is: a chain's shape
+    /// and prior effects with `params` (P,), gravity (3,), load (g), temperature (°C). Channel and
+    /// sensing effects are left out.
     #[pyo3(signature = (chain, params, gravity, load=0.0, temperature=f64::NAN))]
     fn still(
         &self,
@@ -162,7 +167,8 @@ impl PyPredictor {
             .reshape([sets, on.t_seen.len(), inner.channels()])
     }
 
-    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P) on inputs.
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params
+    /// (1, P) on inputs.
     fn slopes<'py>(
         &self,
         py: Python<'py>,
@@ -187,7 +193,8 @@ fn asked(chain: &PyChain, params: Value<'_, '_>, inputs: &PyInputs) -> PyResult<
     let (wanted, given) = (chain.chain.channels(), inputs.channels);
     if wanted != given {
         let message = format!(
-            "the inputs have {given} commands a sample, the chain takes {wanted}; make the chain for these"
+            "the inputs have {given} commands a sample, the chain takes {wanted}; make the chain \
+            for these"
         );
         return Err(Error::Invalid(message).into());
     }
@@ -195,7 +202,8 @@ fn asked(chain: &PyChain, params: Value<'_, '_>, inputs: &PyInputs) -> PyResult<
     Ok((params.data, params.shape[0]))
 }
 
-/// Commands and the world around them, and when they were looked at: checked and copied once, predicted many times.
+/// Commands and the world around them, and when they were looked at: checked and copied once,
+/// predicted many times.
 #[pyclass(name = "Inputs", module = "softmap_edge._core", frozen)]
 pub struct PyInputs {
     channels: usize,
@@ -206,8 +214,8 @@ pub struct PyInputs {
 
 #[pymethods]
 impl PyInputs {
-    /// u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4); gravity (T, 3), hanging if there is none, load
-    /// (T,) g, temperature (T,) °C.
+    /// u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4); gravity (T, 3),
+    /// hanging if there is none, load (T,) g, temperature (T,) °C.
     #[new]
     #[pyo3(signature = (u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
     fn new(

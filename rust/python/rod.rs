@@ -19,9 +19,10 @@ pub struct PyRod {
 
 #[pymethods]
 impl PyRod {
-    /// `base` (3,) mm, `centre` and `scale` (C,), `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + 2K + K(2K+1), K) mm.
-    /// In a `pulled` rod the angles are a polynomial of the pulls of two cables a command; with `intervals` they are sums of
-    /// tensor products of cubic B-splines, so many intervals of each command, whatever the degree.
+    /// `base` (3,) mm, `centre` and `scale` (C,), `degree`, `angles` (1 + F, 2K) rad, `lengths` (1
+    /// + 2K + K(2K+1), K) mm. In a `pulled` rod the angles are a polynomial of the pulls of two
+    /// cables a command; with `intervals` they are sums of tensor products of cubic B-splines, so
+    /// many intervals of each command, whatever the degree.
     #[new]
     #[pyo3(signature = (base, centre, scale, degree, angles, lengths, pulled = false, intervals = 0))]
     #[allow(clippy::too_many_arguments)]
@@ -38,7 +39,8 @@ impl PyRod {
         let form = match (pulled, intervals) {
             (true, 1..) => {
                 return Err(Error::Invalid(format!(
-                    "a rod of pulls with {intervals} spline intervals; a rod has pulls or splines, not both"
+                    "a rod of pulls with {intervals} spline intervals; a rod has pulls or splines, \
+                    not both"
                 ))
                 .into());
             }
@@ -81,7 +83,8 @@ fn check_columns(
     let (angles, lengths) = (angles.shape(), lengths.shape());
     if lengths[1] == 0 || angles[1] != 2 * lengths[1] {
         return Err(Error::Invalid(format!(
-            "a rod's angle weights have shape ({}, {}) and its length weights ({}, {}); expected two angle columns for every length column",
+            "a rod's angle weights have shape ({}, {}) and its length weights ({}, {}); expected \
+            two angle columns for every length column",
             angles[0], angles[1], lengths[0], lengths[1]
         )));
     }
@@ -112,7 +115,8 @@ impl PyRodField {
     }
 }
 
-/// All monomials (n, F) of degree 1..`degree` of the columns of `x` (n, C), in the order of a rod's angle weights.
+/// All monomials (n, F) of degree 1..`degree` of the columns of `x` (n, C), in the order of a rod's
+/// angle weights.
 #[pyfunction]
 pub fn monomials<'py>(
     py: Python<'py>,
@@ -123,8 +127,8 @@ pub fn monomials<'py>(
     values(py, x, terms)
 }
 
-/// All tensor products (n, F) of cubic B-splines of the columns of `x` (n, C), `intervals` of each in −1 … 1, in the order of
-/// a rod's angle weights.
+/// All tensor products (n, F) of cubic B-splines of the columns of `x` (n, C), `intervals` of each
+/// in −1 … 1, in the order of a rod's angle weights.
 #[pyfunction]
 pub fn tensor_splines<'py>(
     py: Python<'py>,

@@ -6,7 +6,8 @@ use crate::shape::scattered::{Kernel, Scattered};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
-/// Modes over scattered commands: `nodes` (S, C), `scale` (C,), kernel |q|^`power` (1 or 3), `coefficients` (S + 1 + C, m).
+/// Modes over scattered commands: `nodes` (S, C), `scale` (C,), kernel |q|^`power` (1 or 3),
+/// `coefficients` (S + 1 + C, m).
 #[pyclass(name = "Scattered", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyScattered {
     inner: Arc<Scattered>,

@@ -163,8 +163,8 @@ impl PyServoBus {
         });
     }
 
-    /// Counts of answers so far: asked for, silent, damaged, late, unasked (of another program, or of a second servo with
-    /// the same id), and bytes that belonged to no packet (skipped).
+    /// Counts of answers so far: asked for, silent, damaged, late, unasked (of another program, or
+    /// of a second servo with the same id), and bytes that belonged to no packet (skipped).
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let counts = self.ask(py, |bus| Ok(bus.counts()))?;
         let told = PyDict::new(py);

@@ -1,4 +1,5 @@
-//! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
+//! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's
+//! lock.
 
 use super::arrays::floats;
 use crate::Error;
@@ -104,7 +105,8 @@ impl PyShape {
         Ok((values.into_pyarray(py), slopes))
     }
 
-    /// The same shape seen through `weights` (M, M2) plus `offset` (M2,); tables and networks fold the map in.
+    /// The same shape seen through `weights` (M, M2) plus `offset` (M2,); tables and networks fold
+    /// the map in.
     fn project(
         &self,
         py: Python<'_>,

@@ -7,7 +7,8 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
-/// Modes on a tensor grid of commands: `axes` [(n_c,)] mm, `coefficients` (n_1·…·n_C, m), `mean` (M,), `modes` (m, M).
+/// Modes on a tensor grid of commands: `axes` [(n_c,)] mm, `coefficients` (n_1·…·n_C, m), `mean`
+/// (M,), `modes` (m, M).
 #[pyclass(name = "Table", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyTable {
     pub table: Arc<Table>,

@@ -54,7 +54,8 @@ pub fn watched<T: Send>(
     })
 }
 
-/// Run on another thread a law that a user wrote, which may never end, while this one watches for Ctrl-C and passes it on.
+/// Run on another thread a law that a user wrote, which may never end, while this one watches for
+/// Ctrl-C and passes it on.
 pub fn patiently<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     let own_effect = py.import("softmap_edge.model.user_effect")?; // before there is anything to wait for
     let (done, told) = (Mutex::new(false), Condvar::new());

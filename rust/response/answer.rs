@@ -1,10 +1,11 @@
-//! How a body answers loads at a command: the weights of its fields, the changes of tension of its cables, and what large
-//! ones do beyond.
+//! How a body answers loads at a command: the weights of its fields, the changes of tension of its
+//! cables, and what large ones do beyond.
 //!
-//! Loads (`loads.rs`) stretch the cables; the changes of tension that follow move the body as the loads do (`cables.rs`), and
-//! dead loads and changes of the modulus do more than their fields say (`second.rs`). What all three know of a command is read
-//! first (`at`): its *place*. Fields, stretches and second derivatives enter by sums, so that a body under the same loads at
-//! all commands is one with two or three loads (`under`): tens of numbers a place instead of hundreds.
+//! Loads (`loads.rs`) stretch the cables; the changes of tension that follow move the body as the
+//! loads do (`cables.rs`), and dead loads and changes of the modulus do more than their fields say
+//! (`second.rs`). What all three know of a command is read first (`at`): its *place*. Fields,
+//! stretches and second derivatives enter by sums, so that a body under the same loads at all
+//! commands is one with two or three loads (`under`): tens of numbers a place instead of hundreds.
 
 use crate::algebra::complementarity::Problem;
 use crate::error::Result;
@@ -18,7 +19,8 @@ use crate::shape::grid::Nodes;
 pub struct Answer {
     pub cables: Option<Cables>,
     pub second: Option<Second>,
-    /// Number of loads and changes of design, and of how many of the first more is known than their fields.
+    /// Number of loads and changes of design, and of how many of the first more is known than their
+    /// fields.
     loads: usize,
     known: usize,
 }
@@ -42,8 +44,9 @@ impl Answer {
         }
     }
 
-    /// The amounts (FIELDS,) that a body under `loads` (FIELDS,) takes for its few: the dead loads, the changes of the modulus
-    /// if there are any of which the second level knows, and the other changes of design.
+    /// The amounts (FIELDS,) that a body under `loads` (FIELDS,) takes for its few: the dead loads,
+    /// the changes of the modulus if there are any of which the second level knows, and the other
+    /// changes of design.
     pub fn few(&self, loads: &[f64]) -> Vec<Vec<f64>> {
         let ends = [0, LOADS, self.known, FIELDS.len()];
         let some = ends.windows(2).map(|w| {
@@ -84,7 +87,8 @@ impl Answer {
         self.split() + self.second.as_ref().map_or(0, Second::size)
     }
 
-    /// The place at a command: what the cables are like there, then what loads and moduli that are `there` do beyond their fields.
+    /// The place at a command: what the cables are like there, then what loads and moduli that are
+    /// `there` do beyond their fields.
     pub fn at(
         &self,
         u: &[f64],
@@ -109,8 +113,9 @@ impl Answer {
             .map(|known| (known, &place[..self.split()]))
     }
 
-    /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what they do beyond. `gives` (mm/N)
-    /// is the compliance of the cables of each command and side in addition to the model's; `place` is what `at` says there.
+    /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what
+    /// they do beyond. `gives` (mm/N) is the compliance of the cables of each command and side in
+    /// addition to the model's; `place` is what `at` says there.
     pub fn weigh(
         &self,
         loads: &[f64],

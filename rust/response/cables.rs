@@ -1,19 +1,22 @@
 //! How cables answer a load that the prior was not solved with: some fall slack, some become taut.
 //!
-//! At a command the prior knows the pull p of each cable in N (stiffness × stretch: its tension T where positive, how slack
-//! it is where negative). Under dead loads c (g, N) the stretches change with the loads and with the tensions,
+//! At a command the prior knows the pull p of each cable in N (stiffness × stretch: its tension T
+//! where positive, how slack it is where negative). Under dead loads c (g, N) the stretches change
+//! with the loads and with the tensions,
 //!
 //! `p'ᵢ = (pᵢ/kᵢ + Lᵢ·c + Σⱼ Cᵢⱼ (T'ⱼ − Tⱼ)) / (1/kᵢ + s)`, `T'ᵢ = max(0, p'ᵢ)`
 //!
-//! with L and C the stretch per unit load (or change of design) and per unit tension while all other tensions stay, and s
-//! what a cable gives beyond the model's 1/k. It is a linear complementarity problem with the matrix 1/k + s − C, positive
-//! definite because a pulled cable gets shorter (`complementarity.rs`). The body then moves by its fields at constant tension
-//! for c and for T' − T. Without this, fields are wrong by half their size near home, where tendons change between slack
-//! and taut.
-//! p has a kink where a cable falls slack: from there it goes with k, twenty times as steep. What is interpolated between
-//! commands is therefore the stretch that a cable would have without any tension, pᵢ/kᵢ − Σⱼ Cᵢⱼ Tⱼ, which has none; p follows
-//! from it by the same problem, without loads. On the bank's rod tensions are so 1e-3 N off at most, 2 N otherwise.
-//! Limit: L, C and the fields are those of the unloaded equilibrium; what loads do beyond is `second.rs`.
+//! with L and C the stretch per unit load (or change of design) and per unit tension while all
+//! other tensions stay, and s what a cable gives beyond the model's 1/k. It is a linear
+//! complementarity problem with the matrix 1/k + s − C, positive definite because a pulled cable
+//! gets shorter (`complementarity.rs`). The body then moves by its fields at constant tension for c
+//! and for T' − T. Without this, fields are wrong by half their size near home, where tendons
+//! change between slack and taut. p has a kink where a cable falls slack: from there it goes with
+//! k, twenty times as steep. What is interpolated between commands is therefore the stretch that a
+//! cable would have without any tension, pᵢ/kᵢ − Σⱼ Cᵢⱼ Tⱼ, which has none; p follows from it by
+//! the same problem, without loads. On the bank's rod tensions are so 1e-3 N off at most, 2 N
+//! otherwise. Limit: L, C and the fields are those of the unloaded equilibrium; what loads do
+//! beyond is `second.rs`.
 
 use crate::algebra::complementarity::Problem;
 use crate::error::{Result, invalid};
@@ -38,8 +41,8 @@ pub struct Cables {
 }
 
 impl Cables {
-    /// `stiffness` (n,) N/mm; `pull` gives n numbers in N, `stretch` (n, loads + n) row by row in mm per unit; `fields` are
-    /// the displacements per 1 N in each cable.
+    /// `stiffness` (n,) N/mm; `pull` gives n numbers in N, `stretch` (n, loads + n) row by row in
+    /// mm per unit; `fields` are the displacements per 1 N in each cable.
     pub fn new(
         stiffness: Vec<f64>,
         pull: Arc<Table>,
@@ -79,7 +82,8 @@ impl Cables {
             stiffness,
             driven: Arc::new(driven(&free)),
             free: Arc::new(free),
-            stretch: Arc::new(stretch.plain()?), // bodies under loads are made from it again and again
+            // bodies under loads are made from it again and again
+            stretch: Arc::new(stretch.plain()?),
             fields,
             loads,
         })
@@ -109,7 +113,8 @@ impl Cables {
         })
     }
 
-    /// The same cables with their fields seen through a linear map: `weights` (M, M2), `offset` (M2,).
+    /// The same cables with their fields seen through a linear map: `weights` (M, M2), `offset`
+    /// (M2,).
     pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Cables> {
         let fields = self.fields.iter();
         Ok(Cables {
@@ -155,9 +160,10 @@ impl Cables {
         }
     }
 
-    /// Change of each tension (n,) N under the loads, at a place that `at` wrote. `gives` (2 C,) mm/N is the compliance of
-    /// the cables that +u and −u of each command pull, in addition to the model's; `beyond` (n,) mm is what else stretches
-    /// them (empty: nothing). What `change` holds before says which of them are taken to pull at first.
+    /// Change of each tension (n,) N under the loads, at a place that `at` wrote. `gives` (2 C,)
+    /// mm/N is the compliance of the cables that +u and −u of each command pull, in addition to the
+    /// model's; `beyond` (n,) mm is what else stretches them (empty: nothing). What `change` holds
+    /// before says which of them are taken to pull at first.
     pub fn answer(
         &self,
         place: &[f64],
@@ -182,7 +188,8 @@ impl Cables {
         place[..self.count()].iter().map(|pull| pull.max(0.0))
     }
 
-    /// Pose the problem whose answer are the tensions: 1/k + s − C (n, n), and the stretch (n,) mm without any tension.
+    /// Pose the problem whose answer are the tensions: 1/k + s − C (n, n), and the stretch (n,) mm
+    /// without any tension.
     pub fn pose(
         &self,
         place: &[f64],
@@ -226,8 +233,8 @@ impl Cables {
     }
 }
 
-/// Which commands pull each cable, by the slopes of its `free` stretch, which is nearly linear; shares are squares of them.
-/// A cable that no command pulls takes the mean of all.
+/// Which commands pull each cable, by the slopes of its `free` stretch, which is nearly linear;
+/// shares are squares of them. A cable that no command pulls takes the mean of all.
 fn driven(free: &Table) -> Vec<Vec<(usize, f64)>> {
     let (n, channels) = (free.size(), free.channels());
     let ends: Vec<(f64, f64)> = free.axes().map(|a| (a[0], a[a.len() - 1])).collect();
@@ -270,7 +277,8 @@ mod tests {
         Arc::new(Table::new(vec![], vec![], values, vec![]).unwrap())
     }
 
-    /// Two antagonists on one bending joint: a lateral load θ per N stretches one and relieves the other.
+    /// Two antagonists on one bending joint: a lateral load θ per N stretches one and relieves the
+    /// other.
     fn pair(pull: [f64; 2]) -> Cables {
         let load = |side: f64| {
             let mut row = [0.0; FIELDS.len()];

@@ -1,13 +1,18 @@
-//! Contact: the body is stopped by a plane or a sphere, which pushes and never pulls, without friction.
+//! Contact: the body is stopped by a plane or a sphere, which pushes and never pulls, without
+//! friction.
 //!
-//! Some stations along the body, each a place p_i (the middle of its section) and a radius r_i, keep a gap to the obstacle:
+//! Some stations along the body, each a place p_i (the middle of its section) and a radius r_i,
+//! keep a gap to the obstacle:
 //!   gap_i = (2 n·d + κ d·d)/(1 + √(1 + 2κ n·d + κ² d·d)) − r_i,   d = p_i − q      (mm),
-//! q its foremost point, n the normal there, towards the body, κ its curvature (0: a plane). The obstacle pushes a station
-//! along its normal n_i with a force λ_i (N), and with the unit-force fields of the prior
-//!   gap_i = gap_i⁰ + Σ_j n_i·t_j(p_i) (T_j − T_j⁰) + Σ_k n_i·f_k(p_i) n_k λ_k ≥ 0,   λ_i ≥ 0,   λ_i gap_i = 0
-//! together with the condition of every cable (`cables.rs`), which the same forces stretch: one complementarity problem.
-//! Normals are those of the body that is not stopped. Limits: fields of the unloaded equilibrium, so a push of many mm is
-//! answered too far; nothing between stations touches.
+//! q its foremost point, n the normal there, towards the body, κ its curvature (0: a plane). The
+//! obstacle pushes a station along its normal n_i with a force λ_i (N), and with the unit-force
+//! fields of the prior
+//!   gap_i = gap_i⁰ + Σ_j n_i·t_j(p_i) (T_j − T_j⁰) + Σ_k n_i·f_k(p_i) n_k λ_k ≥ 0,   λ_i ≥ 0,
+//!     λ_i gap_i = 0
+//! together with the condition of every cable (`cables.rs`), which the same forces stretch: one
+//! complementarity problem. Normals are those of the body that is not stopped. Limits: fields of
+//! the unloaded equilibrium, so a push of many mm is answered too far; nothing between stations
+//! touches.
 
 use crate::algebra::complementarity::Problem;
 use crate::algebra::vector::{Vec3, add, dot, norm, scaled, sub};
@@ -21,7 +26,8 @@ use std::sync::Arc;
 /// The stations of a body.
 pub struct Contact {
     places: Arc<dyn Shape>,
-    /// Displacements of the stations by the fields of the prior, then of its cables and of large loads.
+    /// Displacements of the stations by the fields of the prior, then of its cables and of large
+    /// loads.
     fields: Vec<Option<Arc<dyn Shape>>>,
     radii: Vec<f64>,
 }
@@ -82,9 +88,9 @@ impl Contact {
         })
     }
 
-    /// Let the obstacle of `loads` stop the body at the command `u`: `weights` (fields, then changes of tension) come in
-    /// as they are without it, and go out with what it pushes. `cables` with what `Cables::at` wrote and what else stretches
-    /// them.
+    /// Let the obstacle of `loads` stop the body at the command `u`: `weights` (fields, then
+    /// changes of tension) come in as they are without it, and go out with what it pushes. `cables`
+    /// with what `Cables::at` wrote and what else stretches them.
     pub fn stop(
         &self,
         u: &[f64],
@@ -150,7 +156,8 @@ impl Contact {
         for (k, (gap, normal)) in free.iter().enumerate() {
             let towards = |moved: &Vec<f64>| dot(*normal, at(moved, k));
             all.extend(pulled.iter().chain(&pushed).map(towards));
-            // The gap is that of the tensions without the obstacle; the problem asks for the one without any.
+            // The gap is that of the tensions without the obstacle; the problem asks for the one
+            // without any.
             let tension = |j: usize| before[j] + weights[FIELDS.len() + j];
             problem.right.push(
                 -gap + (0..n)

@@ -1,8 +1,9 @@
-//! The fields of a prior: how far each load and each cable's tension moves the body, and their weighted sum at a command.
+//! The fields of a prior: how far each load and each cable's tension moves the body, and their
+//! weighted sum at a command.
 //!
-//! Fields of one sweep share their grid and their modes. Their mode weights are blended together, Σ_f w_f·a_fm(u), and the
-//! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's, those of large loads) are
-//! added one by one.
+//! Fields of one sweep share their grid and their modes. Their mode weights are blended together,
+//! Σ_f w_f·a_fm(u), and the modes expanded once: a sum of seven fields then costs as much as one or
+//! two. Other fields (a rod's, those of large loads) are added one by one.
 
 use crate::shape::Shape;
 use crate::shape::grid::Nodes;
@@ -13,8 +14,8 @@ use std::sync::Arc;
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// Tables that share grid and modes with the first that is there, side by side, and which they are; those that are the
-    /// same at all commands, as modes; then all others.
+    /// Tables that share grid and modes with the first that is there, side by side, and which they
+    /// are; those that are the same at all commands, as modes; then all others.
     together: Option<TableSum>,
     alike: Vec<usize>,
     constant: Option<Modes>,
@@ -62,7 +63,8 @@ impl Fields {
         }
     }
 
-    /// The same fields of a body of which one number is multiplied; a field that has no such number stays as it is.
+    /// The same fields of a body of which one number is multiplied; a field that has no such number
+    /// stays as it is.
     pub fn with_number(&self, name: &str, factor: f64) -> Fields {
         let changed = |field: &Arc<dyn Shape>| {
             let other = field.with_number(name, factor);
@@ -72,8 +74,8 @@ impl Fields {
         Fields::new(members.map(|field| field.as_ref().map(changed)).collect())
     }
 
-    /// Few fields, each a sum of the first ones with such weights, then the others; None if one of them stands outside the
-    /// grid that fields share.
+    /// Few fields, each a sum of the first ones with such weights, then the others; None if one of
+    /// them stands outside the grid that fields share.
     pub fn under(&self, loads: &[&[f64]]) -> Option<Fields> {
         let sum = |loads: &&[f64]| {
             let outside = |f: usize| loads[f] != 0.0 && !self.alike.contains(&f);

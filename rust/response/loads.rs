@@ -1,12 +1,14 @@
-//! What moves a body beside its commands, and what it is called: dead loads, and changes of its design.
+//! What moves a body beside its commands, and what it is called: dead loads, and changes of its
+//! design.
 //!
-//! Every prior answers by *fields*: displacement per unit of each at constant tension of its cables. The simulator computes
-//! them, a rod has its own, shape effects give their coefficients; all of them mean the order and the units that stand here:
-//! gravity on the whole body (per 1 g) and a force on its tip (per 1 N), along the axes of the base; then, per unit, the
-//! logarithm of the modulus in each of [`HATS`] stretches of the body, and by how much that logarithm rises from the axis to
-//! the +x and the +y side; the deflection of the tip at rest towards x and y (1 mm, an even curvature); the twist of body and
-//! tendons (1° at the tip, even); the phase about z of the tendons of each command (1°); a
-//! force on a section (1 N) at some stations along the body.
+//! Every prior answers by *fields*: displacement per unit of each at constant tension of its
+//! cables. The simulator computes them, a rod has its own, shape effects give their coefficients;
+//! all of them mean the order and the units that stand here: gravity on the whole body (per 1 g)
+//! and a force on its tip (per 1 N), along the axes of the base; then, per unit, the logarithm of
+//! the modulus in each of [`HATS`] stretches of the body, and by how much that logarithm rises from
+//! the axis to the +x and the +y side; the deflection of the tip at rest towards x and y (1 mm, an
+//! even curvature); the twist of body and tendons (1° at the tip, even); the phase about z of the
+//! tendons of each command (1°); a force on a section (1 N) at some stations along the body.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -62,14 +64,15 @@ pub const HATS: usize = 7;
 pub const MODULI: usize = CURVE - STIFF;
 /// Commands whose tendons have a phase.
 pub const PHASES: usize = 3;
-/// Where along the body, as shares of its height, an obstacle can push it; on the last one by the force on the tip.
+/// Where along the body, as shares of its height, an obstacle can push it; on the last one by the
+/// force on the tip.
 pub const STATIONS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 
 /// Most commands that pull cables.
 pub const PULLING: usize = PHASES;
-/// Where the coefficients stand that are no fields: the compliance (mm/N) in addition to the model's of the cables that
-/// +u and −u of each command pull; and an obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature
-/// (1/mm).
+/// Where the coefficients stand that are no fields: the compliance (mm/N) in addition to the
+/// model's of the cables that +u and −u of each command pull; and an obstacle: 1 if there is one,
+/// its foremost point (mm), the normal there and its curvature (1/mm).
 pub const TENDON: usize = FIELDS.len();
 pub const CONTACT: usize = TENDON + 2 * PULLING;
 
@@ -98,7 +101,8 @@ pub fn middle(hat: usize) -> f64 {
     hat as f64 / (HATS - 1) as f64
 }
 
-/// How much of a stretch there is at a share of the height: cos² around its middle, all stretches together 1 everywhere.
+/// How much of a stretch there is at a share of the height: cos² around its middle, all stretches
+/// together 1 everywhere.
 pub fn hat(hat: usize, share: f64) -> f64 {
     let away = (share.clamp(0.0, 1.0) - middle(hat)) * (HATS - 1) as f64;
     if away.abs() < 1.0 {

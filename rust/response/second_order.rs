@@ -1,19 +1,22 @@
-//! The second level: what large loads and large changes of the modulus do beyond their fields, and beyond the stretch of the
-//! cables that goes with them.
+//! The second level: what large loads and large changes of the modulus do beyond their fields, and
+//! beyond the stretch of the cables that goes with them.
 //!
-//! Places x and cable lengths L are functions without kinks of λ: the dead loads c (g, N), the changes p of the logarithm of
-//! the modulus (`stiff_0 … stiff_6`, `stiff_x|y`), and the changes ΔT of the tensions (N). With their second derivatives
-//! x_kl, L_kl (`fem/bend.rs`), beyond the fields come
+//! Places x and cable lengths L are functions without kinks of λ: the dead loads c (g, N), the
+//! changes p of the logarithm of the modulus (`stiff_0 … stiff_6`, `stiff_x|y`), and the changes ΔT
+//! of the tensions (N). With their second derivatives x_kl, L_kl (`fem/bend.rs`), beyond the fields
+//! come
 //!   δx = ½ f Σ λ_k λ_l x_kl,   δL = ½ f Σ λ_k λ_l L_kl,   f = 1/(1 − ½ Σ g_k λ_k),
-//! g_k the share by which the answers to loads grow for a unit of λ_k: weight that hangs on a body stiffens it, and the terms
-//! of its series fall about as powers do, so that f stands for all that follow the second (Padé). λ takes for ΔT what the
-//! cables answer to c and p with the fields alone, which is right to second order; δL then joins their stretch (`cables.rs`),
-//! whatever else they answer. What x_kl makes of a body are a few modes, each a field of its own.
-//! Pairs among loads and tensions stand by themselves, those with a modulus in a table of their own, which costs nothing
-//! where the modulus is as it was; a body may lack it, and then answers changes of its modulus linearly.
-//! On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 % and more are missed without; a section half
-//! as stiff to 9 to 18 %, 25 to 60 % and more without (tests/model/test_second_level.py).
-//! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
+//! g_k the share by which the answers to loads grow for a unit of λ_k: weight that hangs on a body
+//! stiffens it, and the terms of its series fall about as powers do, so that f stands for all that
+//! follow the second (Padé). λ takes for ΔT what the cables answer to c and p with the fields
+//! alone, which is right to second order; δL then joins their stretch (`cables.rs`), whatever else
+//! they answer. What x_kl makes of a body are a few modes, each a field of its own. Pairs among
+//! loads and tensions stand by themselves, those with a modulus in a table of their own, which
+//! costs nothing where the modulus is as it was; a body may lack it, and then answers changes of
+//! its modulus linearly. On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 %
+//! and more are missed without; a section half as stiff to 9 to 18 %, 25 to 60 % and more without
+//! (tests/model/test_second_level.py). Limits: curvature at rest, twist and routing, and pushes,
+//! stay linear beside it.
 
 use crate::error::{Result, invalid};
 use crate::response::loads::{LOADS, MODULI};
@@ -46,8 +49,9 @@ pub struct Second {
 }
 
 impl Second {
-    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for `tendons` n that answer (0: none does), `moduli`
-    /// (nodes, Q·(m + n) + MODULI) of the pairs with a modulus, or nothing, and `modes` (m, M).
+    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for `tendons` n that
+    /// answer (0: none does), `moduli` (nodes, Q·(m + n) + MODULI) of the pairs with a modulus, or
+    /// nothing, and `modes` (m, M).
     pub fn new(
         axes: Vec<Vec<f64>>,
         numbers: Vec<f64>,
@@ -65,7 +69,8 @@ impl Second {
         let all = numbers.iter().chain(&moduli).chain(&modes);
         if all.into_iter().any(|value| !value.is_finite()) {
             return Err(invalid(
-                "the second level of loads holds a number that is not finite; build the model again",
+                "the second level of loads holds a number that is not finite; build the model \
+                again",
             ));
         }
         let count = if moduli.is_empty() { 0 } else { MODULI };
@@ -82,7 +87,8 @@ impl Second {
             let wanted = part.size(block);
             if Some(numbers.len()) != wanted.checked_mul(nodes) {
                 return Err(invalid(format!(
-                    "the second level of loads of {nodes} nodes, {tendons} tendons and {} modes needs {wanted} numbers a node, got {} in all",
+                    "the second level of loads of {nodes} nodes, {tendons} tendons and {} modes \
+                    needs {wanted} numbers a node, got {} in all",
                     block - tendons,
                     numbers.len()
                 )));
@@ -105,8 +111,8 @@ impl Second {
         self.loads + self.moduli
     }
 
-    /// The same under a single load, which is `amount` (loads + moduli,) of its own, and a single change of the modulus likewise,
-    /// if there is any.
+    /// The same under a single load, which is `amount` (loads + moduli,) of its own, and a single
+    /// change of the modulus likewise, if there is any.
     pub fn under(&self, amount: &[f64]) -> Second {
         let moduli = usize::from(amount[self.loads..].iter().any(|p| *p != 0.0));
         let plan = Part::both(1, moduli, self.tendons);
@@ -213,8 +219,8 @@ impl Second {
         self.parts.iter().map(|part| part.size(self.block())).sum()
     }
 
-    /// The numbers at a command, of those pairs only whose loads and moduli are `there`; without a modulus the second part of
-    /// `out` is left as it is.
+    /// The numbers at a command, of those pairs only whose loads and moduli are `there`; without a
+    /// modulus the second part of `out` is left as it is.
     pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
         let carry = nodes.of(&self.grid, u);
         let acts = |cause: usize| cause >= self.known() || there[cause];
@@ -226,8 +232,9 @@ impl Second {
         }
     }
 
-    /// What λ (loads, moduli, then changes of tension) does beyond its fields, at what `at` wrote: the weights (m,) of the modes,
-    /// and how far (mm) each cable (n,) is stretched; both are added.
+    /// What λ (loads, moduli, then changes of tension) does beyond its fields, at what `at` wrote:
+    /// the weights (m,) of the modes, and how far (mm) each cable (n,) is stretched; both are
+    /// added.
     pub fn beyond(&self, here: &[f64], amount: &[f64], weights: &mut [f64], stretch: &mut [f64]) {
         let [plain, with] = &self.parts;
         let (first, second) = here.split_at(plain.size(self.block()));
@@ -265,7 +272,8 @@ mod tests {
     /// Number of causes with one tendon.
     const ALL: usize = LOADS + MODULI + 1;
 
-    /// One tendon, one mode; x_kl = 1 + k + l, L_kl = −k·l, along one axis twice that at its far end.
+    /// One tendon, one mode; x_kl = 1 + k + l, L_kl = −k·l, along one axis twice that at its far
+    /// end.
     fn second(growth: f64, moduli: bool) -> Second {
         let count = if moduli { MODULI } else { 0 };
         let [plain, with] = Part::both(LOADS, count, 1);
@@ -288,7 +296,8 @@ mod tests {
         (softer[LOADS + 2], softer[LOADS + 3], softer[ALL - 1]) = (0.4, -0.1, 0.1);
         let mut both = softer;
         (both[1], both[4]) = (0.3, -0.3);
-        // Growth 0.8 and amounts that sum to 0.4: f = 1/(1 − 0.16). At 0.5 all second derivatives are 1.5 times as large.
+        // Growth 0.8 and amounts that sum to 0.4: f = 1/(1 − 0.16). At 0.5 all second derivatives
+        // are 1.5 times as large.
         for (amount, growth, f) in [
             (loaded, 0.0, 1.0),
             (loaded, 0.8, 1.0 / 0.84),

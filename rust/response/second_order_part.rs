@@ -7,7 +7,8 @@ use std::ops::Range;
 /// Some of the pairs of causes.
 #[derive(Clone, Default)]
 pub(super) struct Part {
-    /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of its own causes.
+    /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of
+    /// its own causes.
     pub(super) numbers: Vec<f64>,
     /// Pairs of causes, and whose growth it has: numbers among loads, then moduli, then tensions.
     pub(super) pairs: Vec<(usize, usize)>,
@@ -15,7 +16,8 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// The pairs of loads and tensions, and those with a modulus: of each with loads, tensions and moduli from itself on.
+    /// The pairs of loads and tensions, and those with a modulus: of each with loads, tensions and
+    /// moduli from itself on.
     pub(super) fn both(loads: usize, moduli: usize, tendons: usize) -> [Part; 2] {
         let plain: Vec<usize> = (0..loads)
             .chain(loads + moduli..loads + moduli + tendons)

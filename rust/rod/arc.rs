@@ -1,10 +1,13 @@
-//! A chain of segments of constant curvature: where a point of it is, and how it moves when a segment bends or grows.
+//! A chain of segments of constant curvature: where a point of it is, and how it moves when a
+//! segment bends or grows.
 //!
-//! A segment of length L with bending vector v = (v_x, v_y) (rad; it bends towards v by β = |v|) carries the frame at its
-//! start to its end by
-//!   p' = p + R · L · (c·v, s),   R' = R · exp[φ]ₓ,   φ = (−v_y, v_x, 0),   c = (1 − cos β)/β²,   s = sin β/β,
-//! without twist. A point at the share f of it is the end of a segment of length f·L bent by f·v. Units: mm and rad.
-//! All quotients have series near the straight pose, so that nothing is lost at β = 0.
+//! A segment of length L with bending vector v = (v_x, v_y) (rad; it bends towards v by β = |v|)
+//! carries the frame at its start to its end by
+//!   p' = p + R · L · (c·v, s),   R' = R · exp[φ]ₓ,   φ = (−v_y, v_x, 0),   c = (1 − cos β)/β²,   s
+//!     = sin β/β,
+//! without twist. A point at the share f of it is the end of a segment of length f·L bent by f·v.
+//! Units: mm and rad. All quotients have series near the straight pose, so that nothing is lost at
+//! β = 0.
 
 use crate::algebra::vector::{Vec3, add, cross, scaled, sub};
 
@@ -90,7 +93,8 @@ fn rotation(v: [f64; 2]) -> (Turn, [Vec3; 2]) {
     (turn, turning)
 }
 
-/// How a point moves per unit of the base's tilt (2,), of each segment's bending (2S,) and of each one's length (S,).
+/// How a point moves per unit of the base's tilt (2,), of each segment's bending (2S,) and of each
+/// one's length (S,).
 pub(super) struct Slopes {
     pub(super) tilt: [Vec3; 2],
     pub(super) bends: Vec<Vec3>,
@@ -103,12 +107,14 @@ pub(super) struct Chain<'a> {
     lengths: &'a [f64],
     points: Vec<Vec3>,
     turns: Vec<Turn>,
-    /// Turning of all that is beyond a joint, per unit of tilt_x, tilt_y, then of each segment's v_x, v_y.
+    /// Turning of all that is beyond a joint, per unit of tilt_x, tilt_y, then of each segment's
+    /// v_x, v_y.
     turnings: Vec<Vec3>,
 }
 
 impl<'a> Chain<'a> {
-    /// A chain of segments bent by `bends` (2S,) rad, of `lengths` (S,) mm, from `base` mm, which is turned by `tilt` rad.
+    /// A chain of segments bent by `bends` (2S,) rad, of `lengths` (S,) mm, from `base` mm, which
+    /// is turned by `tilt` rad.
     pub(super) fn new(base: Vec3, tilt: [f64; 2], bends: &'a [f64], lengths: &'a [f64]) -> Self {
         let (turn, turning) = rotation(tilt);
         let mut chain = Self {
@@ -248,7 +254,8 @@ mod tests {
                 };
                 let (plus, minus) = (at(1e-5), at(-1e-5));
                 for axis in 0..3 {
-                    // Central differences of values near 100 mm over 2e-5: round-off 1e-9, truncation 1e-8.
+                    // Central differences of values near 100 mm over 2e-5: round-off 1e-9,
+                    // truncation 1e-8.
                     let numeric = (plus[axis] - minus[axis]) / 2e-5;
                     prop_assert!((slope[axis] - numeric).abs() < 1e-6, "{i}: {} against {numeric}", slope[axis]);
                 }

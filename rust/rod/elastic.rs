@@ -1,15 +1,18 @@
-//! The elastic-tendon rod: segments of constant curvature, bent by tendons that stretch and, where they are cables, go slack.
+//! The elastic-tendon rod: segments of constant curvature, bent by tendons that stretch and, where
+//! they are cables, go slack.
 //!
 //! For a command u (C,) the bending vectors θ = θ⁰ + φ (2S numbers, rad) minimise
-//!   Σ_s ½ κ_s |φ_s|² + Σ_j ½ w_j δ_j²,   δ_j = d_j u_{c(j)} + p_j − r_j n_j · Σ_{s ≤ e(j)} φ_s   (mm).
-//! Tendon j ends in segment e(j), runs at radius r_j (mm) on the side n_j = (cos α_j, sin α_j), is drawn in by d_j mm per
-//! unit of command c(j) and by p_j when nothing is commanded; it bends every segment that it passes. δ is how far it is
-//! stretched, and w is 1 where δ > 0, else `slack`: 1 for rods that push as well (two-sided), 0 for cables.
-//! κ (mm²) is bending stiffness over tendon stiffness: a shape shows only their ratio.
-//! The sum is strictly convex and piecewise quadratic: Newton's method with halved steps ends at the minimum after a few
-//! changes of which tendons pull. Then a chain of arcs (`arc.rs`) from a base point, tilted, carries the markers.
-//! Slopes are exact; where a tendon is just taut they are those of one side.
-//! Limits: no twist, no shear, no friction; loads only as `elastic_field.rs` adds them. `elastic_tests.rs` pins all of it.
+//!   Σ_s ½ κ_s |φ_s|² + Σ_j ½ w_j δ_j²,   δ_j = d_j u_{c(j)} + p_j − r_j n_j · Σ_{s ≤ e(j)} φ_s
+//!     (mm).
+//! Tendon j ends in segment e(j), runs at radius r_j (mm) on the side n_j = (cos α_j, sin α_j), is
+//! drawn in by d_j mm per unit of command c(j) and by p_j when nothing is commanded; it bends every
+//! segment that it passes. δ is how far it is stretched, and w is 1 where δ > 0, else `slack`: 1
+//! for rods that push as well (two-sided), 0 for cables. κ (mm²) is bending stiffness over tendon
+//! stiffness: a shape shows only their ratio. The sum is strictly convex and piecewise quadratic:
+//! Newton's method with halved steps ends at the minimum after a few changes of which tendons pull.
+//! Then a chain of arcs (`arc.rs`) from a base point, tilted, carries the markers. Slopes are
+//! exact; where a tendon is just taut they are those of one side. Limits: no twist, no shear, no
+//! friction; loads only as `elastic_field.rs` adds them. `elastic_tests.rs` pins all of it.
 
 use super::arc::Chain;
 use super::layout::Layout;
@@ -39,7 +42,8 @@ pub(super) struct Equilibrium {
 }
 
 impl ElasticRod {
-    /// `numbers` as `Layout::labels` names them: angles and bendings in rad, stiffness in mm², the rest in mm.
+    /// `numbers` as `Layout::labels` names them: angles and bendings in rad, stiffness in mm², the
+    /// rest in mm.
     pub fn new(layout: Layout, numbers: Vec<f64>) -> Result<Self> {
         layout.check(&numbers)?;
         let width = 2 * layout.segments;
@@ -67,7 +71,8 @@ impl ElasticRod {
         self.numbers[self.layout.first.stiffness + i / 2]
     }
 
-    /// The same rod whose tendons push `factor` times as hard; none if they do not push at all, and have nothing to lose.
+    /// The same rod whose tendons push `factor` times as hard; none if they do not push at all, and
+    /// have nothing to lose.
     pub(super) fn slacker(&self, name: &str, factor: f64) -> Option<ElasticRod> {
         let mut rod = self.clone();
         rod.numbers[0] = (rod.numbers[0] * factor).clamp(0.0, 1.0);
@@ -140,7 +145,8 @@ impl ElasticRod {
         let mut energy = self.energy(&bent, &stretch);
         let mut hessian = self.hessian(&stretch);
         for _ in 0..STEPS {
-            let mut goal = vec![0.0; bent.len()]; // the minimum, if the tendons that pull stay the same
+            // the minimum, if the tendons that pull stay the same
+            let mut goal = vec![0.0; bent.len()];
             for (j, drawn) in drawn.iter().enumerate() {
                 let weight = self.weight(stretch[j]);
                 for (goal, reach) in goal.iter_mut().zip(self.row(j)) {
@@ -169,7 +175,8 @@ impl ElasticRod {
         }
     }
 
-    /// Go from `bent` towards `goal`, by half as far until the energy falls; stay where it does not.
+    /// Go from `bent` towards `goal`, by half as far until the energy falls; stay where it does
+    /// not.
     fn descend(
         &self,
         bent: &[f64],
@@ -204,7 +211,8 @@ impl ElasticRod {
         Chain::new(base, tilt, bends, self.lengths())
     }
 
-    /// Bending (2S,) rad of the segments and stretch (tendons,) mm at a command; a stretch below 0 is how slack a cable is.
+    /// Bending (2S,) rad of the segments and stretch (tendons,) mm at a command; a stretch below 0
+    /// is how slack a cable is.
     pub fn state(&self, u: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let equilibrium = self.equilibrium(u);
         (self.bends(&equilibrium), equilibrium.stretch)

@@ -1,14 +1,17 @@
-//! How a load, or a change of its body, moves the markers of an elastic rod: in its own modes, against its bending and its
-//! taut tendons.
+//! How a load, or a change of its body, moves the markers of an elastic rod: in its own modes,
+//! against its bending and its taut tendons.
 //!
-//! A force F (N) at a point x of the rod adds (∂x/∂θ)ᵀ·F to the balance of moments, so to first order
+//! A force F (N) at a point x of the rod adds (∂x/∂θ)ᵀ·F to the balance of moments, so to first
+//! order
 //!   δp = (1/k) · (∂p/∂θ) · H⁻¹ · (∂x/∂θ)ᵀ · F     (mm),
-//! H (mm²) the Hessian of `elastic.rs` in units of the tendon stiffness k. A tip force acts at the last marker; a weight of
-//! 1 N is spread evenly along the segments (three Gauss points each). k (N/mm) is not known from shapes: 1/k is one nominal
-//! number, and amounts of load are only meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to
-//! that balance, ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to θ⁰, which no
-//! tendon feels; it is 1 mm at the end of a straight rod. Tendons turned about the axis pull elsewhere: the slopes of
-//! `elastic_slopes.rs` by their angles. Limits: tendons that pull are those of the unloaded pose; arcs have no sides and no twist.
+//! H (mm²) the Hessian of `elastic.rs` in units of the tendon stiffness k. A tip force acts at the
+//! last marker; a weight of 1 N is spread evenly along the segments (three Gauss points each). k
+//! (N/mm) is not known from shapes: 1/k is one nominal number, and amounts of load are only
+//! meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to that balance,
+//! ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to
+//! θ⁰, which no tendon feels; it is 1 mm at the end of a straight rod. Tendons turned about the
+//! axis pull elsewhere: the slopes of `elastic_slopes.rs` by their angles. Limits: tendons that
+//! pull are those of the unloaded pose; arcs have no sides and no twist.
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
@@ -58,7 +61,8 @@ pub struct ElasticField {
 }
 
 impl ElasticField {
-    /// `name` is `gravity_x|y|z`, `tip_force_x|y|z`, `stiff_0…6`, `curve_x|y` or `routing_c`; `flexibility` is 1/k in mm/N.
+    /// `name` is `gravity_x|y|z`, `tip_force_x|y|z`, `stiff_0…6`, `curve_x|y` or `routing_c`;
+    /// `flexibility` is 1/k in mm/N.
     pub fn new(rod: ElasticRod, name: &str, flexibility: f64) -> Result<Self> {
         let cause = Cause::of(name)?;
         if matches!(cause, Cause::Routing(command) if command >= rod.layout.channels) {

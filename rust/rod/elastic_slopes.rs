@@ -1,15 +1,18 @@
-//! How the markers of an elastic rod move with each of its numbers: what a fit needs, exact, one equilibrium a command.
+//! How the markers of an elastic rod move with each of its numbers: what a fit needs, exact, one
+//! equilibrium a command.
 //!
-//! At the minimum H·dφ = −∂(gradient), so one factorisation serves all numbers. With δ, w and g of `elastic.rs`:
-//!   stiffness κ_s: −φ_s · pretension: w·g · slack: Σ_{δ ≤ 0} δ·g · angle, radius (which turn g by g'): w·(δ·g' − (g'·φ)·g).
-//! Lengths, rest bendings, base and tilt only move the arcs (`arc.rs`).
+//! At the minimum H·dφ = −∂(gradient), so one factorisation serves all numbers. With δ, w and g of
+//! `elastic.rs`: stiffness κ_s: −φ_s · pretension: w·g · slack: Σ_{δ ≤ 0} δ·g · angle, radius
+//! (which turn g by g'): w·(δ·g' − (g'·φ)·g). Lengths, rest bendings, base and tilt only move the
+//! arcs (`arc.rs`).
 
 use super::elastic::{ElasticRod, Equilibrium, along};
 use crate::algebra::vector::Vec3;
 use crate::shape::Shape;
 
 impl ElasticRod {
-    /// Markers (3M,) at `u` and their slopes (3M, P) by every number, written to `out` and `slopes`.
+    /// Markers (3M,) at `u` and their slopes (3M, P) by every number, written to `out` and
+    /// `slopes`.
     pub fn number_slopes(&self, u: &[f64], out: &mut [f64], slopes: &mut [f64]) {
         let (first, width) = (self.layout.first, self.layout.width());
         debug_assert_eq!(
@@ -48,7 +51,8 @@ impl ElasticRod {
         }
     }
 
-    /// dφ (2S,) per unit of slack, each angle, radius, pretension and stiffness, in the order of the numbers.
+    /// dφ (2S,) per unit of slack, each angle, radius, pretension and stiffness, in the order of
+    /// the numbers.
     fn turns(&self, equilibrium: &Equilibrium) -> Vec<Vec<f64>> {
         let first = self.layout.first;
         let mut turns = vec![vec![0.0; 2 * self.layout.segments]; first.length];
@@ -72,7 +76,8 @@ impl ElasticRod {
         }
         turns
     }
-    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` beside the axis moves along `aside` (mm).
+    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` beside the axis moves along
+    /// `aside` (mm).
     fn moved(&self, equilibrium: &Equilibrium, j: usize, aside: [f64; 2]) -> Vec<f64> {
         let (stretch, row) = (equilibrium.stretch[j], self.row(j));
         let passed = 2 * (self.layout.tendons[j].end + 1);

@@ -177,7 +177,8 @@ fn an_outer_tendon_bends_the_inner_segment_too() {
 
 #[test]
 fn a_load_moves_markers_as_the_energy_says() {
-    // Straight rod, no tendon pulls: the tip force turns the one segment by F·L²/2 over κ, the tip moves by that times L/2.
+    // Straight rod, no tendon pulls: the tip force turns the one segment by F·L²/2 over κ, the tip
+    // moves by that times L/2.
     let rod = pair(0.0, 8.0, 4.0);
     let mut shift = [0.0; 3];
     let field = |name| ElasticField::new(rod.clone(), name, 0.01).expect("a field");

@@ -1,12 +1,14 @@
 //! How a load bends the rod: marker displacements under one unit of weight or of tip force.
 //!
-//! A load turns every cross-section by its bending moment. With c = 1/(E·I) (N⁻¹·mm⁻²) the markers move, to first order, by
+//! A load turns every cross-section by its bending moment. With c = 1/(E·I) (N⁻¹·mm⁻²) the markers
+//! move, to first order, by
 //!   δp_i = c ∫_0^{s_i} [M(s)]_⊥ × (p_i − c(s)) ds      (mm),
-//! M(s) = (p_tip − c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a weight W spread evenly, ⊥ =
-//! without the part along the chord (twist is stiff). The centreline c(s) is the chords, on which the integrand is a cubic at
-//! most, so Simpson's rule is exact. Motors that hold keep every tendon's length, hence each chord's mean bending: the share
-//! `lock` of the mean of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c is
-//! one nominal number and amounts of load are only meaningful as displacement.
+//! M(s) = (p_tip − c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a weight
+//! W spread evenly, ⊥ = without the part along the chord (twist is stiff). The centreline c(s) is
+//! the chords, on which the integrand is a cubic at most, so Simpson's rule is exact. Motors that
+//! hold keep every tendon's length, hence each chord's mean bending: the share `lock` of the mean
+//! of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c
+//! is one nominal number and amounts of load are only meaningful as displacement.
 
 use super::Rod;
 use crate::algebra::vector::{add, cross, dot, norm, scaled, sub};
@@ -48,9 +50,10 @@ pub struct RodField {
 }
 
 impl RodField {
-    /// `name` is `gravity_x|y|z` (all of the weight turned along the axis) or `tip_force_x|y|z`; `compliance` c in
-    /// N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g when W (N) is the robot's weight.
-    /// `lock` is the share of each chord's mean bending moment that its tendons carry: 0 free, 1 of fixed length.
+    /// `name` is `gravity_x|y|z` (all of the weight turned along the axis) or `tip_force_x|y|z`;
+    /// `compliance` c in N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g
+    /// when W (N) is the robot's weight. `lock` is the share of each chord's mean bending moment
+    /// that its tendons carry: 0 free, 1 of fixed length.
     pub fn new(rod: Rod, name: &str, compliance: f64, lock: f64) -> Result<Self> {
         let (load, axis) = Load::of(name)?;
         if !(compliance.is_finite() && compliance > 0.0) {
@@ -80,7 +83,8 @@ impl RodField {
         match self.load {
             Load::TipForce => cross(sub(chords.points[chords.points.len() - 1], at), force),
             Load::Weight => {
-                // First moment of what hangs beyond: the rest of this chord about its middle, then whole chords.
+                // First moment of what hangs beyond: the rest of this chord about its middle, then
+                // whole chords.
                 let rest = chords.lengths[k] * (1.0 - s);
                 let mut arm = scaled(sub(chords.at(k, 0.5 * (1.0 + s)), at), rest);
                 for j in k + 1..chords.lengths.len() {

@@ -1,4 +1,5 @@
-//! What is fixed about an elastic-tendon rod: segments, commands, tendons, markers; and the order of its numbers.
+//! What is fixed about an elastic-tendon rod: segments, commands, tendons, markers; and the order
+//! of its numbers.
 
 use crate::error::{Result, invalid};
 
@@ -6,7 +7,8 @@ const MOST_SEGMENTS: usize = 32;
 const MOST_TENDONS: usize = 64;
 const MOST_MARKERS: usize = 1000;
 
-/// Which segment a tendon ends in (from 0), the command that draws it in (from 0), and by how many mm per unit.
+/// Which segment a tendon ends in (from 0), the command that draws it in (from 0), and by how many
+/// mm per unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tendon {
     pub end: usize,
@@ -45,13 +47,15 @@ impl Layout {
         let n = tendons.len();
         if !(1..=MOST_SEGMENTS).contains(&segments) || n > MOST_TENDONS {
             return Err(invalid(format!(
-                "a rod of {segments} segments and {n} tendons; 1 to {MOST_SEGMENTS} segments and up to {MOST_TENDONS} tendons are allowed"
+                "a rod of {segments} segments and {n} tendons; 1 to {MOST_SEGMENTS} segments and \
+                up to {MOST_TENDONS} tendons are allowed"
             )));
         }
         for (j, tendon) in tendons.iter().enumerate() {
             if tendon.end >= segments || tendon.channel >= channels {
                 return Err(invalid(format!(
-                    "tendon {} ends in segment {} and is drawn in by command {}; the rod has {segments} segments and {channels} commands",
+                    "tendon {} ends in segment {} and is drawn in by command {}; the rod has \
+                    {segments} segments and {channels} commands",
                     j + 1,
                     tendon.end.saturating_add(1),
                     tendon.channel.saturating_add(1)
@@ -59,7 +63,8 @@ impl Layout {
             }
             if !tendon.pull.is_finite() || tendon.pull == 0.0 {
                 return Err(invalid(format!(
-                    "tendon {} is drawn in by {} mm per unit of command; give a number other than 0",
+                    "tendon {} is drawn in by {} mm per unit of command; give a number other than \
+                    0",
                     j + 1,
                     tendon.pull
                 )));
@@ -73,7 +78,8 @@ impl Layout {
         }
         if let Some(bad) = at.iter().find(|&&x| !(x > 0.0 && x <= segments as f64)) {
             return Err(invalid(format!(
-                "a marker at {bad} segments from the base of a rod that has {segments}; give more than 0 and at most {segments}"
+                "a marker at {bad} segments from the base of a rod that has {segments}; give more \
+                than 0 and at most {segments}"
             )));
         }
         let within = |x: &f64| {

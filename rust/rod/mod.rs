@@ -1,17 +1,20 @@
-//! The rod priors, for a robot that has no simulator, and how loads bend them: `elastic` where its tendons are known, else
-//! what stands here, a chain of chords whose bending angles are a polynomial of the commands.
+//! The rod priors, for a robot that has no simulator, and how loads bend them: `elastic` where its
+//! tendons are known, else what stands here, a chain of chords whose bending angles are a
+//! polynomial of the commands.
 //!
 //! Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
 //! base point p_0. In the base frame (z along the rest axis) chord k has the angle vector
-//!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β, cos β).
-//! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..5, monomials in
-//! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles. In a `pulled` rod the
-//! polynomial is one of the pulls of two cables a command, max(q, 0) and max(−q, 0), all C of the first before those of the
-//! second: a cable that falls slack no longer counts, which puts a kink at the centre. In a `splined` rod B-splines take
-//! the place of the monomials.
-//! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds back; outside the
-//! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod/`.
-//! `polynomial` holds the polynomials, `field` what loads do to the rod.
+//!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β,
+//!     cos β).
+//! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree
+//! 1..5, monomials in graded order, intercept first), and every chord length (mm) is a quadratic of
+//! the 2K angles. In a `pulled` rod the polynomial is one of the pulls of two cables a command,
+//! max(q, 0) and max(−q, 0), all C of the first before those of the second: a cable that falls
+//! slack no longer counts, which puts a kink at the centre. In a `splined` rod B-splines take the
+//! place of the monomials. Evaluation is closed form and smooth through the straight pose (β = 0).
+//! Limits: β beyond π folds back; outside the fitted commands a cubic grows fast and nothing is
+//! clamped. Fitting is done in `softmap_edge/rod/`. `polynomial` holds the polynomials, `field`
+//! what loads do to the rod.
 
 mod arc;
 mod elastic;
@@ -66,8 +69,9 @@ pub struct Rod {
 }
 
 impl Rod {
-    /// Build from base point (mm), command centre and scale (C,), the form of the map, angle weights (1 + F, 2K) in rad and
-    /// length weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
+    /// Build from base point (mm), command centre and scale (C,), the form of the map, angle
+    /// weights (1 + F, 2K) in rad and length weights (1 + 2K + K(2K+1), K) in mm, both row-major
+    /// with the intercept first.
     pub fn new(
         base: [f64; 3],
         centre: Vec<f64>,
@@ -78,7 +82,8 @@ impl Rod {
     ) -> Result<Self> {
         if centre.len() != scale.len() {
             return Err(invalid(format!(
-                "a rod's centre has {} channels and its scale {}; give one number of each per channel",
+                "a rod's centre has {} channels and its scale {}; give one number of each per \
+                channel",
                 centre.len(),
                 scale.len()
             )));
@@ -101,7 +106,8 @@ impl Rod {
         let rows = terms.count() + 1;
         if angles.is_empty() || !angles.len().is_multiple_of(2 * rows) {
             return Err(invalid(format!(
-                "a rod's angle weights hold {} numbers, expected {rows} rows ({form:?}, {} channels) of two per chord",
+                "a rod's angle weights hold {} numbers, expected {rows} rows ({form:?}, {} \
+                channels) of two per chord",
                 angles.len(),
                 scale.len()
             )));
@@ -142,7 +148,8 @@ impl Rod {
         }
     }
 
-    /// Slopes of an angle over the normalised command `j`, from those over the variables `q`; between both sides at a kink.
+    /// Slopes of an angle over the normalised command `j`, from those over the variables `q`;
+    /// between both sides at a kink.
     fn over(&self, slopes: &[f64], q: &[f64], j: usize) -> f64 {
         if !self.pulled {
             return slopes[j];

@@ -1,4 +1,5 @@
-//! Maps of several variables: weighted sums of monomials in graded order, or of tensor products of B-splines, with slopes.
+//! Maps of several variables: weighted sums of monomials in graded order, or of tensor products of
+//! B-splines, with slopes.
 
 use super::finite;
 use crate::error::{Result, invalid};
@@ -14,7 +15,8 @@ const MOST_DEGREE: usize = 5;
 /// Outputs that are summed at a time.
 const BLOCK: usize = 8;
 
-/// Every monomial of degree 1..=degree in `variables` numbers, in graded lexicographic order, without the constant.
+/// Every monomial of degree 1..=degree in `variables` numbers, in graded lexicographic order,
+/// without the constant.
 #[derive(Debug, Clone)]
 pub struct Monomials {
     variables: usize,
@@ -27,12 +29,14 @@ impl Monomials {
     pub fn new(variables: usize, degree: usize) -> Result<Self> {
         if variables == 0 || degree == 0 || degree > MOST_DEGREE {
             return Err(invalid(format!(
-                "a polynomial needs at least one variable and a degree of 1 to {MOST_DEGREE}, got {variables} variables and degree {degree}"
+                "a polynomial needs at least one variable and a degree of 1 to {MOST_DEGREE}, got \
+                {variables} variables and degree {degree}"
             )));
         }
         let too_many = || {
             invalid(format!(
-                "a polynomial of degree {degree} in {variables} variables has more than {MOST_MONOMIALS} terms; choose a lower degree"
+                "a polynomial of degree {degree} in {variables} variables has more than \
+                {MOST_MONOMIALS} terms; choose a lower degree"
             ))
         };
         if variables > MOST_MONOMIALS {
@@ -93,8 +97,8 @@ impl Monomials {
     }
 }
 
-/// Tensor products of uniform cubic B-splines, `intervals` of them in −1 … 1 on each axis, the last axis fastest. Beyond the
-/// ends of an axis they continue linearly. They sum to 1.
+/// Tensor products of uniform cubic B-splines, `intervals` of them in −1 … 1 on each axis, the last
+/// axis fastest. Beyond the ends of an axis they continue linearly. They sum to 1.
 #[derive(Debug, Clone)]
 pub struct Splines {
     variables: usize,
@@ -107,7 +111,8 @@ const LOCAL: usize = 4;
 /// Of splines: 4 to the power of 7 are more than 5000 terms.
 const MOST_VARIABLES: usize = 6;
 
-/// First spline of an axis that is not 0 at a place, and the values and slopes of it and the next three.
+/// First spline of an axis that is not 0 at a place, and the values and slopes of it and the next
+/// three.
 type Place = (usize, [f64; LOCAL], [f64; LOCAL]);
 
 impl Splines {
@@ -121,8 +126,9 @@ impl Splines {
         let count = power.and_then(|power| found.each().checked_pow(power));
         if variables == 0 || intervals == 0 || count.is_none_or(|count| count > MOST_MONOMIALS) {
             return Err(invalid(format!(
-                "splines of {variables} variables with {intervals} intervals each; give at least one of each and at most \
-                 {MOST_MONOMIALS} terms, (intervals + 3) to the power of the variables"
+                "splines of {variables} variables with {intervals} intervals each; give at least \
+                 one of each and at most {MOST_MONOMIALS} terms, (intervals + 3) to the power of \
+                 the variables"
             )));
         }
         Ok(found)
@@ -163,7 +169,8 @@ impl Splines {
         (first, values, slopes)
     }
 
-    /// Values of all splines at `x`, or with `along` the slopes over that variable, each `stride` numbers after the one before.
+    /// Values of all splines at `x`, or with `along` the slopes over that variable, each `stride`
+    /// numbers after the one before.
     fn fill(&self, x: &[f64], along: Option<usize>, out: &mut [f64], stride: usize) {
         out.iter_mut().step_by(stride).for_each(|out| *out = 0.0);
         let mut places = [(0, [0.0; LOCAL], [0.0; LOCAL]); MOST_VARIABLES];
@@ -287,7 +294,8 @@ impl Polynomial {
         self.terms.count() * (1 + self.terms.variables())
     }
 
-    /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`; `work` is overwritten.
+    /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`; `work` is
+    /// overwritten.
     pub(super) fn slopes(&self, x: &[f64], out: &mut [f64], slopes: &mut [f64], work: &mut [f64]) {
         let n = x.len();
         let (phi, rise) = work[..self.work()].split_at_mut(self.terms.count());

@@ -6,7 +6,8 @@ use proptest::prelude::*;
 
 const LENGTHS: [f64; 2] = [100.0, 80.0];
 
-/// Two chords, two channels, quadratic; chord lengths shorten with the angles. `offset` bends the rest pose.
+/// Two chords, two channels, quadratic; chord lengths shorten with the angles. `offset` bends the
+/// rest pose.
 fn rod(offset: f64) -> Rod {
     let mut angles = vec![0.0; 6 * 4];
     angles[..4].copy_from_slice(&[offset, -offset, 0.5 * offset, 0.0]);
@@ -175,7 +176,8 @@ proptest! {
         let mut slopes = [0.0; 12];
         rod.jacobian(&[x, y], &mut slopes);
         for (a, b) in slopes.iter().zip(numeric(&rod, &[x, y])) {
-            // Central differences of values near 200 mm over a step of 1e-5: round-off 5e-9, truncation less.
+            // Central differences of values near 200 mm over a step of 1e-5: round-off 5e-9,
+            // truncation less.
             prop_assert!((a - b).abs() < 1e-6, "{} against {}", a, b);
         }
     }
@@ -302,7 +304,8 @@ fn fields_of_a_bent_rod_match_a_fine_sum() {
         let size = expected.iter().map(|x| x * x).sum::<f64>().sqrt();
         assert!(size > 0.1, "the case must bend: {size}");
         for (a, b) in shift.iter().zip(expected) {
-            // The midpoint sum is off by about 1/pieces² of the size, its end piece by 1/pieces of one piece.
+            // The midpoint sum is off by about 1/pieces² of the size, its end piece by 1/pieces of
+            // one piece.
             assert!((a - b).abs() < 1e-4 * size, "{name}: {a} against {b}");
         }
     }

@@ -1,5 +1,6 @@
-//! What the loop's tests share, here (`control_tests.rs`) and without the crate's insides (`tests/allocations.rs`): two
-//! XL330 at 2000 ticks, ready to be driven, a plan of 280 ticks a mm, and limits that suit both.
+//! What the loop's tests share, here (`control_tests.rs`) and without the crate's insides
+//! (`tests/allocations.rs`): two XL330 at 2000 ticks, ready to be driven, a plan of 280 ticks a mm,
+//! and limits that suit both.
 
 use softmap_servo::bus::{Bus, Port};
 use softmap_servo::control::Plan;

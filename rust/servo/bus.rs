@@ -1,9 +1,11 @@
-//! A half-duplex bus of servos: one question at a time, answers matched to it, each servo's result by itself.
+//! A half-duplex bus of servos: one question at a time, answers matched to it, each servo's result
+//! by itself.
 //!
-//! Rules, each from a fault that is seen in practice: input is discarded before a question is sent; after a time-out the
-//! bus listens for one worst reply time before it asks again, so that a late answer is never taken for the next one; an
-//! answer counts only with the id, length and instruction that were asked for; a silent servo does not take the others'
-//! answers with it; what was not heard is never 0. All deadlines are of a monotonic clock that the port brings.
+//! Rules, each from a fault that is seen in practice: input is discarded before a question is sent;
+//! after a time-out the bus listens for one worst reply time before it asks again, so that a late
+//! answer is never taken for the next one; an answer counts only with the id, length and
+//! instruction that were asked for; a silent servo does not take the others' answers with it; what
+//! was not heard is never 0. All deadlines are of a monotonic clock that the port brings.
 
 use crate::decoder::{Decoder, fast_slots};
 use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, HIGHEST_ID, LONGEST, Packet, instruction};
@@ -72,7 +74,8 @@ pub struct Counts {
     pub skipped: u64,
     /// Answers that came after their time.
     pub late: u64,
-    /// Answers that this bus did not ask for: to requests of another program, or of a second servo with the same id.
+    /// Answers that this bus did not ask for: to requests of another program, or of a second servo
+    /// with the same id.
     pub unasked: u64,
 }
 
@@ -115,7 +118,8 @@ impl Debts {
     }
 }
 
-/// At most so many reads of waiting bytes before a request: a sender without pause cannot block requests.
+/// At most so many reads of waiting bytes before a request: a sender without pause cannot block
+/// requests.
 const MOST_READS: usize = 64;
 
 /// ns that a servo waits for each lower id when everybody is asked.
@@ -265,7 +269,8 @@ impl<P: Port> Bus<P> {
         self.send(packet)
     }
 
-    /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what came of it.
+    /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what
+    /// came of it.
     ///
     /// `fast` asks for all answers in one packet, which servos of `FAST_FIRMWARE` and later know.
     pub fn sync_read(

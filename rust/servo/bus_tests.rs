@@ -1,4 +1,5 @@
-//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it; ports that are none.
+//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it;
+//! ports that are none.
 
 use super::*;
 use crate::emulator::pty::Terminal;
@@ -297,7 +298,8 @@ fn bytes(hex: &str) -> Vec<u8> {
     hex.split(' ').map(byte).collect()
 }
 
-/// The same bytes as in tests/robot/test_sdk_packets.py, where the official SDK sends the packets and reads the answers.
+/// The same bytes as in tests/robot/test_sdk_packets.py, where the official SDK sends the packets
+/// and reads the answers.
 #[test]
 fn what_the_loop_sends_and_hears_is_the_sdk_s() {
     let bus = |answer: &str| {

@@ -1,7 +1,9 @@
-//! The control loop: hear, plan, guard, send, record, once a period at absolute times, without allocation or lock.
+//! The control loop: hear, plan, guard, send, record, once a period at absolute times, without
+//! allocation or lock.
 //!
-//! Newest target wins. A period that is missed is counted and skipped, never made up. What the user sends are commands of
-//! the finger (mm); how they become ticks is the planner's, which also hears what was really sent (its effects remember).
+//! Newest target wins. A period that is missed is counted and skipped, never made up. What the user
+//! sends are commands of the finger (mm); how they become ticks is the planner's, which also hears
+//! what was really sent (its effects remember).
 
 use crate::bus::{Counts, Fault, Port};
 use crate::drive::Drive;
@@ -16,7 +18,8 @@ const EXAMINE: f64 = 0.2;
 pub trait Plan {
     /// Commands that it takes.
     fn channels(&self) -> usize;
-    /// The ticks (one a servo) that bring about `command` (mm) now; not finite where there are none.
+    /// The ticks (one a servo) that bring about `command` (mm) now; not finite where there are
+    /// none.
     fn ticks(&mut self, command: &[f64], ticks: &mut [f64]);
     /// One period has passed with `ticks` (goals, or positions without torque).
     fn passed(&mut self, ticks: &[i32], period: f64);
@@ -43,7 +46,8 @@ pub trait Mailbox {
     fn collect(&mut self) -> Orders;
 }
 
-/// All of one period: what the guard was told and what it said. A recording of it replays bit for bit.
+/// All of one period: what the guard was told and what it said. A recording of it replays bit for
+/// bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     /// ns, when the servos had answered: the guard's time.
@@ -143,8 +147,8 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
             Err(failed) => fault = Some(failed),
         }
-        // No answer is younger than that: were it stamped before it was asked for, whatever stands between would make
-        // all that follow look old.
+        // No answer is younger than that: were it stamped before it was asked for, whatever stands
+        // between would make all that follow look old.
         let now = self.drive.bus().port().now();
         self.since_examined += period;
         let due = self.since_examined >= EXAMINE || self.drive.alert();
@@ -223,7 +227,8 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         begun
     }
 
-    /// The ticks of the newest command, its reversals within their budget; the planner's effects go on meanwhile.
+    /// The ticks of the newest command, its reversals within their budget; the planner's effects go
+    /// on meanwhile.
     fn aim(&mut self, period: f64) {
         let Some(wanted) = &self.wanted else { return };
         let budget = &self.guard.limits().budget;

@@ -1,4 +1,5 @@
-//! The loop on emulated servos in virtual time: a day's work, every fault of a servo, a bad wire, a replay bit for bit.
+//! The loop on emulated servos in virtual time: a day's work, every fault of a servo, a bad wire, a
+//! replay bit for bit.
 
 use super::virtual_bench::*;
 use super::*;

@@ -1,6 +1,8 @@
-//! The checksum of Dynamixel Protocol 2.0: CRC-16 with the polynomial 0x8005, most significant bit first, from 0.
+//! The checksum of Dynamixel Protocol 2.0: CRC-16 with the polynomial 0x8005, most significant bit
+//! first, from 0.
 //!
-//! Source: ROBOTIS, "CRC Calculation" of the Protocol 2.0 manual; pinned by the manual's own packets (`packet.rs`).
+//! Source: ROBOTIS, "CRC Calculation" of the Protocol 2.0 manual; pinned by the manual's own
+//! packets (`packet.rs`).
 
 const POLYNOMIAL: u16 = 0x8005;
 

@@ -1,9 +1,10 @@
 //! Packets of Dynamixel Protocol 2.0, found in a stream of bytes that may hold anything.
 //!
-//! A header is believed only once its whole packet is there and the checksum agrees; else the search goes on one byte
-//! behind it, so that junk never hides what follows. As no packet holds a header (byte stuffing), a packet that another
-//! one begins in was cut short and is given up at once. A length beyond what is expected is no packet.
-//! Nothing is allocated, and no byte is looked at twice without reason. Pinned by the tests below: any bytes, cut anywhere.
+//! A header is believed only once its whole packet is there and the checksum agrees; else the
+//! search goes on one byte behind it, so that junk never hides what follows. As no packet holds a
+//! header (byte stuffing), a packet that another one begins in was cut short and is given up at
+//! once. A length beyond what is expected is no packet. Nothing is allocated, and no byte is looked
+//! at twice without reason. Pinned by the tests below: any bytes, cut anywhere.
 
 use crate::crc::crc;
 use crate::packet::{BROADCAST, HEAD, HEADER, LONGEST, instruction::STATUS};
@@ -137,7 +138,8 @@ impl Decoder {
     }
 }
 
-/// Where the first header begins, or may begin once more has come; `bytes.len()` where nothing does.
+/// Where the first header begins, or may begin once more has come; `bytes.len()` where nothing
+/// does.
 fn header(bytes: &[u8]) -> usize {
     let begins = |at: &usize| {
         let some = (bytes.len() - at).min(HEADER.len());
@@ -168,12 +170,14 @@ fn unstuff(bytes: &[u8], out: &mut [u8]) -> usize {
     count
 }
 
-/// What a fast sync read brought from each servo, its place in `ids` first: error byte and `size` bytes of data.
+/// What a fast sync read brought from each servo, its place in `ids` first: error byte and `size`
+/// bytes of data.
 ///
 ///   FF FF FD 00 · FE · length · 55 · (error · id · data · CRC) · (error · id · data · CRC) …
 ///
-/// Each checksum is that of all bytes before it, so that the servos before one that is silent are still heard. Places are
-/// fixed and nothing is stuffed. A slot whose checksum or id is wrong ends the reading: what follows has no checksum.
+/// Each checksum is that of all bytes before it, so that the servos before one that is silent are
+/// still heard. Places are fixed and nothing is stuffed. A slot whose checksum or id is wrong ends
+/// the reading: what follows has no checksum.
 pub fn fast_slots<'a>(
     bytes: &'a [u8],
     ids: &'a [u8],

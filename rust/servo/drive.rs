@@ -1,8 +1,10 @@
-//! The servos of one robot on a bus: what the loop reads and writes each period, with what each model needs.
+//! The servos of one robot on a bus: what the loop reads and writes each period, with what each
+//! model needs.
 //!
-//! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off is written until each
-//! servo has said that it has none. The bus watchdog runs while torque is on: a servo that hears nothing stops by itself.
-//! Nobody answers such writes, so that a cap or a watchdog may be lost on the wire: both are read back and written again.
+//! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off
+//! is written until each servo has said that it has none. The bus watchdog runs while torque is on:
+//! a servo that hears nothing stops by itself. Nobody answers such writes, so that a cap or a
+//! watchdog may be lost on the wire: both are read back and written again.
 
 use crate::bus::{Answer, Bus, Fault, Heard, Port};
 use crate::guard::{Feedback, Health};
@@ -46,7 +48,8 @@ pub struct Drive<P> {
 }
 
 impl<P: Port> Drive<P> {
-    /// Drive `members`; `fast` reads all in one answer, `watchdog` in ms is how long a servo goes on without hearing.
+    /// Drive `members`; `fast` reads all in one answer, `watchdog` in ms is how long a servo goes
+    /// on without hearing.
     pub fn new(bus: Bus<P>, members: &[Member], fast: bool, watchdog: f64) -> Drive<P> {
         let count = members.len();
         Drive {
@@ -75,7 +78,8 @@ impl<P: Port> Drive<P> {
         &self.heard
     }
 
-    /// Whether the servos should be examined now: one reported so, torque has just come on, or one lacked what was written.
+    /// Whether the servos should be examined now: one reported so, torque has just come on, or one
+    /// lacked what was written.
     pub fn alert(&self) -> bool {
         self.alert
     }
@@ -153,7 +157,8 @@ impl<P: Port> Drive<P> {
             // A cap below what was written is the servo's own limit: it may stay.
             let beyond = bare || most.is_some_and(|most| cap > most);
             let torque = bytes[at(X_SERIES.torque_enable)] == 1;
-            // One without torque is left over from a loop that died; what switches torque off clears it.
+            // One without torque is left over from a loop that died; what switches torque off
+            // clears it.
             let stopped = torque && watchdog == TRIPPED;
             self.health[k] = Some(Health {
                 hardware: bytes[at(X_SERIES.hardware_error)],
@@ -164,7 +169,8 @@ impl<P: Port> Drive<P> {
         Ok(())
     }
 
-    /// Write goals (ticks) and currents (mA; of a servo that caps none the share of its PWM) under torque, or torque off.
+    /// Write goals (ticks) and currents (mA; of a servo that caps none the share of its PWM) under
+    /// torque, or torque off.
     pub fn command(
         &mut self,
         torque: bool,
@@ -224,7 +230,8 @@ impl<P: Port> Drive<P> {
             .sync_write(&self.ids, register.address, size, &self.data[..all])
     }
 
-    /// Read of each servo. One answer for all breaks off at a silent servo: after a silence each answers for itself.
+    /// Read of each servo. One answer for all breaks off at a silent servo: after a silence each
+    /// answers for itself.
     fn read(&mut self, (address, size): (u16, usize)) -> Result<(), Fault> {
         let fast = self.fast && self.heard.iter().all(Result::is_ok);
         let data = &mut self.data[..self.ids.len() * size];

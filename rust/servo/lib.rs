@@ -1,6 +1,8 @@
-//! The servo side of the robot: Dynamixel Protocol 2.0, its registers and bus, and the guard that every goal passes.
+//! The servo side of the robot: Dynamixel Protocol 2.0, its registers and bus, and the guard that
+//! every goal passes.
 //!
-//! But for the serial port no clock is read here and, but for the emulator, nothing is allocated once it is set up.
+//! But for the serial port no clock is read here and, but for the emulator, nothing is allocated
+//! once it is set up.
 
 // As tests/ name it, so that both can use `bench.rs`.
 #[cfg(test)]

@@ -1,8 +1,9 @@
-//! A port of simulated servos whose time passes only in steps that the master takes (`emulator/simulated.rs` is the other end).
+//! A port of simulated servos whose time passes only in steps that the master takes
+//! (`emulator/simulated.rs` is the other end).
 //!
-//! A local socket in place of a wire. A question is (operation u8, size u16, value u64, bytes), an answer (time u64 ns, size
-//! u16, bytes), little-endian. The clock of the port is that of the servos. It stands while no program waits, so that a
-//! busy computer makes no servo late.
+//! A local socket in place of a wire. A question is (operation u8, size u16, value u64, bytes), an
+//! answer (time u64 ns, size u16, bytes), little-endian. The clock of the port is that of the
+//! servos. It stands while no program waits, so that a busy computer makes no servo late.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;

@@ -1,10 +1,12 @@
 //! Packets of Dynamixel Protocol 2.0, written into the caller's buffer.
 //!
-//!   FF FF FD 00 · id · length (2) · instruction · parameters … · CRC (2)        length = what follows it, low byte first
+//!   FF FF FD 00 · id · length (2) · instruction · parameters … · CRC (2)        length = what
+//!     follows it, low byte first
 //!
-//! Wherever instruction and parameters hold FF FF FD, another FD is put behind it (byte stuffing), so that no packet
-//! holds a header; length and CRC count what is sent. Source: ROBOTIS, "DYNAMIXEL Protocol 2.0".
-//! Pinned by the manual's packets below and by the official SDK (tests/robot/test_sdk_packets.py).
+//! Wherever instruction and parameters hold FF FF FD, another FD is put behind it (byte stuffing),
+//! so that no packet holds a header; length and CRC count what is sent. Source: ROBOTIS, "DYNAMIXEL
+//! Protocol 2.0". Pinned by the manual's packets below and by the official SDK
+//! (tests/robot/test_sdk_packets.py).
 
 use crate::crc::crc;
 
@@ -36,7 +38,8 @@ pub mod instruction {
     pub const BULK_WRITE: u8 = 0x93;
 }
 
-/// Parameters of `CLEAR` that set the present position back to within one turn; the last four guard against chance.
+/// Parameters of `CLEAR` that set the present position back to within one turn; the last four guard
+/// against chance.
 pub const CLEAR_TURNS: [u8; 5] = [0x01, 0x44, 0x58, 0x4C, 0x22];
 
 /// The buffer is too small for the packet, or the packet longer than `LONGEST`.
@@ -135,7 +138,8 @@ mod tests {
     use super::instruction::*;
     use super::*;
 
-    /// The examples of the protocol manual: id, instruction, parameters, and what stands behind FF FF FD 00.
+    /// The examples of the protocol manual: id, instruction, parameters, and what stands behind FF
+    /// FF FD 00.
     pub(crate) const MANUAL: &[(u8, u8, &[u8], &[u8])] = &[
         (1, PING, &[], &[0x01, 0x03, 0x00, 0x01, 0x19, 0x4E]),
         (BROADCAST, PING, &[], &[0xFE, 0x03, 0x00, 0x01, 0x31, 0x42]),

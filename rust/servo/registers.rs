@@ -1,6 +1,8 @@
-//! Servos and their registers, as data: another model is one line of `MODELS`, another family one more `Layout`.
+//! Servos and their registers, as data: another model is one line of `MODELS`, another family one
+//! more `Layout`.
 //!
-//! Source: the control tables of the Dynamixel X-series in ROBOTIS' e-Manual (XL330, XC330, XL430, XM430, XM540).
+//! Source: the control tables of the Dynamixel X-series in ROBOTIS' e-Manual (XL330, XC330, XL430,
+//! XM430, XM540).
 
 /// A register: where it begins and how many bytes it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -213,7 +215,8 @@ pub struct Model {
     pub name: &'static str,
     /// The highest code of `BAUD_RATES` that it knows.
     pub fastest: u8,
-    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5): its PWM is capped instead.
+    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5): its
+    /// PWM is capped instead.
     pub current_unit: f64,
     /// Largest current limit, in steps.
     pub current_limit: u16,
@@ -225,14 +228,16 @@ pub struct Model {
     pub velocity_limit: u16,
     /// Errors that shut it down as delivered.
     pub shutdown: u8,
-    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name in ROBOTIS' e-Manual, at
-    /// 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430, XM540).
+    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name
+    /// in ROBOTIS' e-Manual, at 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430,
+    /// XM540).
     pub stall: (f64, f64),
 }
 
 impl Model {
-    /// The register that caps its torque, and its value for `most` mA. Where current cannot be capped that is goal PWM: torque at
-    /// standstill is in proportion to it, all of it at the stall current.
+    /// The register that caps its torque, and its value for `most` mA. Where current cannot be
+    /// capped that is goal PWM: torque at standstill is in proportion to it, all of it at the stall
+    /// current.
     pub fn cap(&self, most: f64) -> (Register, i16) {
         if self.has_current() {
             (X_SERIES.goal_current, (most / self.current_unit) as i16)

@@ -20,7 +20,8 @@ pub enum OpenFault {
     #[error("{0}: no such port; `softmap servo scan` lists those there are")]
     Missing(String),
     #[error(
-        "{0}: no permission; add yourself to the group that owns it (dialout): sudo usermod -aG dialout $USER, then log in again"
+        "{0}: no permission; add yourself to the group that owns it (dialout): sudo usermod -aG \
+        dialout $USER, then log in again"
     )]
     Forbidden(String),
     #[error("{0} is in use by another program; close it first")]
@@ -97,7 +98,8 @@ impl Serial {
 
 impl Drop for Serial {
     fn drop(&mut self) {
-        // A port that somebody keeps open besides, as the emulator does, is free again; one that is gone needs it not.
+        // A port that somebody keeps open besides, as the emulator does, is free again; one that is
+        // gone needs it not.
         let _ = ioctl_tiocnxcl(&self.file);
     }
 }

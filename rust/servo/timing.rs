@@ -5,7 +5,8 @@
 pub struct Timing {
     pub ticks: u64,
     pub overruns: u64,
-    /// Ticks by how late they began, and commands by their age: four bins to each doubling, from 1 µs on.
+    /// Ticks by how late they began, and commands by their age: four bins to each doubling, from 1
+    /// µs on.
     pub late: [u64; BINS],
     pub age: [u64; BINS],
 }

@@ -1,9 +1,11 @@
-//! Cubic interpolation along one axis with even or uneven nodes: which nodes carry a value, and with what weights.
+//! Cubic interpolation along one axis with even or uneven nodes: which nodes carry a value, and
+//! with what weights.
 //!
-//! Hermite pieces whose node slopes come from the parabola through three neighbouring nodes (one-sided at the borders). On
-//! even spacing this is cubic convolution (R. Keys, "Cubic convolution interpolation for digital image processing", 1981,
-//! doi:10.1109/TASSP.1981.1163711), which knows even spacing only. C1, exact for quadratics, error O(h³); beyond the ends
-//! the value goes on along the border's slope. Pinned by the tests of `table.rs` and the one at the foot.
+//! Hermite pieces whose node slopes come from the parabola through three neighbouring nodes
+//! (one-sided at the borders). On even spacing this is cubic convolution (R. Keys, "Cubic
+//! convolution interpolation for digital image processing", 1981, doi:10.1109/TASSP.1981.1163711),
+//! which knows even spacing only. C1, exact for quadratics, error O(h³); beyond the ends the value
+//! goes on along the border's slope. Pinned by the tests of `table.rs` and the one at the foot.
 
 /// The nodes that one axis contributes at one command: first node, how many, and their weights.
 #[derive(Clone, Copy)]
@@ -20,7 +22,8 @@ pub const NO_AXIS: Stencil = Stencil {
     weights: [1.0, 0.0, 0.0, 0.0],
 };
 
-/// The nodes of one axis, rising, and how the slope at each follows from the values at its neighbours.
+/// The nodes of one axis, rising, and how the slope at each follows from the values at its
+/// neighbours.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
     nodes: Vec<f64>,
@@ -78,7 +81,8 @@ impl Axis {
         }
     }
 
-    /// Weights of the nodes of a cell for weights of the values at its ends and of the slopes there.
+    /// Weights of the nodes of a cell for weights of the values at its ends and of the slopes
+    /// there.
     fn spread(&self, cell: usize, hermite: [f64; 4]) -> [f64; 4] {
         let first = cell.saturating_sub(1);
         let mut weights = [0.0; 4];
@@ -98,7 +102,8 @@ impl Axis {
         &self.nodes
     }
 
-    /// The cell that holds `u`, the border's beyond the ends; where nodes are even, it is the first one looked at.
+    /// The cell that holds `u`, the border's beyond the ends; where nodes are even, it is the first
+    /// one looked at.
     fn cell(&self, u: f64) -> usize {
         let (axis, last) = (&self.nodes, self.nodes.len() - 2);
         let mut cell = (((u - axis[0]) * self.density) as usize).min(last);
@@ -158,7 +163,8 @@ impl Axis {
     }
 }
 
-/// Slope at a node of the parabola through it and its neighbours, as weights of nodes `start..start + 3`.
+/// Slope at a node of the parabola through it and its neighbours, as weights of nodes `start..start
+/// + 3`.
 fn node_slope(axis: &[f64], node: usize) -> (usize, [f64; 3]) {
     if axis.len() == 2 {
         let width = axis[1] - axis[0];

@@ -1,6 +1,8 @@
-//! A tensor grid of commands: its axes, and which of its nodes carry a value between them, by cubic pieces (`cubic.rs`).
+//! A tensor grid of commands: its axes, and which of its nodes carry a value between them, by cubic
+//! pieces (`cubic.rs`).
 //!
-//! Nodes are counted with the last axis fastest. Outside, values go on linearly from the border in each axis.
+//! Nodes are counted with the last axis fastest. Outside, values go on linearly from the border in
+//! each axis.
 
 use crate::error::{Result, invalid};
 use crate::memory::room;
@@ -19,8 +21,9 @@ pub type Stencils = [Stencil; MAX_CHANNELS];
 #[derive(Debug, Clone)]
 pub struct Grid {
     axes: Arc<[Axis]>,
-    /// What stands for the axes where grids are compared: those with other nodes have another (SipHash, 64 bits, with keys of
-    /// this process, so that no file can be made to meet another's).
+    /// What stands for the axes where grids are compared: those with other nodes have another
+    /// (SipHash, 64 bits, with keys of this process, so that no file can be made to meet
+    /// another's).
     mark: u64,
 }
 
@@ -71,7 +74,8 @@ impl Grid {
     pub fn new(axes: Vec<Vec<f64>>) -> Result<Grid> {
         if axes.len() > MAX_CHANNELS {
             return Err(invalid(format!(
-                "a table has at most {MAX_CHANNELS} axes, got {}; use another kind of prior for more channels",
+                "a table has at most {MAX_CHANNELS} axes, got {}; use another kind of prior for \
+                more channels",
                 axes.len()
             )));
         }
@@ -81,7 +85,8 @@ impl Grid {
                 || axis.iter().any(|node| !node.is_finite())
             {
                 return Err(invalid(format!(
-                    "axis {c} of a table must rise strictly over at least 2 finite nodes, got {} nodes",
+                    "axis {c} of a table must rise strictly over at least 2 finite nodes, got {} \
+                    nodes",
                     axis.len()
                 )));
             }
@@ -150,7 +155,8 @@ impl Grid {
     }
 }
 
-/// The most nodes that carry a command, and how many numbers of theirs are summed at a time: as many as stay in registers.
+/// The most nodes that carry a command, and how many numbers of theirs are summed at a time: as
+/// many as stay in registers.
 const MOST_NODES: usize = 64;
 const AT_ONCE: usize = 8;
 

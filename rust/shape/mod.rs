@@ -1,8 +1,8 @@
 //! The interface of every family of shapes: commands in, numbers out, slopes on request.
 //!
-//! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a field). The table, the
-//! rod and whatever comes later implement this trait; what consumes a shape need not know which one it is (`fields.rs`
-//! asks for tables, to sum them faster).
+//! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a
+//! field). The table, the rod and whatever comes later implement this trait; what consumes a shape
+//! need not know which one it is (`fields.rs` asks for tables, to sum them faster).
 
 pub(crate) mod cubic;
 pub(crate) mod grid;
@@ -16,7 +16,8 @@ use crate::shape::modes::accumulate;
 use crate::shape::table::Table;
 use std::sync::Arc;
 
-/// Room that a shape works in and keeps for the next time: what asks at every tick of a loop allocates at the first alone.
+/// Room that a shape works in and keeps for the next time: what asks at every tick of a loop
+/// allocates at the first alone.
 #[derive(Debug, Default)]
 pub struct Work {
     pub doubles: Vec<f64>,
@@ -58,8 +59,8 @@ pub trait Shape: Send + Sync {
         None
     }
 
-    /// Both at once: the outputs (M,) and the slopes (M, C). Families that a control loop asks allocate nothing here once `work` has
-    /// grown; of the rods, those with elastic tendons do.
+    /// Both at once: the outputs (M,) and the slopes (M, C). Families that a control loop asks
+    /// allocate nothing here once `work` has grown; of the rods, those with elastic tendons do.
     fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], _work: &mut Work) {
         self.eval(u, values);
         self.jacobian(u, slopes);
@@ -67,7 +68,8 @@ pub trait Shape: Send + Sync {
 
     /// The slopes d out[m] / d u[c] at `u`, written to `out[m * C + c]`, shape (M, C).
     ///
-    /// By default central differences with a step of 1e-5 mm per mm of command: round-off about 1e-10 of the value.
+    /// By default central differences with a step of 1e-5 mm per mm of command: round-off about
+    /// 1e-10 of the value.
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
         let (channels, size) = (self.channels(), self.size());
         let mut at = u.to_vec();

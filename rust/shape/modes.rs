@@ -1,7 +1,9 @@
-//! A few modes over many numbers, `mean + Σ_m a_m·mode_m`: what a table and a scattered family share.
+//! A few modes over many numbers, `mean + Σ_m a_m·mode_m`: what a table and a scattered family
+//! share.
 //!
-//! How the weights a_m follow from a command is the family's own business (`table.rs`, `scattered.rs`); here they are
-//! expanded to the M numbers, and the whole is seen through linear maps (vertices → features).
+//! How the weights a_m follow from a command is the family's own business (`table.rs`,
+//! `scattered.rs`); here they are expanded to the M numbers, and the whole is seen through linear
+//! maps (vertices → features).
 
 use crate::error::{Result, invalid};
 use crate::memory::with_few;
@@ -87,12 +89,14 @@ impl Modes {
         self.mean.len()
     }
 
-    /// The same modes seen through a linear map: `numbers·weights + offset`, `weights` (M, M2), `offset` (M2,).
+    /// The same modes seen through a linear map: `numbers·weights + offset`, `weights` (M, M2),
+    /// `offset` (M2,).
     pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Modes> {
         let (size, to) = (self.size(), offset.len());
         if to == 0 || weights.len() != size * to {
             return Err(invalid(format!(
-                "a projection of this shape needs weights ({size}, {to}) and offset ({to},), got {} numbers",
+                "a projection of this shape needs weights ({size}, {to}) and offset ({to},), got \
+                {} numbers",
                 weights.len()
             )));
         }
@@ -154,7 +158,8 @@ impl Modes {
         self.add(out, weigh);
     }
 
-    /// Write the slopes (M, `channels`) to `out`; `weigh` adds those of the m weights by each channel.
+    /// Write the slopes (M, `channels`) to `out`; `weigh` adds those of the m weights by each
+    /// channel.
     pub fn jacobian(&self, channels: usize, out: &mut [f64], weigh: impl Fn(usize, &mut [f64])) {
         with_few(self.size(), |column| {
             for c in 0..channels {
@@ -186,8 +191,8 @@ impl Modes {
     }
 }
 
-/// Work with the widest vectors that this processor has; each number comes out the same as without. Closures on the way must
-/// be `#[inline(always)]`, else they are compiled for narrow ones.
+/// Work with the widest vectors that this processor has; each number comes out the same as without.
+/// Closures on the way must be `#[inline(always)]`, else they are compiled for narrow ones.
 #[inline(always)]
 pub(crate) fn wide<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)

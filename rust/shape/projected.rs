@@ -1,7 +1,7 @@
 //! Any shape seen through a linear map: out = Wᵀ shape(u) + offset, W (M, M2).
 //!
-//! Tables and networks have a `project` of their own, which folds the map into their numbers. This serves every other family, as
-//! the rods: inverse kinematics asks it for the tip alone.
+//! Tables and networks have a `project` of their own, which folds the map into their numbers. This
+//! serves every other family, as the rods: inverse kinematics asks it for the tip alone.
 
 use crate::error::{Result, invalid};
 use crate::shape::{Shape, Work};

@@ -1,11 +1,14 @@
-//! A shape family known at scattered commands: a few modes, each a sum of radial basis functions and a linear tail.
+//! A shape family known at scattered commands: a few modes, each a sum of radial basis functions
+//! and a linear tail.
 //!
-//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, `a_m(u) = b_m + Σ_c t_mc·q_c + Σ_i w_mi·φ(|q − q_i|)`, with q = u/scale by channel,
-//! nodes q_i, and the polyharmonic kernel φ(r) = r or r³ (J. Duchon, "Splines minimizing rotation-invariant semi-norms in
-//! Sobolev spaces", 1977, doi:10.1007/BFb0086566). r keeps the kinks that tendons make when they go slack, r³ is C². When
-//! the weights annihilate linear functions, as those of a fit do, the family grows linearly far out; nothing is clamped.
-//! Units: commands in, whatever was fitted out. The fit, its smoothing and its held-out error are
-//! `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) a command. Pinned by the tests at the foot.
+//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, `a_m(u) = b_m + Σ_c t_mc·q_c + Σ_i w_mi·φ(|q − q_i|)`,
+//! with q = u/scale by channel, nodes q_i, and the polyharmonic kernel φ(r) = r or r³ (J. Duchon,
+//! "Splines minimizing rotation-invariant semi-norms in Sobolev spaces", 1977,
+//! doi:10.1007/BFb0086566). r keeps the kinks that tendons make when they go slack, r³ is C². When
+//! the weights annihilate linear functions, as those of a fit do, the family grows linearly far
+//! out; nothing is clamped. Units: commands in, whatever was fitted out. The fit, its smoothing and
+//! its held-out error are `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) a
+//! command. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
 use crate::memory::with_few;
@@ -66,8 +69,8 @@ pub struct Scattered {
 }
 
 impl Scattered {
-    /// Build from `nodes` (S, C) and `scale` (C,) in command units, `kernel`, `coefficients` (S + 1 + C, m), `mean` (M,)
-    /// and `modes` (m, M), all row-major.
+    /// Build from `nodes` (S, C) and `scale` (C,) in command units, `kernel`, `coefficients` (S + 1
+    /// + C, m), `mean` (M,) and `modes` (m, M), all row-major.
     pub fn new(
         nodes: Vec<f64>,
         scale: Vec<f64>,
@@ -79,7 +82,8 @@ impl Scattered {
         let channels = scale.len();
         if channels == 0 || !nodes.len().is_multiple_of(channels) {
             return Err(invalid(format!(
-                "a scattered family needs nodes (S, C) and a scale (C,) of at least one channel, got {} and {channels} numbers",
+                "a scattered family needs nodes (S, C) and a scale (C,) of at least one channel, \
+                got {} and {channels} numbers",
                 nodes.len()
             )));
         }
@@ -87,14 +91,16 @@ impl Scattered {
         let rows = nodes.len() / channels + 1 + channels;
         if Some(coefficients.len()) != rows.checked_mul(modes.count()) {
             return Err(invalid(format!(
-                "coefficients must be ({rows} rows: nodes, constant, channels; {} modes), got {} numbers",
+                "coefficients must be ({rows} rows: nodes, constant, channels; {} modes), got {} \
+                numbers",
                 modes.count(),
                 coefficients.len()
             )));
         }
         if let Some(c) = scale.iter().position(|s| s.is_nan() || *s < SMALLEST_SCALE) {
             return Err(invalid(format!(
-                "the scale of channel {c} of a scattered family is {}, at least {SMALLEST_SCALE:e} is wanted",
+                "the scale of channel {c} of a scattered family is {}, at least {SMALLEST_SCALE:e} \
+                is wanted",
                 scale[c]
             )));
         }
@@ -106,7 +112,8 @@ impl Scattered {
         let everything = everything.chain(modes.mean()).chain(modes.rows());
         if everything.into_iter().any(|value| !value.is_finite()) {
             return Err(invalid(
-                "a scattered family holds a number that is not finite; rebuild it from a clean sweep",
+                "a scattered family holds a number that is not finite; rebuild it from a clean \
+                sweep",
             ));
         }
         Ok(Scattered {
@@ -118,7 +125,8 @@ impl Scattered {
         })
     }
 
-    /// The same family seen through a linear map: `shape(u)·weights + offset`, `weights` (M, M2), `offset` (M2,).
+    /// The same family seen through a linear map: `shape(u)·weights + offset`, `weights` (M, M2),
+    /// `offset` (M2,).
     pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Scattered> {
         Ok(Scattered {
             modes: self.modes.project(weights, offset)?,
@@ -192,7 +200,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Three nodes whose weights annihilate linear functions (1, −2, 1 on a line), two modes over three outputs.
+    /// Three nodes whose weights annihilate linear functions (1, −2, 1 on a line), two modes over
+    /// three outputs.
     fn family(kernel: Kernel) -> Scattered {
         let nodes = vec![-4.0, -2.0, 0.0, 0.0, 4.0, 2.0];
         let coefficients = vec![
@@ -229,7 +238,8 @@ mod tests {
                     let plus = value(&shape, &[x + step[0], y + step[1]]);
                     let minus = value(&shape, &[x - step[0], y - step[1]]);
                     for m in 0..3 {
-                        // The curvature of r is 1/r: a difference of step h next to a node sees h/r of it.
+                        // The curvature of r is 1/r: a difference of step h next to a node sees h/r
+                        // of it.
                         let near = [[-4.0, -2.0], [0.0, 0.0], [4.0, 2.0]]
                             .iter()
                             .map(|n| (x - n[0]).hypot(y - n[1]))

@@ -1,9 +1,11 @@
-//! A shape family tabulated on a tensor grid of commands: a few modes, cubic interpolation between the nodes.
+//! A shape family tabulated on a tensor grid of commands: a few modes, cubic interpolation between
+//! the nodes.
 //!
-//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, where `a_m` is interpolated from its values at the grid nodes by the cubic pieces of
-//! `cubic.rs`, axis by axis. Units: mm of command in, whatever was tabulated out. C1; outside the grid the family continues
-//! linearly from the border in each axis. Limits: at most three channels; kinks of the tabulated family are rounded over one
-//! cell. Pinned by the tests at the foot.
+//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, where `a_m` is interpolated from its values at the grid
+//! nodes by the cubic pieces of `cubic.rs`, axis by axis. Units: mm of command in, whatever was
+//! tabulated out. C1; outside the grid the family continues linearly from the border in each axis.
+//! Limits: at most three channels; kinks of the tabulated family are rounded over one cell. Pinned
+//! by the tests at the foot.
 
 use crate::error::{Result, invalid};
 use crate::memory::zeros;
@@ -23,8 +25,9 @@ pub struct Table {
 }
 
 impl Table {
-    /// Build a table from `axes` (rising, ≥ 2 nodes each), `coefficients` (n_1·…·n_C, m) with the last axis fastest,
-    /// `mean` (M,) and `modes` (m, M), all row-major. No axes at all make a constant family (C = 0).
+    /// Build a table from `axes` (rising, ≥ 2 nodes each), `coefficients` (n_1·…·n_C, m) with the
+    /// last axis fastest, `mean` (M,) and `modes` (m, M), all row-major. No axes at all make a
+    /// constant family (C = 0).
     pub fn new(
         axes: Vec<Vec<f64>>,
         coefficients: Vec<f64>,
@@ -103,7 +106,8 @@ impl Table {
         self.modes.count()
     }
 
-    /// The same family seen through a linear map: `shape(u)·weights + offset`, `weights` (M, M2), `offset` (M2,).
+    /// The same family seen through a linear map: `shape(u)·weights + offset`, `weights` (M, M2),
+    /// `offset` (M2,).
     pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Table> {
         Ok(Table {
             modes: self.modes.project(weights, offset)?,
@@ -111,7 +115,8 @@ impl Table {
         })
     }
 
-    /// The same family with its outputs themselves in the place of modes: cheaper where they are fewer.
+    /// The same family with its outputs themselves in the place of modes: cheaper where they are
+    /// fewer.
     pub fn plain(&self) -> Result<Table> {
         let (size, count) = (self.size(), self.count());
         let mut values = zeros("a table (nodes, outputs)", &[self.grid.nodes(), size])?;
@@ -132,8 +137,8 @@ impl Table {
         })
     }
 
-    /// A table of what `map` makes (`size` numbers) of each node's command and the shape there; a linear map of it makes the
-    /// same between them.
+    /// A table of what `map` makes (`size` numbers) of each node's command and the shape there; a
+    /// linear map of it makes the same between them.
     pub fn mapped(
         &self,
         size: usize,
@@ -159,7 +164,8 @@ impl Table {
     }
 }
 
-/// Tables without means on one grid with one set of modes, whose weighted sum expands the modes once.
+/// Tables without means on one grid with one set of modes, whose weighted sum expands the modes
+/// once.
 #[derive(Debug, Clone)]
 pub struct TableSum {
     tables: Vec<Table>,
@@ -196,7 +202,8 @@ impl TableSum {
         &self.tables[0].grid
     }
 
-    /// Add Σ_t w_t·table_t to `out` (M,) where the command is carried so, w in the order of the tables.
+    /// Add Σ_t w_t·table_t to `out` (M,) where the command is carried so, w in the order of the
+    /// tables.
     pub fn add(&self, carry: &Carry, weights: impl Iterator<Item = f64>, out: &mut [f64]) {
         let shared = &self.tables[0];
         let mut sum = [0.0; STACK_MODES];
@@ -289,7 +296,8 @@ mod tests {
             for (c, step) in [[h, 0.0], [0.0, h]].iter().enumerate() {
                 let difference = (value(&table, &[x + step[0], y + step[1]])
                     - value(&table, &[x - step[0], y - step[1]])) / (2.0 * h);
-                // A difference across a node sees the jump of the second derivative: h times about 0.1.
+                // A difference across a node sees the jump of the second derivative: h times about
+                // 0.1.
                 prop_assert!((difference - slopes[c]).abs() < 1e-5);
             }
         }

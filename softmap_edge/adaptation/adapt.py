@@ -1,13 +1,15 @@
 """Adapt a model to recordings: physics first, a residual on what physics leaves.
 
     clouds ─registration─> vertices     ticks ─calibration─> commands
-    diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both together
+    diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both
+        together
 
-A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
-can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
-the error on blocks that were left out. Alternatives to what is added are reported: they fit these runs as well.
-Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
-Units: mm. Pinned by tests/adaptation/test_adaptation.py.
+A residual is a function of the command alone. What depends on how a command was reached it cannot
+learn, and what it can stands in for physics only under the conditions of its runs; so it comes
+last, and stays only where it surely lowers the error on blocks that were left out. Alternatives to
+what is added are reported: they fit these runs as well. Calibration is fitted without the effects,
+so that gain, offset or coupling found after it may be a correction of it. Units: mm. Pinned by
+tests/adaptation/test_adaptation.py.
 """
 
 from __future__ import annotations
@@ -34,17 +36,18 @@ if TYPE_CHECKING:
 SCHEMA = "softmap.adaptation/1"
 WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")
 FAULT = "measurement_fault"
-SURE = 2.0  # standard errors by which a residual lowers the error on left-out blocks; a smaller gain is noise
+# standard errors by which a residual lowers the error on left-out blocks; a smaller gain is noise
+SURE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Adaptation:
     """What an adaptation found: the new `model`, and the report of each step.
 
-    `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
-    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `validation` is
-    what it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
-    softmap.adaptation/1.
+    `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm
+    of the four WAYS on what taught none of them, None where one was not tried; `fall` by which
+    share the error fell. `validation` is what it was measured on, `runs` what taught; clouds are
+    vertices there. Prints itself; `to_dict()` is softmap.adaptation/1.
     """
 
     model: Model
@@ -82,14 +85,17 @@ class Adaptation:
         return {
             "schema": SCHEMA,
             "error": {
-                "kind": "held-out rms", "unit": "mm", "on": self.error_on, "fall_share": self.fall,
+                "kind": "held-out rms",
+                "unit": "mm",
+                "on": self.error_on,
+                "fall_share": self.fall,
                 "ways": [{"way": way, "value": self.error[way]} for way in WAYS],
             },
             "calibration": None if self.calibration is None else self.calibration.to_dict(),
             "diagnosis": None if self.diagnosis is None else self.diagnosis.to_dict(),
             "residual": {"kept": kept, **self.residual},
             "effects": self.model.params,
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         lines = []
@@ -103,17 +109,32 @@ class Adaptation:
         if self.model.residual is not None and alone is not None and self.last > alone:
             lines.append("  it does not help on the validation run")
         lines += ["", f"error, mm RMS, {self.error_on}"]
-        lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
+        lines += [
+            f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None
+        ]
         share = f"{100 * abs(self.fall):.0f} %"
-        lines.append(f"  {share} of the error are gone" if self.fall >= 0 else f"  the error is {share} larger")
-        return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
+        lines.append(
+            f"  {share} of the error are gone"
+            if self.fall >= 0
+            else f"  the error is {share} larger"
+        )
+        return "\n".join(
+            [*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))]
+        )
 
 
 def _of_residual(facts: Document, kept: bool) -> str:
     if "why" in facts:
         return f"no residual: {facts['why']}"
-    every = "" if facts["frames"] == facts["of_frames"] else f" of {facts['of_frames']} (complete ones, {ROWS} at most)"
-    line = f"residual of {facts['size_mm']:.2f} mm RMS over the command, learned from {facts['frames']} frames{every}"
+    every = (
+        ""
+        if facts["frames"] == facts["of_frames"]
+        else f" of {facts['of_frames']} (complete ones, {ROWS} at most)"
+    )
+    line = (
+        f"residual of {facts['size_mm']:.2f} mm RMS over the command, learned from "
+        f"{facts['frames']} frames{every}"
+    )
     return line if kept else f"{line}: left out, it does not surely lower what was held out"
 
 
@@ -128,9 +149,11 @@ def adapt(
 
     Args:
         model: an earlier residual is learned again; effects that it has stay.
-        run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
-            with the first run that holds enough commands for it, unless the model knows them already.
-        held_out: a recording for validation only, not for learning ways; without it blocks of the runs are held out.
+        run: one recording or several of the robot, of vertices, clouds or the model's markers.
+            Ticks are calibrated with the first run that holds enough commands for it, unless the
+            model knows them already.
+        held_out: a recording for validation only, not for learning ways; without it blocks of the
+            runs are held out.
         physics: look for missing effects; without, the residual stands in for them.
         progress: called with one line per step.
 
@@ -147,7 +170,8 @@ def adapt(
         raise SoftmapError("no run is given; an adaptation needs at least one")
     if held_out is not None and held_out.hash() in [one.hash() for one in runs]:
         raise SoftmapError(
-            "the held-out run is used for learning too, so it validates nothing; give an independent run"
+            "the held-out run is used for learning too, so it validates nothing; give an "
+            "independent run"
         )
     base, calibration = _calibrated(base, runs, say)
     shown = [_shown(base, one, say) for one in runs]
@@ -160,16 +184,24 @@ def adapt(
     if held_out is None:
         validation, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
     else:
-        validation, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
+        validation, on = (
+            _shown(base, held_out, say),
+            "a run that taught nothing, points that were seen",
+        )
         alone = rest if found is None else _rest(base, shown, True)[0]
         ways = [base, alone, *([None, None] if found is None else [better, rest])]
-        error = {way: None if m is None else compare(m, validation).error["rms_mm"] for way, m in zip(WAYS, ways)}
+        error = {
+            way: None if m is None else compare(m, validation).error["rms_mm"]
+            for way, m in zip(WAYS, ways)
+        }
     model = rest if kept and rest is not None else better
     return Adaptation(model, base, calibration, found, residual, error, on, validation, shown)
 
 
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
-    """Return the model with a residual and its report; None and why where runs teach none, if it is spare."""
+    """Return the model with a residual and its report; None and why where runs teach none, if it is
+    spare.
+    """
     try:
         return learn_residual(model, runs)
     except SoftmapError as fault:
@@ -179,7 +211,9 @@ def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None,
 
 
 def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
-    """Return a run of clouds as vertices of the template, in the frame of their base; another as it is."""
+    """Return a run of clouds as vertices of the template, in the frame of their base; another as it
+    is.
+    """
     if run.points is None:
         return run
     run, off = in_base(run, model)
@@ -189,8 +223,12 @@ def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
     return register(model, run).run(run)
 
 
-def _calibrated(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> tuple[Model, Calibrated | None]:
-    """Return the model, calibrated with the first run that is enough if runs have ticks and it has none."""
+def _calibrated(
+    model: Model, runs: Sequence[Run], say: Callable[[str], None]
+) -> tuple[Model, Calibrated | None]:
+    """Return the model, calibrated with the first run that is enough if runs have ticks and it has
+    none.
+    """
     ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
     if model.calibration is not None or not any(run.command is None for run in ticks):
         return model, None
@@ -209,21 +247,37 @@ def _missing(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> D
     say("looking for what the model lacks")
     found = diagnose(model, runs, progress=lambda line: say(f"  {line}"))
     if found.verdict == FAULT and not found.effects and not found.faults:
-        raise SoftmapError(f"nothing is learned from a measurement that is at fault. {found.sentence}")
+        raise SoftmapError(
+            f"nothing is learned from a measurement that is at fault. {found.sentence}"
+        )
     return found
 
 
 def _blocks(found: Diagnosis | None) -> str:
     if found is None:
         return "blocks of the runs that were left out, points that were seen"
-    return "blocks of the runs that were left out, middles of sections or markers; a residual is a polynomial there"
+    return (
+        "blocks of the runs that were left out, middles of sections or markers; a residual is a "
+        "polynomial there"
+    )
 
 
 def _on_blocks(found: Diagnosis | None, residual: Document) -> dict[str, float | None]:
-    """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured them."""
+    """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured
+    them.
+    """
     if found is None:
-        both: list[float | None] = [residual["before_rms_mm"], residual["after_held_out_rms_mm"], None, None]
+        both: list[float | None] = [
+            residual["before_rms_mm"],
+            residual["after_held_out_rms_mm"],
+            None,
+            None,
+        ]
         return dict(zip(WAYS, both))
     error = found.to_dict()["error"]
     physics = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    return dict(zip(WAYS, (error["model"], error["static_residual"], physics, error["with_static_residual"])))
+    return dict(
+        zip(
+            WAYS, (error["model"], error["static_residual"], physics, error["with_static_residual"])
+        )
+    )

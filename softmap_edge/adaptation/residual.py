@@ -1,17 +1,19 @@
-"""A residual: a smooth static correction over the command, learned from a run on top of a model and its effects.
+"""A residual: a smooth static correction over the command, learned from a run on top of a model and
+its effects.
 
-    points(u_eff) = prior(u_eff) + Σ cₖ·Sₖ(u_eff) + residual(u_eff),    residual = mean + modes · a(u_eff)
+    points(u_eff) = prior(u_eff) + Σ cₖ·Sₖ(u_eff) + residual(u_eff),
+        residual = mean + modes · a(u_eff)
 
-What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u) are radial basis
-functions of the commands that act, smoothed as much as lowers the error on what is left out
-(`sweep/scattered.py`). It knows nothing of direction, speed, orientation or load: it stands in for every static
-effect under the conditions of its run, and distinguishes none of them. Points that the prior holds still stay where
-they are. A residual belongs to the effects that it was learned with: when those change it is dropped, and diagnoses
-take it out (`diagnosis/behind_residual.py`).
-Vertices laid onto clouds are complete: what was not seen is placed by registration (0.17 mm on two views of the
-virtual finger), and takes no part in validation.
-Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the run's commands it extrapolates.
-Pinned by tests/adaptation/test_residual.py.
+What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u)
+are radial basis functions of the commands that act, smoothed as much as lowers the error on what is
+left out (`sweep/scattered.py`). It knows nothing of direction, speed, orientation or load: it
+stands in for every static effect under the conditions of its run, and distinguishes none of them.
+Points that the prior holds still stay where they are. A residual belongs to the effects that it was
+learned with: when those change it is dropped, and diagnoses take it out
+(`diagnosis/behind_residual.py`). Vertices laid onto clouds are complete: what was not seen is
+placed by registration (0.17 mm on two views of the virtual finger), and takes no part in
+validation. Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the
+run's commands it extrapolates. Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations
@@ -37,14 +39,18 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-Missed = tuple[Floats, Floats, NDArray[np.bool_]]  # commands (S, C), what is missed (S, 3N) mm, points seen (S, N)
+# commands (S, C), what is missed (S, 3N) mm, points seen (S, N)
+Missed = tuple[Floats, Floats, NDArray[np.bool_]]
 
 MODES = 8  # of what is missed, at most
-PREDICTED = 0.1  # of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
+# of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
+PREDICTED = 0.1
 NODES = 64  # of the radial basis functions
-ROWS, NUMBERS = 600, 40_000_000  # frames, and numbers of them (320 MB), at most that are looked at, spread evenly
+# frames, and numbers of them (320 MB), at most that are looked at, spread evenly
+ROWS, NUMBERS = 600, 40_000_000
 LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be complete
-LEAST_FRAMES, LEAST_PLACES = 30, 3  # frames that show every point; different commands for each channel and one more
+# frames that show every point; different commands for each channel and one more
+LEAST_FRAMES, LEAST_PLACES = 30, 3
 APART = 60.0  # s between runs, so that none is held out with another
 LEAST_ALIKE, WORSE = 8, 1.1  # frames at commands of other runs, and times its error, to be reported
 CLOSE = 0.002  # of half the range of the commands: nearer commands are one place
@@ -56,15 +62,18 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
 
     Args:
         model: prior and effects stay as they are; an earlier residual is replaced.
-        run: one run or several, with the model's own points (vertices, or the same markers) at K >= 30 complete frames;
-            of vertices laid onto clouds those that were not seen count too, where registration places them.
+        run: one run or several, with the model's own points (vertices, or the same markers) at K >=
+            30 complete frames; of vertices laid onto clouds those that were not seen count too,
+            where registration places them.
 
     Returns:
-        tuple: the model with its residual, and a document with the error before and after (held out on blocks), mm RMS,
-        and how many standard errors the mean fall of its square over the blocks is above 0.
+        tuple: the model with its residual, and a document with the error before and after (held out
+        on blocks), mm RMS, and how many standard errors the mean fall of its square over the blocks
+        is above 0.
 
     Raises:
-        SoftmapError: too few complete frames or different commands, points that are not the model's own.
+        SoftmapError: too few complete frames or different commands, points that are not the model's
+            own.
     """
     base = model.with_residual(None)
     runs = list(run) if isinstance(run, Sequence) else [run]
@@ -75,7 +84,9 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
     count = _predicted(commands, taught, parts)
     left, gains = missed.copy(), []
     for train, test in parts:
-        left[test] -= family_from(_fitted(commands[train], taught[train], count)).evaluate(commands[test])
+        left[test] -= family_from(_fitted(commands[train], taught[train], count)).evaluate(
+            commands[test]
+        )
         gains.append(_rms(missed[test], seen[test]) ** 2 - _rms(left[test], seen[test]) ** 2)
     arrays = _fitted(commands, taught, count)
     found = base.with_residual(arrays)
@@ -86,7 +97,9 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
         "size_mm": _rms(family_from(arrays).evaluate(commands)),
         "before_rms_mm": _rms(missed, seen),
         "after_held_out_rms_mm": _rms(left, seen),
-        "gain_in_se": float(np.mean(gains) / max(np.std(gains, ddof=1) / np.sqrt(len(gains)), 1e-12)),
+        "gain_in_se": float(
+            np.mean(gains) / max(np.std(gains, ddof=1) / np.sqrt(len(gains)), 1e-12)
+        ),
         "command_range": span(commands),
         "warnings": strangers(each),
     }
@@ -95,24 +108,33 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
 
 
 def strangers(runs: Sequence[Missed]) -> list[str]:
-    """Say which of several runs miss other things than the rest, so that what the rest teaches makes them worse."""
+    """Say which of several runs miss other things than the rest, so that what the rest teaches
+    makes them worse.
+    """
     notes = []
     for k, (commands, missed, seen) in enumerate(runs if len(runs) > 1 else ()):
         others = [run for number, run in enumerate(runs) if number != k]
         u, theirs, _ = (np.concatenate(rows) for rows in zip(*others))
-        within = np.flatnonzero(((commands >= u.min(axis=0)) & (commands <= u.max(axis=0))).all(axis=1))
+        within = np.flatnonzero(
+            ((commands >= u.min(axis=0)) & (commands <= u.max(axis=0))).all(axis=1)
+        )
         some = np.unique(np.linspace(0, len(u) - 1, min(len(u), ROWS)).astype(int))
         if len(within) < LEAST_ALIKE or not seen[within].any():
             continue
         try:
-            rest = family_from(_fitted(u[some], theirs[some], MODES)).evaluate(np.ascontiguousarray(commands[within]))
+            rest = family_from(_fitted(u[some], theirs[some], MODES)).evaluate(
+                np.ascontiguousarray(commands[within])
+            )
         except SoftmapError:  # too few different commands to say
             continue
-        before, after = (_rms(left, seen[within]) for left in (missed[within], missed[within] - rest))
+        before, after = (
+            _rms(left, seen[within]) for left in (missed[within], missed[within] - rest)
+        )
         if after > WORSE * before:
             notes.append(
-                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this one worse "
-                f"({before:.2f} → {after:.2f} mm RMS): another robot, load or orientation; teach with runs of one state"
+                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this "
+                f"one worse ({before:.2f} → {after:.2f} mm RMS): another robot, load or "
+                "orientation; teach with runs of one state"
             )
     return notes
 
@@ -127,13 +149,18 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
         seen = base.points_in_mm(run)
         if seen.shape[1] != len(base.rest) or (run.markers is not None and not base.markers):
             raise SoftmapError(
-                f"the run shows {seen.shape[1]} markers on a model of {len(base.rest)} points: what lies between them "
-                "is not seen, so no residual can be learned; use a run of vertices, or a rod learned from markers"
+                f"the run shows {seen.shape[1]} markers on a model of {len(base.rest)} points: "
+                "what lies between them is not seen, so no residual can be learned; use a run of "
+                "vertices, or a rod learned from markers"
             )
         visible = known(run, seen)
         least = LAID_SEEN if laid(run) else 1.0
         complete = np.flatnonzero(visible.mean(axis=1) >= least)
-        some = run.at(complete[np.unique(np.linspace(0, len(complete) - 1, min(len(complete), room)).astype(int))])
+        some = run.at(
+            complete[
+                np.unique(np.linspace(0, len(complete) - 1, min(len(complete), room)).astype(int))
+            ]
+        )
         if not some.frames:
             continue
         points = base.points_in_mm(some)
@@ -144,27 +171,33 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
     frames = sum(len(t) for t in times)
     if frames < LEAST_FRAMES:
         raise SoftmapError(
-            f"{frames} frames show every point, at least {LEAST_FRAMES} are needed to learn a residual; record more, "
-            "or from a side from which all is seen"
+            f"{frames} frames show every point, at least {LEAST_FRAMES} are needed to learn a "
+            "residual; record more, or from a side from which all is seen"
         )
     return each, np.concatenate(times)
 
 
 def _still(base: Model, commands: Floats) -> NDArray[np.bool_]:
-    """Return which of the 3N numbers belong to points that the prior holds still, as a clamp does."""
+    """Return which of the 3N numbers belong to points that the prior holds still, as a clamp
+    does.
+    """
     moved = np.ptp(base.prior.evaluate(commands).reshape(len(commands), -1, 3), axis=0).max(axis=1)
     return np.repeat(moved < STILL * float(moved.max(initial=0.0)), 3)
 
 
 def _reduced(taught: Floats, count: int) -> tuple[Floats, Floats]:
-    """Return mean (3N,) and modes (count, 3N) of values (S, 3N); both are zero where nothing is taught."""
+    """Return mean (3N,) and modes (count, 3N) of values (S, 3N); both are zero where nothing is
+    taught.
+    """
     mean = taught.mean(axis=0)
     modes = np.linalg.svd(taught - mean, full_matrices=False)[2][:count]
     return mean, np.where(np.any(taught != 0.0, axis=0), modes, 0.0)
 
 
 def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
-    """Return how many modes, at least one, there are up to the last whose weights commands predict on other blocks."""
+    """Return how many modes, at least one, there are up to the last whose weights commands predict
+    on other blocks.
+    """
     mean, modes = _reduced(taught, MODES)
     weights = (taught - mean) @ modes.T
     predicted = np.zeros_like(weights)
@@ -172,26 +205,34 @@ def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
         alone = _fitted_weights(commands[train], weights[train])
         alone |= {"mean": np.zeros(len(modes)), "modes": np.eye(len(modes))}
         predicted[test] = family_from(alone).evaluate(commands[test])
-    kept = np.sum((weights - predicted) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
+    kept = np.sum((weights - predicted) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(
+        weights**2, axis=0
+    )
     return 1 + int(np.flatnonzero(kept).max(initial=0))
 
 
 def _fitted(commands: Floats, taught: Floats, count: int) -> Arrays:
-    """Return the arrays of a scattered family of `count` modes for values (S, 3N) at commands (S, C)."""
+    """Return the arrays of a scattered family of `count` modes for values (S, 3N) at commands (S,
+    C).
+    """
     mean, modes = _reduced(taught, count)
     arrays = _fitted_weights(commands, (taught - mean) @ modes.T)
     return arrays | {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
 
 
 def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
-    """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S, C)."""
+    """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S,
+    C).
+    """
     scale = half_range(commands)
-    _, first, place = np.unique(np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True)
+    _, first, place = np.unique(
+        np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True
+    )
     place, required = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
     if len(first) < required:
         raise SoftmapError(
-            f"{len(first)} different commands are too few for a residual of {commands.shape[1]} channels; record "
-            f"at least {required}"
+            f"{len(first)} different commands are too few for a residual of {commands.shape[1]} "
+            f"channels; record at least {required}"
         )
     count = np.bincount(place)[:, None]
     sums = np.zeros((len(first), weights.shape[1]))

@@ -1,12 +1,16 @@
-"""Align: the rigid transform from the camera's or mocap's frame to the robot's base, and how well it is known.
+"""Align: the rigid transform from the camera's or mocap's frame to the robot's base, and how well
+it is known.
 
-Two ways to find it. From **home frames**: what is seen each time the robot rests at home, against the model's shape
-there. From **base points**: markers fixed to the base at known places, or the clamped vertices of the template.
+Two ways to find it. From **home frames**: what is seen each time the robot rests at home, against
+the model's shape there. From **base points**: markers fixed to the base at known places, or the
+clamped vertices of the template.
 
-    groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all (`solve.py`)
+    groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all
+    (`solve.py`)
 
-Units: mm; degrees in reports. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
-is taken for the frame where only home frames are given. Pinned by tests/alignment/test_align.py over many seeds.
+Units: mm; degrees in reports. Limits: what is rigid in the robot's own rest shape (a twist, half of
+a pre-curve) is taken for the frame where only home frames are given. Pinned by
+tests/alignment/test_align.py over many seeds.
 """
 
 from __future__ import annotations
@@ -35,7 +39,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 HOME = "home frames"
-AT_HOME = 0.03  # of the largest |command|: closer to zero than this is at home (an encoder's offset included)
+# of the largest |command|: closer to zero than this is at home (an encoder's offset included)
+AT_HOME = 0.03
 SETTLED = 1.0  # s after the last motion from which the robot rests
 VISITS = 2  # least visits of home
 STRETCHES = 12  # groups of time at most where the base is always seen
@@ -49,8 +54,8 @@ def align_home(run: Run, model: Model) -> Alignment:
         run: seen in any frame, with at least two visits of home. model: of this robot.
 
     Raises:
-        AlignError: home is not visited, the points do not determine every turn, are mirrored, of other units or of
-            another robot; the message says which.
+        AlignError: home is not visited, the points do not determine every turn, are mirrored, of
+            other units or of another robot; the message says which.
     """
     seen, visible = _seen(run, model.seen_points(run))
     visits = home_visits(run, model)
@@ -62,15 +67,20 @@ def align_home(run: Run, model: Model) -> Alignment:
     groups = group(run, seen, visible, target, visits)
     form, section = _form(model, run)
     motion = None
-    if not model.markers and run.vertices is not None:  # the clamped ring shows whether the base moved
+    # the clamped ring shows whether the base moved
+    if not model.markers and run.vertices is not None:
         ring = sorted(clamped_places(run, model))
 
         def motion(pose: RigidPose) -> Moved | None:
-            return base_motion(run, seen[:, ring], visible[:, ring], model.rest[ring], model.rest, pose)
+            return base_motion(
+                run, seen[:, ring], visible[:, ring], model.rest[ring], model.rest, pose
+            )
 
     found = solve(groups, form, section, HOME, f"the model of '{model.robot}'", motion)
     if run.robot and run.robot != model.robot:
-        found.notes.append(f"the run is of '{run.robot}', the model of '{model.robot}'; sure that it is one robot?")
+        found.notes.append(
+            f"the run is of '{run.robot}', the model of '{model.robot}'; sure that it is one robot?"
+        )
     return found
 
 
@@ -78,8 +88,8 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     """Find the frame from points that are fixed to the base.
 
     Args:
-        run: with markers or vertices. places: base-frame position (3,) mm of each named point of the run; those of its
-            `base_markers` are counted on behind the others.
+        run: with markers or vertices. places: base-frame position (3,) mm of each named point of
+            the run; those of its `base_markers` are counted on behind the others.
         held: also find a pose for every frame, so that a base that moves is held still.
 
     Raises:
@@ -93,7 +103,10 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     names = sorted(places)
     outside = [n for n in names if not 0 <= n < seen.shape[1]]
     if outside:
-        raise AlignError(f"base point {outside[0]}: the run has points 0 to {seen.shape[1] - 1}; name one of them")
+        raise AlignError(
+            f"base point {outside[0]}: the run has points 0 to {seen.shape[1] - 1}; name one of "
+            "them"
+        )
     target = np.array([places[n] for n in names])
     check_places(target)
     return _from_base(run, seen, visible, names, target, held)
@@ -106,7 +119,10 @@ def clamped_places(run: Run, model: Model) -> dict[int, Floats]:
         AlignError: the model or the run has markers, not vertices.
     """
     if model.markers or run.vertices is None:
-        raise AlignError("--base clamped needs a run and a model with vertices; name the base markers by their numbers")
+        raise AlignError(
+            "--base clamped needs a run and a model with vertices; name the base markers by their "
+            "numbers"
+        )
     model.seen_points(run)  # its own message for a run of another template
     low = float(model.rest[:, 2].min())
     return {int(n): model.rest[n] for n in np.flatnonzero(model.rest[:, 2] < low + CLAMPED)}
@@ -131,10 +147,11 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
     if len(visits) < VISITS:
         held = "; ".join(f"{len(frames)} frames" for frames in visits) or "none"
         raise AlignError(
-            f"too few home frames: {len(visits)} visits of home at rest ({held}), {VISITS} are needed, each of "
-            f"{GROUP_FRAMES} frames at least {SETTLED:g} s after the last motion and with every command within "
-            f"{AT_HOME * top:.3g} {model.command_unit} of zero; record home for 5 s at the start, at the end and in "
-            "between, or name base markers (--base)"
+            f"too few home frames: {len(visits)} visits of home at rest ({held}), {VISITS} are "
+            f"needed, each of {GROUP_FRAMES} frames at least {SETTLED:g} s after the last motion "
+            f"and with every command within {AT_HOME * top:.3g} {model.command_unit} of zero; "
+            "record home for 5 s at the start, at the end and in between, or name base markers "
+            "(--base)"
         )
     return visits
 
@@ -145,8 +162,9 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
 def _seen(run: Run, points: Floats) -> tuple[Floats, Mask]:
     if unmeasured(run) is not None:
         raise AlignError(
-            "the markers of the run lie in a plane, and what is across it is not measured, so no frame follows from "
-            "them; give the clamp and the axes in the mapping ([frame] origin_mm and axes), and import again"
+            "the markers of the run lie in a plane, and what is across it is not measured, so no "
+            "frame follows from them; give the clamp and the axes in the mapping ([frame] "
+            "origin_mm and axes), and import again"
         )
     visible = known(run, points)
     if not visible.any():
@@ -159,7 +177,9 @@ def _stretches(frames: int) -> int:
 
 
 def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the model's own error (S, 3) mm at the places along its body, and the place (N,) of each point."""
+    """Return the model's own error (S, 3) mm at the places along its body, and the place (N,) of
+    each point.
+    """
     mapping, error = model.run_feature_map(run), model.run_form_error(run)
     count = int(mapping.positions.sum())
     section = model.sections if run.vertices is not None and not model.markers else np.arange(count)
@@ -169,22 +189,28 @@ def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
 # --- points of the base -------------------------------------------------------------------------
 
 
-def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, held: bool) -> Alignment:
+def _from_base(
+    run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, held: bool
+) -> Alignment:
     points, shown = seen[:, names], visible[:, names]
     usable = np.flatnonzero(shown.sum(axis=1) >= 3)
     if len(usable) < GROUP_FRAMES:
         raise AlignError(
-            f"{len(usable)} frames show three of the {len(names)} base points, {GROUP_FRAMES} are needed; name markers "
-            "that the cameras see"
+            f"{len(usable)} frames show three of the {len(names)} base points, {GROUP_FRAMES} are "
+            "needed; name markers that the cameras see"
         )
     parts = np.array_split(usable, _stretches(len(usable)))
     groups = group(run, points, shown, np.broadcast_to(target, points.shape), parts)
     form = np.full((len(names), 3), groups.noise)
 
     def motion(pose: RigidPose) -> Moved | None:
-        some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(-1, 3)
+        some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(
+            -1, 3
+        )
         far = some[np.isfinite(some).all(axis=1)]
-        return base_motion(run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
+        return base_motion(
+            run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose
+        )
 
     what = "the places of the base points"
     found = solve(groups, form, np.arange(len(names)), "base points", what, motion, measured=True)

@@ -1,12 +1,14 @@
-"""Where the base stands in the frame of clouds: a rigid pose that all frames share, from the body near the clamp.
+"""Where the base stands in the frame of clouds: a rigid pose that all frames share, from the body
+near the clamp.
 
-    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at u_k + Δu
+    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface
+                                                at u_k + Δu
 
-Near the clamp a finger hardly bends, whatever the model lacks; a displaced base moves all of that alike.
-A command that is off by a constant bends it there too, and is fitted with the pose. Roll and height stay as they
-are: a round body shows neither. Groups of frames give the uncertainty of the others.
-Units: mm, rad; degrees in reports.
-Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/alignment/test_align.py.
+Near the clamp a finger hardly bends, whatever the model lacks; a displaced base moves all of that
+alike. A command that is off by a constant bends it there too, and is fitted with the pose. Roll and
+height stay as they are: a round body shows neither. Groups of frames give the uncertainty of the
+others. Units: mm, rad; degrees in reports. Limit: what the model lacks within ZONE of the clamp is
+taken for the frame. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -40,21 +42,25 @@ GROUPS = 8
 ROUNDS, SETTLED = 30, 1e-5
 TUKEY, TO_SIGMA = 4.685, 1.4826
 IDENTIFIED = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
-CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base counts as displaced
+# standard deviations, and mm at the tip, from which a base counts as displaced
+CLEAR, LEAST_OFF = 4.0, 0.2
 
 
 def align_clouds(run: Run, model: Model) -> Alignment:
     """Find the pose of the base in a run of clouds.
 
     Args:
-        run: with `points`, commands (or ticks, where the model is calibrated), about in the base frame already.
+        run: with `points`, commands (or ticks, where the model is calibrated), about in the base
+            frame already.
         model: of this robot, with a surface.
 
     Raises:
         AlignError: no surface, or too few points near the base.
     """
     if not len(model.triangles):
-        raise AlignError(f"the model of '{model.robot}' has no surface; give the bundle of a finger with one")
+        raise AlignError(
+            f"the model of '{model.robot}' has no surface; give the bundle of a finger with one"
+        )
     some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
     few = run.at(some)
     shapes = np.asarray(model.with_residual(None).predict(few))
@@ -68,38 +74,58 @@ def align_clouds(run: Run, model: Model) -> Alignment:
     within = model.rest[(model.rest[:, 2] >= zone[0]) & (model.rest[:, 2] <= zone[1])]
     centre = within.mean(axis=0)
     reach = float(np.linalg.norm(within - centre, axis=1).max())
-    clouds = [_near(cloud, surface, centre, reach, zone) for cloud, surface in zip(clouds_of(few), surfaces)]
+    clouds = [
+        _near(cloud, surface, centre, reach, zone)
+        for cloud, surface in zip(clouds_of(few), surfaces)
+    ]
     count = sum(map(len, clouds))
     if count < LEAST:
         raise AlignError(
-            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more show "
-            "where the base stands; show the base to the cameras"
+            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, "
+            f"{LEAST} or more show where the base stands; show the base to the cameras"
         )
     pose, step = RigidPose(np.eye(3), np.zeros(3)), np.zeros(6)
     for _ in range(ROUNDS):
         each = zip(clouds, surfaces, shapes[:, near], slopes)
-        rows = [_row(pose(cloud), surface, shape, by, centre, reach) for cloud, surface, shape, by in each]
+        rows = [
+            _row(pose(cloud), surface, shape, by, centre, reach)
+            for cloud, surface, shape, by in each
+        ]
         found = _Normal.of(rows)
         step = found.step()
         more = rotation(step[:3] / reach)
         pose = RigidPose(more, centre - more @ centre + step[3:]).after(pose)
         if np.abs(step).max() < SETTLED:
             break
-    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to the report
+    # of (turn · reach, shift at the centre) to the report
+    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]
     lever[3:, :3] = jacobian(-centre[None])[0][:, :3] / reach
-    sigma = np.sqrt(np.diag(lever @ found.covariance() @ lever.T)) * np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
+    sigma = (
+        np.sqrt(np.diag(lever @ found.covariance() @ lever.T))
+        * np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
+    )
     notes = ["roll and height hardly show in clouds of a finger's lower part, and stay as they are"]
     return Alignment(
-        pose, sigma, "clouds near the base", len(found.pulls), len(some), count, [], found.left, found.scatter, 1.0,
-        None, notes,
-    )  # fmt: skip
+        pose,
+        sigma,
+        "clouds near the base",
+        len(found.pulls),
+        len(some),
+        count,
+        [],
+        found.left,
+        found.scatter,
+        1.0,
+        None,
+        notes,
+    )
 
 
 def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     """Return a run of clouds in the base frame, and the pose where its base was clearly displaced.
 
-    Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip. Other runs, and clouds
-    that show too little of the base, are returned as they are.
+    Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip.
+    Other runs, and clouds that show too little of the base, are returned as they are.
     """
     if run.points is None:
         return run, None
@@ -115,18 +141,23 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
 
 
 def base_stood_off(pose: RigidPose) -> str:
-    """Say that clouds were taken by a pose into the frame of their base, and what to do with others."""
+    """Say that clouds were taken by a pose into the frame of their base, and what to do with
+    others.
+    """
     turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
     return (
-        f"the base is not at the origin of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
-        "mm first; do so with every run: softmap run align RUN --base clamped --bundle CALIBRATED --out RUN2"
+        f"the base is not at the origin of the clouds: these were turned by ({turned}) deg and "
+        f"shifted by ({shifted}) mm first; do so with every run: softmap run align RUN --base "
+        "clamped --bundle CALIBRATED --out RUN2"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim, then commands."""
+    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim,
+    then commands.
+    """
 
     bends: Floats
     pulls: Floats
@@ -168,13 +199,18 @@ class _Normal:
         return np.asarray(covariance[:6, :6], np.float64)
 
 
-def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:
-    """Return the points (m, 3) of a cloud by the part of a surface between two heights, POINTS at most."""
+def _near(
+    cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]
+) -> Floats:
+    """Return the points (m, 3) of a cloud by the part of a surface between two heights, POINTS at
+    most.
+    """
     some = np.asarray(cloud[np.linalg.norm(cloud - centre, axis=1) < reach + GATE], np.float64)
     if not len(some):
         return some
     places, distance = surface.nearest(np.ascontiguousarray(some))
-    some = some[(distance < GATE) & (places[:, 2] > zone[0]) & (places[:, 2] < zone[1])]  # beyond, the surface is cut
+    # beyond, the surface is cut
+    some = some[(distance < GATE) & (places[:, 2] > zone[0]) & (places[:, 2] < zone[1])]
     return np.ascontiguousarray(some[:: max(1, len(some) // POINTS)])
 
 
@@ -183,14 +219,22 @@ def _slopes(model: Model, run: Run) -> Floats:
     u = model.effective_commands(run)
     slopes = np.empty((len(u), *model.rest.shape, model.channels))
     for rows, family in priors_by_orientation(model, run):
-        slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])
+        slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(
+            -1, *slopes.shape[1:]
+        )
     return slopes
 
 
 def _row(
-    points: Floats, surface: _core.Surface, vertices: Floats, slopes: Floats, centre: Floats, reach: float
+    points: Floats,
+    surface: _core.Surface,
+    vertices: Floats,
+    slopes: Floats,
+    centre: Floats,
+    reach: float,
 ) -> tuple[Floats, Floats]:
-    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn, shift and commands.
+    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn,
+    shift and commands.
 
     vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
     """

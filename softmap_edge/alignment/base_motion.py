@@ -1,13 +1,16 @@
-"""Motion of the base of a robot, from markers that are fixed to it; it bounds `mount` and `camera_drift`.
+"""Motion of the base of a robot, from markers that are fixed to it; it bounds `mount` and
+`camera_drift`.
 
     pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
-    moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference is another run
+    moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference
+           is another run
 
-If the run was aligned by these markers (`softmap run align`), `placed` is the remaining error of that alignment. In a
-diagnosis the reference is the run of before (`--reference`), or the place that `softmap learn` kept in `made_from`.
-There the parameters of `mount` are fitted within SIGMAS of what the markers show. `mount` and `camera_drift` are no
-candidates where a base that the markers show at rest could not move the body visibly.
-Units: mm, deg. Limit: a turn needs three markers that are not on a line. Pinned by tests/alignment/test_base_motion.py.
+If the run was aligned by these markers (`softmap run align`), `placed` is the remaining error of
+that alignment. In a diagnosis the reference is the run of before (`--reference`), or the place that
+`softmap learn` kept in `made_from`. There the parameters of `mount` are fitted within SIGMAS of
+what the markers show. `mount` and `camera_drift` are no candidates where a base that the markers
+show at rest could not move the body visibly. Units: mm, deg. Limit: a turn needs three markers that
+are not on a line. Pinned by tests/alignment/test_base_motion.py.
 """
 
 from __future__ import annotations
@@ -30,26 +33,32 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-PLACES = "base_markers_mm"  # the entry of `made_from` that keeps where a learned model's base markers were
+# the entry of `made_from` that keeps where a learned model's base markers were
+PLACES = "base_markers_mm"
 FRAME = tuple(f"mount.{kind}_{axis}" for kind in ("turn", "shift") for axis in "xyz")
 SIGMAS = 3.0  # standard deviations within which the markers allow a pose of the base
 MOST_MARKERS = 64
 LEAST_MARKERS, LEAST_FRAMES = 3, 8
 WIDE = 0.05  # of their extent: base markers nearer to one line than this show no turn
-SLOW_FRAMES = 20.0  # frames of one mean that count as independent: errors of neighbouring frames are correlated
+# frames of one mean that count as independent: errors of neighbouring frames are correlated
+SLOW_FRAMES = 20.0
 
 
 def moved_at(shift_mm: float, turn_deg: float, reach_mm: float) -> float:
-    """Return by how much a shift and a turn of the base move a point at most, `reach_mm` from the origin, mm."""
+    """Return by how much a shift and a turn of the base move a point at most, `reach_mm` from the
+    origin, mm.
+    """
     return float(shift_mm + np.radians(turn_deg) * reach_mm)
 
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """Motion of the base against a reference, about the origin of the base frame, with one standard deviation.
+    """Motion of the base against a reference, about the origin of the base frame, with one standard
+    deviation.
 
-    `shift_mm`, `turn_deg` (3,) are the mean pose against the reference (another run, or the run's first frames).
-    `moved_mm`, `turned_deg` are RMS over the frames about that mean, with the noise subtracted.
+    `shift_mm`, `turn_deg` (3,) are the mean pose against the reference (another run, or the run's
+    first frames). `moved_mm`, `turned_deg` are RMS over the frames about that mean, with the noise
+    subtracted.
     """
 
     shift_mm: tuple[float, float, float]
@@ -63,26 +72,37 @@ class BaseMotion:
     def __str__(self) -> str:
         shift, turn = np.linalg.norm(self.shift_mm), np.linalg.norm(self.turn_deg)
         return (
-            f"base markers: the base is {shift:.2g} ± {np.linalg.norm(self.shift_sigma_mm):.1g} mm and {turn:.2g} ± "
-            f"{np.linalg.norm(self.turn_sigma_deg):.1g}° from its reference, and moves by {self.moved_mm:.2g} mm and "
-            f"{self.turned_deg:.2g}° RMS"
+            f"base markers: the base is {shift:.2g} ± {np.linalg.norm(self.shift_sigma_mm):.1g} "
+            f"mm and {turn:.2g} ± {np.linalg.norm(self.turn_sigma_deg):.1g}° from its reference, "
+            f"and moves by {self.moved_mm:.2g} mm and {self.turned_deg:.2g}° RMS"
         )
 
     def at_rest(self, reach_mm: float) -> float:
-        """Return how far a base at its place may still move the body, mm; infinite where the markers show it moved."""
+        """Return how far a base at its place may still move the body, mm; infinite where the
+        markers show it moved.
+        """
         if not self.allows(np.zeros(3), np.zeros(3)):
             return float(np.inf)
         shift, turn = np.linalg.norm(self.shift_sigma_mm), np.linalg.norm(self.turn_sigma_deg)
         return SIGMAS * moved_at(float(shift), float(turn), reach_mm)
 
     def interval(self) -> tuple[Floats, Floats]:
-        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow, (6,) each, as in FRAME."""
-        pose, sigma = np.r_[self.turn_deg, self.shift_mm], np.r_[self.turn_sigma_deg, self.shift_sigma_mm]
+        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow, (6,)
+        each, as in FRAME.
+        """
+        pose, sigma = (
+            np.r_[self.turn_deg, self.shift_mm],
+            np.r_[self.turn_sigma_deg, self.shift_sigma_mm],
+        )
         return pose - SIGMAS * sigma, pose + SIGMAS * sigma
 
     def allows(self, shift_mm: Floats, turn_deg: Floats, sigmas: float = SIGMAS) -> bool:
-        """Return whether a misalignment (3,) mm and (3,) deg lies within so many standard deviations of the markers."""
-        off = np.abs(np.r_[np.asarray(shift_mm) - self.shift_mm, np.asarray(turn_deg) - self.turn_deg])
+        """Return whether a misalignment (3,) mm and (3,) deg lies within so many standard
+        deviations of the markers.
+        """
+        off = np.abs(
+            np.r_[np.asarray(shift_mm) - self.shift_mm, np.asarray(turn_deg) - self.turn_deg]
+        )
         return bool(np.all(off <= sigmas * np.r_[self.shift_sigma_mm, self.turn_sigma_deg]))
 
 
@@ -91,11 +111,12 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
 
     Args:
         run: a run with `base_markers` (K, B, 3) mm.
-        reference: a run with the same markers, for example the one that the model was learned from. None compares with
-            the first frames of the run itself.
+        reference: a run with the same markers, for example the one that the model was learned from.
+            None compares with the first frames of the run itself.
 
     Returns:
-        BaseMotion: None with fewer than three markers off one line, or fewer than eight frames that show them.
+        BaseMotion: None with fewer than three markers off one line, or fewer than eight frames that
+        show them.
 
     Raises:
         AlignError: the field has another shape.
@@ -103,14 +124,24 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
     points = _complete(base_markers(run))
     if reference is None:
         begin = points[: max(LEAST_FRAMES, len(points) // 10)]
-        return _measured(points, begin.mean(axis=0), len(points)) if len(points) >= LEAST_FRAMES else None
+        return (
+            _measured(points, begin.mean(axis=0), len(points))
+            if len(points) >= LEAST_FRAMES
+            else None
+        )
     other = _complete(base_markers(reference))
     return _measured(points, other.mean(axis=0), len(other)) if len(other) >= LEAST_FRAMES else None
 
 
 def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
-    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm in so many other frames."""
-    if points.shape[1:] != place.shape or points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
+    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm in so many other
+    frames.
+    """
+    if (
+        points.shape[1:] != place.shape
+        or points.shape[1] < LEAST_MARKERS
+        or len(points) < LEAST_FRAMES
+    ):
         return None
     size = np.linalg.svd(place - place.mean(axis=0), compute_uv=False)
     if size[1] < WIDE * size[0]:
@@ -126,33 +157,48 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
     degrees = np.r_[np.full(3, 180.0 / np.pi), np.ones(3)]
     mean, own, error = mean * degrees, own * degrees**2, error * degrees
     return BaseMotion(
-        _three(mean[3:]), _three(mean[:3]), _three(error[3:]), _three(error[:3]),
-        float(np.sqrt(own[3:].sum())), float(np.sqrt(own[:3].sum())), len(points),
-    )  # fmt: skip
+        _three(mean[3:]),
+        _three(mean[:3]),
+        _three(error[3:]),
+        _three(error[:3]),
+        float(np.sqrt(own[3:].sum())),
+        float(np.sqrt(own[:3].sum())),
+        len(points),
+    )
 
 
 # --- what they allow in a diagnosis ---------------------------------------------------------------
 
 
 def kept_places(runs: Sequence[Run]) -> Document:
-    """Return where the base markers of the first run were, for the `made_from` of a model; {} without any."""
+    """Return where the base markers of the first run were, for the `made_from` of a model; {}
+    without any.
+    """
     points = _complete(base_markers(runs[0]))
     if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
         return {}
     return {PLACES: np.round(points.mean(axis=0), 4).tolist()}
 
 
-def base_of(model: Model, run: Run, reference: Run | Sequence[Run] | None = None) -> BaseMotion | None:
-    """Return the pose of a run's base against the reference run, or else against the runs that taught the model."""
+def base_of(
+    model: Model, run: Run, reference: Run | Sequence[Run] | None = None
+) -> BaseMotion | None:
+    """Return the pose of a run's base against the reference run, or else against the runs that
+    taught the model.
+    """
     if reference is not None:
         several = reference if isinstance(reference, Sequence) else [reference]
         return base_motion(run, several[0]) if len(several) == 1 else None
     place = _place(model.made_from)
-    return None if place is None else _measured(_complete(base_markers(run)), place, int(SLOW_FRAMES))
+    return (
+        None if place is None else _measured(_complete(base_markers(run)), place, int(SLOW_FRAMES))
+    )
 
 
 def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
-    """Return a layout in which `mount` of each run is searched only where the base markers allow it, or is absent."""
+    """Return a layout in which `mount` of each run is searched only where the base markers allow
+    it, or is absent.
+    """
     low, high, limit = layout.low.copy(), layout.high.copy(), layout.limit.copy()
     start = layout.start.copy()
     for number, base in enumerate(bases, 1):
@@ -170,7 +216,8 @@ def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
 def excluded(
     runs: Sequence[Run], bases: Sequence[BaseMotion | None], reach_mm: float, least_mm: float
 ) -> dict[str, str]:
-    """Return the effects of the frame that base markers exclude, and why: the base rests, to within what counts.
+    """Return the effects of the frame that base markers exclude, and why: the base rests, to within
+    what counts.
 
     Args:
         runs: the runs.
@@ -183,20 +230,28 @@ def excluded(
     if len(at_rest) == len(runs):
         found["mount"] = f"a mount of {least_mm:.2g} mm at the body is excluded; {at_rest[0]}"
     own = [base_motion(run) for run in runs]
-    still = [b for b in own if b is not None and moved_at(b.moved_mm, b.turned_deg, reach_mm) < least_mm]
+    still = [
+        b for b in own if b is not None and moved_at(b.moved_mm, b.turned_deg, reach_mm) < least_mm
+    ]
     if len(still) == len(runs):
         moved = f"{still[0].moved_mm:.2g} mm and {still[0].turned_deg:.2g}° RMS"
-        found["camera_drift"] = f"camera_drift is excluded; base markers: the base moves by {moved} during the run"
+        found["camera_drift"] = (
+            f"camera_drift is excluded; base markers: the base moves by {moved} during the run"
+        )
     return found
 
 
 def _place(made_from: Mapping[str, object]) -> Floats | None:
-    """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such table."""
+    """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such
+    table.
+    """
     kept = made_from.get(PLACES)
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:
         return None
     rows = [row for row in kept if isinstance(row, list) and len(row) == 3]
-    if len(rows) < len(kept) or not all(isinstance(x, int | float) and abs(x) < 1e6 for row in rows for x in row):
+    if len(rows) < len(kept) or not all(
+        isinstance(x, int | float) and abs(x) < 1e6 for row in rows for x in row
+    ):
         return None
     return np.array(rows, float)
 
@@ -207,7 +262,9 @@ def _complete(points: Floats) -> Floats:
 
 
 def _sigma(place: Floats, noise: float) -> Floats:
-    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm), from the markers' white noise."""
+    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm), from the
+    markers' white noise.
+    """
     x, y, z = place.T
     zero, one = np.zeros(len(place)), np.ones(len(place))
     rows = [

@@ -1,4 +1,5 @@
-"""What an alignment refuses: other units, mirrors, lines, other robots. Every refusal has its number and its remedy.
+"""What an alignment refuses: other units, mirrors, lines, other robots. Every refusal has its
+number and its remedy.
 
 Units: mm, rad. Pinned by tests/alignment/test_align_refuses.py.
 """
@@ -22,15 +23,16 @@ REFUSED = 0.1  # deviation of the distances between points that is too much
 MIRRORED = 0.5  # of what is left: a mirrored frame that leaves less is the truth
 SOUND = 0.9  # of the points, those that are nearest: the measure of a fit
 SHAPE = 0.12  # of the extent: what may be left between the points and the model of the same robot
-STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)  # 97.5 %, 1 to 10 degrees of freedom
+# 97.5 %, 1 to 10 degrees of freedom
+STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
 
 
 def check_points_match(predicted: Floats, shape: tuple[int, ...]) -> None:
     """Raise AlignError when a model predicts other points than the run shows, or none."""
     if predicted.shape[1:] != shape[1:] or not np.isfinite(predicted).all():
         raise AlignError(
-            f"the model predicts {predicted.shape[1]} points at home, the run shows {shape[1]}; give the bundle of "
-            "this robot"
+            f"the model predicts {predicted.shape[1]} points at home, the run shows {shape[1]}; "
+            "give the bundle of this robot"
         )
 
 
@@ -39,7 +41,9 @@ def check_places(places: Floats) -> None:
     if len(places) < 3:
         raise AlignError(f"{len(places)} base points; a frame needs three that are not on one line")
     if not np.isfinite(places).all():
-        raise AlignError("a place of a base point is not a finite number; give three numbers in mm for each")
+        raise AlignError(
+            "a place of a base point is not a finite number; give three numbers in mm for each"
+        )
     _check_line(places, "the base points", "name one more next to that line")
 
 
@@ -52,28 +56,35 @@ def _check_line(points: Floats, what: str, remedy: str) -> None:
         axis = axes[0] * np.sign(axes[0][int(np.argmax(np.abs(axes[0])))])
         name = "xyz"[int(np.argmax(np.abs(axis)))]
         raise AlignError(
-            f"{what} lie on one line along ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}), so the rotation about it "
-            f"(about {name}) is unknown; {remedy}"
+            f"{what} lie on one line along ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}), so the "
+            f"rotation about it (about {name}) is unknown; {remedy}"
         )
 
 
 def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
-    """Raise AlignError when the points (N, 3) mm, or the sigma (3,) rad of the turns, leave one turn unknown."""
-    remedy = "name three base markers that are not on one line (--base), or see more points away from the axis"
+    """Raise AlignError when the points (N, 3) mm, or the sigma (3,) rad of the turns, leave one
+    turn unknown.
+    """
+    remedy = (
+        "name three base markers that are not on one line (--base), or see more points away from "
+        "the axis"
+    )
     _check_line(points, "the points", remedy)
     if not np.isfinite(answer).all() or sigma.max() > WORST_TURN:
         worst = int(np.argmax(sigma))
         raise AlignError(
-            f"the rotation about {'xyz'[worst]} is known to ± {np.degrees(sigma[worst]):.2g} deg only, "
-            f"{np.degrees(WORST_TURN):.0f} is the most that is of use; {remedy}"
+            f"the rotation about {'xyz'[worst]} is known to ± {np.degrees(sigma[worst]):.2g} deg "
+            f"only, {np.degrees(WORST_TURN):.0f} is the most that is of use; {remedy}"
         )
 
 
 def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: float = 0.0) -> float:
-    """Return how many times too long the distances between the points are, by the median over pairs.
+    """Return how many times too long the distances between the points are, by the median over
+    pairs.
 
     Args:
-        source, target: (G, N, 3) mm. seen: (G, N). what: what has the right distances. left: mm RMS after the pose.
+        source, target: (G, N, 3) mm. seen: (G, N). what: what has the right distances. left: mm RMS
+            after the pose.
 
     Raises:
         AlignError: they are of other units, or of another robot.
@@ -90,30 +101,38 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
             a, b = a[pick], b[pick]
         distance = np.linalg.norm(q[index[a]] - q[index[b]], axis=1)
         far = distance > 0.3 * distance.max(initial=0.0)
-        ratios.append(np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(distance[far], 1e-9))
+        ratios.append(
+            np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(distance[far], 1e-9)
+        )
     ratio = float(np.median(np.concatenate(ratios))) if ratios else 1.0
-    unit = next((name for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < REFUSED), None)
+    unit = next(
+        (name for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < REFUSED), None
+    )
     if unit is not None:
         raise AlignError(
-            f"wrong units: distances between the points are {ratio:.3g} times those of {what}, which looks like "
-            f"{unit}; convert the points to mm"
+            f"wrong units: distances between the points are {ratio:.3g} times those of {what}, "
+            f"which looks like {unit}; convert the points to mm"
         )
     if abs(ratio - 1.0) > REFUSED:
         raise AlignError(
-            f"distances between the points are {ratio:.3g} times those of {what}, 0.9 to 1.1 is possible; another "
-            "robot, other units, or markers in another order"
+            f"distances between the points are {ratio:.3g} times those of {what}, 0.9 to 1.1 is "
+            "possible; another robot, other units, or markers in another order"
         )
     extent = float(np.ptp(target.reshape(-1, 3), axis=0).max())
     if left > SHAPE * extent:
         raise AlignError(
-            f"after the best rigid transform the points are still {left:.3g} mm RMS off {what} ({extent:.0f} mm long); "
-            "another robot, or markers in another order"
+            f"after the best rigid transform the points are still {left:.3g} mm RMS off {what} "
+            f"({extent:.0f} mm long); another robot, or markers in another order"
         )
     return ratio
 
 
-def check_mirror(source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: RigidPose, what: str) -> None:
-    """Raise AlignError when a mirrored frame fits the points (N, 3) mm much better than any rotation."""
+def check_mirror(
+    source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: RigidPose, what: str
+) -> None:
+    """Raise AlignError when a mirrored frame fits the points (N, 3) mm much better than any
+    rotation.
+    """
     flipped = source * [1.0, 1.0, -1.0]
     mirror, _ = robust(flipped, target, sigma, seen)
     count = max(3, int(SOUND * seen.sum()))
@@ -124,13 +143,16 @@ def check_mirror(source: Floats, target: Floats, sigma: Floats, seen: Mask, pose
     extent = float(np.ptp(target[seen], axis=0).max())
     if mirrored < MIRRORED * as_is and as_is > 0.01 * extent:
         raise AlignError(
-            f"the frame is mirrored: the points are {as_is:.3g} mm off {what}, but {mirrored:.3g} mm if one axis is "
-            "turned round; correct the sign of one axis, or swap two, where the log is imported (`axes` of the mapping)"
+            f"the frame is mirrored: the points are {as_is:.3g} mm off {what}, but {mirrored:.3g} "
+            "mm if one axis is turned round; correct the sign of one axis, or swap two, where "
+            "the log is imported (`axes` of the mapping)"
         )
 
 
 def student(freedom: int) -> float:
-    """Return by how much a standard deviation from few groups is widened, so that ± 2 of it hold 95 %."""
+    """Return by how much a standard deviation from few groups is widened, so that ± 2 of it hold 95
+    %.
+    """
     if freedom < 1:
         return STUDENT[0] / 1.96
     return (STUDENT[freedom - 1] if freedom <= len(STUDENT) else 1.96 + 2.4 / (freedom - 1)) / 1.96

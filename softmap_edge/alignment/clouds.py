@@ -1,10 +1,10 @@
 """Point clouds from files, as a run: one frame a file, or a run that holds them. mm.
 
-PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content, not by their name.
-No code in a file is ever run, and sizes in a file are checked before memory is allocated. A file without times is one
-frame; frames are then one second apart. Pixels without depth are left out and counted (unseen.py), columns
-are found by their names, else by their values (columns.py). Pinned by tests/alignment/test_clouds.py and
-tests/alignment/test_clouds_of_others.py.
+PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content,
+not by their name. No code in a file is ever run, and sizes in a file are checked before memory is
+allocated. A file without times is one frame; frames are then one second apart. Pixels without depth
+are left out and counted (unseen.py), columns are found by their names, else by their values
+(columns.py). Pinned by tests/alignment/test_clouds.py and tests/alignment/test_clouds_of_others.py.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
         Run: with `points` and `start`; without commands where the files hold none.
 
     Raises:
-        RegistrationError: a file is no cloud, or a run among other files; the message names it and its contents.
+        RegistrationError: a file is no cloud, or a run among other files; the message names it and
+            its contents.
         RunError: it is a run, and one of its fields is wrong.
     """
     files = [Path(path) for path in paths]
@@ -70,32 +71,46 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
     if len(files) == 1 and "t_seen.npy" in archive_names(files[0]):
         run = Run.load(files[0])
         if run.points is None:
-            raise RegistrationError(f"{files[0]}: a run without clouds (`points`, `start`); nothing to register")
+            raise RegistrationError(
+                f"{files[0]}: a run without clouds (`points`, `start`); nothing to register"
+            )
         run, text = with_depth(run)
         found += [f"{files[0].name}: {text}"] if text else []
         return run
     frames = [_cloud(path, found) for path in files]
     start = np.cumsum([0, *map(len, frames)])
     return Run(
-        t=np.arange(float(len(frames))), t_seen=np.arange(float(len(frames))), points=np.vstack(frames), start=start
+        t=np.arange(float(len(frames))),
+        t_seen=np.arange(float(len(frames))),
+        points=np.vstack(frames),
+        start=start,
     )
 
 
 def clouds_of(run: Run) -> list[Floats]:
-    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame; pixels without depth are not."""
+    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame; pixels
+    without depth are not.
+    """
     return [cloud[left_out(cloud)[0]] for cloud in _clouds(run)]
 
 
 def with_depth(run: Run) -> tuple[Run, str]:
-    """Return a run of clouds without the pixels that have no depth, and a sentence about these ("" if none)."""
+    """Return a run of clouds without the pixels that have no depth, and a sentence about these (""
+    if none).
+    """
     clouds = _clouds(run)
     found = [left_out(cloud) for cloud in clouds]
     lost = [(k, text) for k, (_, text) in enumerate(found) if text]
     if not lost:
         return run, ""
     start = np.cumsum([0, *(int(good.sum()) for good, _ in found)])
-    kept = replace(run, points=np.vstack([cloud[good] for cloud, (good, _) in zip(clouds, found)]), start=start)
-    return kept, f"{len(lost)} of {len(found)} clouds, the first is cloud {lost[0][0]}: {lost[0][1]}"
+    kept = replace(
+        run, points=np.vstack([cloud[good] for cloud, (good, _) in zip(clouds, found)]), start=start
+    )
+    return (
+        kept,
+        f"{len(lost)} of {len(found)} clouds, the first is cloud {lost[0][0]}: {lost[0][1]}",
+    )
 
 
 def _clouds(run: Run) -> list[Floats]:
@@ -108,10 +123,13 @@ def _clouds(run: Run) -> list[Floats]:
 def _cloud(path: Path, notes: list[str]) -> Floats:
     """Return the measured points (M, 3) of one file."""
     if not path.is_file():
-        raise RegistrationError(f"{path}: {'not a file' if path.exists() else 'there is no such file'}; give a cloud")
+        raise RegistrationError(
+            f"{path}: {'not a file' if path.exists() else 'there is no such file'}; give a cloud"
+        )
     if path.stat().st_size > MOST_BYTES:
         raise RegistrationError(
-            f"{path}: {path.stat().st_size >> 20} MB, at most {MOST_BYTES >> 20} are read; thin it out"
+            f"{path}: {path.stat().st_size >> 20} MB, at most {MOST_BYTES >> 20} are read; thin "
+            "it out"
         )
     own: list[str] = []
     try:
@@ -120,7 +138,8 @@ def _cloud(path: Path, notes: list[str]) -> Floats:
         good, text = left_out(points)
         if not good.any():
             raise RegistrationError(
-                f"{path}: no point in it was seen{f' ({text})' if text else ''}; nothing to register"
+                f"{path}: no point in it was seen{f' ({text})' if text else ''}; nothing to "
+                "register"
             )
     except RegistrationError as fault:
         raise RegistrationError("; ".join([str(fault), *own])) from None
@@ -147,5 +166,7 @@ def _reader(path: Path) -> Reader:
         raise RegistrationError(f"{path}: an empty file; save the cloud again as {READ}")
     for mark, what in _OTHERS:
         if text.startswith(mark):
-            raise RegistrationError(f"{path}: {what}; clouds are read as {READ}: save it as one of them")
+            raise RegistrationError(
+                f"{path}: {what}; clouds are read as {READ}: save it as one of them"
+            )
     return read_text

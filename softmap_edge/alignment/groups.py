@@ -1,8 +1,9 @@
-"""Points averaged over groups of frames, a pose for each group, and what moves between them: a base within a run.
+"""Points averaged over groups of frames, a pose for each group, and what moves between them: a base
+within a run.
 
-Motion: the two groups between which the farthest point of the robot is displaced most; it counts where it is far above
-the noise of the groups (sensor noise, and what neighbouring groups differ by) and large enough to matter.
-Units: mm, rad, s. Pinned by tests/alignment/test_align.py.
+Motion: the two groups between which the farthest point of the robot is displaced most; it counts
+where it is far above the noise of the groups (sensor noise, and what neighbouring groups differ by)
+and large enough to matter. Units: mm, rad, s. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ Mask = NDArray[np.bool_]
 
 GROUP_FRAMES = 3  # least frames of a group
 INSTANTS = 120  # groups of time at most in which a motion of the base is looked for
-WINDOWS = (1, 2, 4, 8, 16, 32, 64)  # frames to each side over which poses of the base may be averaged
+# frames to each side over which poses of the base may be averaged
+WINDOWS = (1, 2, 4, 8, 16, 32, 64)
 LEVER = 100.0  # mm from the base at which a turn of it is weighed against a shift
 MOVED_TURN, MOVED_MM = np.radians(0.25), 0.25  # what a base may do unsaid
 MOVED_CHI2 = 50.0  # of six numbers: by chance in one of 10⁸
@@ -30,7 +32,8 @@ MOVED_CHI2 = 50.0  # of six numbers: by chance in one of 10⁸
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Points averaged over groups of frames: `source` and `target` (G, N, 3) mm, `count` (G, N) frames, `t` (G, 2) s.
+    """Points averaged over groups of frames: `source` and `target` (G, N, 3) mm, `count` (G, N)
+    frames, `t` (G, 2) s.
 
     `noise` mm, one coordinate of one frame.
     """
@@ -44,7 +47,8 @@ class Groups:
 
 @dataclass(frozen=True)
 class Moved:
-    """A motion within a run: of what, by how much (deg, mm at the origin, mm at the robot's farthest point), and when.
+    """A motion within a run: of what, by how much (deg, mm at the origin, mm at the robot's
+    farthest point), and when.
 
     `gradual` is False where more than 60 % of it happens between two neighbouring groups of frames.
     """
@@ -64,19 +68,27 @@ class Moved:
     def __str__(self) -> str:
         how = "gradually between" if self.gradual else "between"
         text = (
-            f"{self.what} MOVED within the run, {how} {self.from_s:.2f} s and {self.to_s:.2f} s: by "
-            f"{self.turn_deg:.2f} deg and {self.shift_mm:.2f} mm, {self.farthest_mm:.2f} mm at the far end"
+            f"{self.what} MOVED within the run, {how} {self.from_s:.2f} s and {self.to_s:.2f} s: "
+            f"by {self.turn_deg:.2f} deg and {self.shift_mm:.2f} mm, {self.farthest_mm:.2f} mm at "
+            "the far end"
         )
         if self.what == "home":
             return (
-                text
-                + ". The base moved, or the robot did not come home (creep, play); base markers would distinguish them"
+                text + ". The base moved, or the robot did not come home (creep, play); "
+                "base markers would distinguish them"
             )
-        return text + ". Base markers take it out frame by frame (--follow-base); or fix the base and record again"
+        return (
+            text + ". Base markers take it out frame by frame (--follow-base); "
+            "or fix the base and record again"
+        )
 
 
-def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]) -> Groups:
-    """Average each point over each group: the median of what is visible, which a frame gone wrong does not move."""
+def group(
+    run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]
+) -> Groups:
+    """Average each point over each group: the median of what is visible, which a frame gone wrong
+    does not move.
+    """
     shape = (len(parts), seen.shape[1], 3)
     source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
     count = np.array([visible[frames].sum(axis=0) for frames in parts])
@@ -84,7 +96,9 @@ def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence
         look = np.where(visible[frames][..., None], seen[frames], np.nan)
         known = count[g] > 0
         source[g, known] = np.nanmedian(look[:, known], axis=0)
-        targets[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
+        targets[g, known] = np.nanmean(
+            np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0
+        )
         step = np.diff(look, axis=0)
         step = np.abs(step[np.isfinite(step)])
         if len(step):
@@ -98,15 +112,21 @@ def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence
 
 
 def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:
-    """Return the small turn (rad) and shift (mm) (6,) of one group against the pose of all; NaN where it has none."""
+    """Return the small turn (rad) and shift (mm) (6,) of one group against the pose of all; NaN
+    where it has none.
+    """
     if (weight > 0).sum() < 3:
         return np.full(6, np.nan)
     own = kabsch(groups.source[g], groups.target[g], weight)
     return own.after(pose.inverse()).vector()
 
 
-def base_motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: RigidPose) -> Moved | None:
-    """Return how base points (K, B, 3) at `target` (B, 3) move within a run; `far` (N, 3) are the robot's points."""
+def base_motion(
+    run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: RigidPose
+) -> Moved | None:
+    """Return how base points (K, B, 3) at `target` (B, 3) move within a run; `far` (N, 3) are the
+    robot's points.
+    """
     usable = np.flatnonzero(known.sum(axis=1) >= 3)
     if len(target) < 3 or len(usable) < 2 * GROUP_FRAMES:
         return None
@@ -130,19 +150,23 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
     """Report whether groups of frames are displaced against each other.
 
     Args:
-        poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2) s, first and last
-            frame of each. points: (N, 3) mm, whose farthest displacement is reported. what: "the base" or "home".
+        poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2)
+            s, first and last frame of each. points: (N, 3) mm, whose farthest displacement is
+            reported. what: "the base" or "home".
     """
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     if len(known) < 2:
         return None
     poses, t = poses[known], t[known]
-    if len(poses) > 4:  # cameras tremble more slowly than a frame: what neighbours differ by, but for a steady drift
+    # cameras tremble more slowly than a frame: what neighbours differ by, but for a steady drift
+    if len(poses) > 4:
         step = np.diff(poses, axis=0)
         tremble = 1.4826 * np.median(np.abs(step - np.median(step, axis=0)), axis=0) / np.sqrt(2.0)
         noise = noise + np.diag(np.maximum(tremble**2 - np.diag(noise), 0.0))
     delta = poses[None] - poses[:, None]  # (G, G, 6) from a to b
-    travel = np.linalg.norm(np.einsum("nci,abi->abnc", jacobian(points), delta), axis=-1).max(axis=-1)
+    travel = np.linalg.norm(np.einsum("nci,abi->abnc", jacobian(points), delta), axis=-1).max(
+        axis=-1
+    )
     scaled = np.linalg.pinv(2.0 * noise + np.diag([1e-12] * 3 + [1e-9] * 3), hermitian=True)
     chi2 = np.einsum("abi,ij,abj->ab", delta, scaled, delta)
     turn, shift = np.linalg.norm(delta[..., :3], axis=-1), np.linalg.norm(delta[..., 3:], axis=-1)
@@ -156,18 +180,27 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
     gradual = bool(steps[jump] < 0.6 * travel[a, b])
     first, last = (a, b) if gradual else (a + jump, a + jump + 1)
     return Moved(
-        what, float(np.degrees(turn[a, b])), float(shift[a, b]), float(travel[a, b]), float(t[first].mean()),
-        float(t[last].mean()), gradual,
-    )  # fmt: skip
+        what,
+        float(np.degrees(turn[a, b])),
+        float(shift[a, b]),
+        float(travel[a, b]),
+        float(t[first].mean()),
+        float(t[last].mean()),
+        gradual,
+    )
 
 
-def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose) -> tuple[RigidPose, str]:
+def follow(
+    points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose
+) -> tuple[RigidPose, str]:
     """Return a pose for each frame, and a sentence on the noise that they add.
 
-    They are smoothed as far as the base's motion allows; frames that show too little take those of their neighbours.
+    They are smoothed as far as the base's motion allows; frames that show too little take those of
+    their neighbours.
 
     Args:
-        points: (K, B, 3) mm, of the base. known: (K, B). target: (B, 3) mm, their places. noise_mm: of one frame.
+        points: (K, B, 3) mm, of the base. known: (K, B). target: (B, 3) mm, their places. noise_mm:
+            of one frame.
         pose: near all of them.
     """
     noise = max(noise_mm / np.sqrt(3.0), 1e-6)
@@ -182,10 +215,17 @@ def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: R
     smooth = _smoothed(small, half)
     every = RigidPose(rotation(smooth[:, :3]), smooth[:, 3:]).after(pose)
     turn = float(np.sqrt(one[:3].sum() / (2 * half + 1)))
-    note = f"the base is held still frame by frame, smoothed over {2 * half + 1} frames; that adds noise of "
+    note = (
+        f"the base is held still frame by frame, smoothed over {2 * half + 1} frames; that adds "
+        "noise of "
+    )
     note += f"{np.degrees(turn):.2g} deg, {100 * turn:.2g} mm for each 100 mm from the base"
     gaps = len(points) - len(index)
-    note += f"; {gaps} frames showed too few base points and took their neighbours' pose" if gaps else ""
+    note += (
+        f"; {gaps} frames showed too few base points and took their neighbours' pose"
+        if gaps
+        else ""
+    )
     return every, note
 
 
@@ -198,9 +238,11 @@ def _smoothed(small: Floats, half: int) -> Floats:
 
 
 def _window(small: Floats, one: Floats) -> int:
-    """Return over how many frames to each side poses (K, 6) may be averaged: what foretells a frame best.
+    """Return over how many frames to each side poses (K, 6) may be averaged: what foretells a frame
+    best.
 
-    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours foretell no better is left raw.
+    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours foretell no
+    better is left raw.
     """
     unit = np.array([LEVER] * 3 + [1.0] * 3)
     best, least = 0, 2.0 * float(np.sum(one * unit**2))

@@ -1,11 +1,12 @@
-"""Registration of a finger's template to point clouds, one frame or a run: where its vertices are, and how sure.
+"""Registration of a finger's template to point clouds, one frame or a run: where its vertices are,
+and how sure.
 
-`robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible about that shape,
-data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
-published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
-(`rust/geometry/paper.rs`). Base frame, mm. Clouds do not show the roll of a round finger: the
-roll of the vertices is that of the start. Pinned by tests/alignment/test_registration.py,
-tests/geometry/test_handles.py.
+`robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible
+about that shape, data from the cloud to the surface with weights that let outliers go
+(`rust/geometry/register.rs`). `paper`: the published objective, each vertex (of a model with
+handles, each of these) to its nearest point, from the shape at rest (`rust/geometry/paper.rs`).
+Base frame, mm. Clouds do not show the roll of a round finger: the roll of the vertices is that of
+the start. Pinned by tests/alignment/test_registration.py, tests/geometry/test_handles.py.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ Mode = Literal["robust", "paper"]
 
 SCHEMA = "softmap.registration/1"
 LEAST_POINTS = 60  # of a cloud; fewer do not show where a finger is
-GRID, CANDIDATES = 9, 800  # commands a channel among which the start is looked for; fewer where channels make too many
+# commands a channel among which the start is looked for; fewer where channels make too many
+GRID, CANDIDATES = 9, 800
 CLAMPED_MM = 1e-6  # vertices that no command moves by more are held by the clamp
 PAPER_STRENGTH, PAPER_ROUNDS = 1.0, 100  # λ and rounds of `paper`: not in the paper
 SEEN = 0.5  # points that must speak for a vertex to be seen
@@ -40,18 +42,22 @@ SCALE = 0.02  # by which a cloud may be larger or smaller than the template with
 UNITS = {"metres": 1e-3, "centimetres": 0.1, "inches": 1 / 25.4, "tenths of a mm": 10.0}
 NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template in another unit
 POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
-AMID = 0.85  # of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
-NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
+# of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
+AMID = 0.85
+# of the robust cost between two starts of different shape: closer, the wrong one may have won
+NEAR_COST = 0.1
 PRINTED = 5  # frames with warnings that are printed
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of `frames` for each cloud.
+    """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of
+    `frames` for each cloud.
 
-    `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode uses 2000 at most);
-    what has none was not seen and is placed by its neighbours. `mode` names the method, `warnings` what looks
-    wrong, frame by frame. Prints itself; `to_dict()` is softmap.registration/1.
+    `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode
+    uses 2000 at most); what has none was not seen and is placed by its neighbours. `mode` names the
+    method, `warnings` what looks wrong, frame by frame. Prints itself; `to_dict()` is
+    softmap.registration/1.
     """
 
     vertices: Floats
@@ -77,25 +83,44 @@ class Registered:
 
     def __str__(self) -> str:
         mean = {
-            key: np.median([row[key] for row in self.frames]) for key in ("residual_mm", "noise_mm", "used", "visible")
+            key: np.median([row[key] for row in self.frames])
+            for key in ("residual_mm", "noise_mm", "used", "visible")
         }
         lines = [
-            f"Registered {len(self.frames)} clouds ({self.mode}), {1e3 * self.seconds / len(self.frames):.0f} ms each",
-            f"  median: {mean['residual_mm']:.2f} mm RMS from cloud to surface, noise {mean['noise_mm']:.2f} mm, "
-            f"{100 * mean['used']:.0f} % of the points count, {100 * mean['visible']:.0f} % of the vertices were seen",
+            f"Registered {len(self.frames)} clouds ({self.mode}), "
+            f"{1e3 * self.seconds / len(self.frames):.0f} ms each",
+            f"  median: {mean['residual_mm']:.2f} mm RMS from cloud to surface, noise "
+            f"{mean['noise_mm']:.2f} mm, {100 * mean['used']:.0f} % of the points count, "
+            f"{100 * mean['visible']:.0f} % of the vertices were seen",
             "  not measured: roll, what a round finger does about its own axis",
         ]
         wrong = [row for row in self.frames if row["warnings"]]
-        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:PRINTED]]
-        return "\n".join([*lines, *([f"  and {len(wrong) - PRINTED} more (--json)"] if len(wrong) > PRINTED else [])])
+        lines += [
+            f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}"
+            for row in wrong[:PRINTED]
+        ]
+        return "\n".join(
+            [
+                *lines,
+                *([f"  and {len(wrong) - PRINTED} more (--json)"] if len(wrong) > PRINTED else []),
+            ]
+        )
 
     def run(self, of: Run) -> Run:
-        """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the roll as not seen."""
+        """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the
+        roll as not seen.
+        """
         noise = np.array([row["noise_mm"] for row in self.frames])[:, None]
         sigma = np.sqrt(noise**2 / np.maximum(self.support, SEEN) + OWN_MM**2)
         extra = dict(of.extra) | {ROLL_SEEN: np.array(False)}
         return replace(
-            of, points=None, start=None, vertices=self.vertices, visible=self.visible, sigma=sigma, extra=extra
+            of,
+            points=None,
+            start=None,
+            vertices=self.vertices,
+            visible=self.visible,
+            sigma=sigma,
+            extra=extra,
         )
 
 
@@ -103,7 +128,8 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
     """Lay the template of a model onto point clouds of its finger.
 
     Args:
-        model: of the finger, with a surface (a bundle built from a finger or a sweep with triangles).
+        model: of the finger, with a surface (a bundle built from a finger or a sweep with
+            triangles).
         of: a run of clouds, or clouds (M, 3) mm in the base frame.
         mode: "robust", or "paper" for the published objective.
 
@@ -111,20 +137,27 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
         Registered: one frame for each cloud.
 
     Raises:
-        RegistrationError: the model has no surface, a cloud is empty or tiny, in another unit or of another object.
+        RegistrationError: the model has no surface, a cloud is empty or tiny, in another unit or of
+            another object.
     """
     if not len(model.triangles):
         raise RegistrationError(
-            f"the model of '{model.robot}' has no surface to lay onto a cloud; build it from a finger.toml, or from a "
-            "sweep with triangles"
+            f"the model of '{model.robot}' has no surface to lay onto a cloud; build it from a "
+            "finger.toml, or from a sweep with triangles"
         )
-    clouds = clouds_of(of) if isinstance(of, Run) else [np.asarray(cloud, np.float64) for cloud in of]
+    clouds = (
+        clouds_of(of) if isinstance(of, Run) else [np.asarray(cloud, np.float64) for cloud in of]
+    )
     if not clouds:
-        raise RegistrationError("the run has no seen frames (K = 0), so there is no cloud to lay a template onto")
+        raise RegistrationError(
+            "the run has no seen frames (K = 0), so there is no cloud to lay a template onto"
+        )
     for k, cloud in enumerate(clouds):
         _check(k, cloud, model.rest)
     ahead = time.perf_counter()
-    core = _core.Registration(model.rest, np.asarray(model.triangles).tolist(), clamped(model).tolist())
+    core = _core.Registration(
+        model.rest, np.asarray(model.triangles).tolist(), clamped(model).tolist()
+    )
     if mode == "robust":
         found = _robust(core, model, of if isinstance(of, Run) else None, clouds)
     else:
@@ -134,12 +167,13 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
     used = float(np.median([row["used"] for row in frames]))
     if used < LOST:
         raise RegistrationError(
-            f"only {100 * used:.0f} % of the points lie on the template (median of {len(frames)} clouds), "
-            f"{100 * LOST:.0f} % are needed: another object, another frame than the base, or another finger; align "
-            "the run, cut the finger out of the cloud"
+            f"only {100 * used:.0f} % of the points lie on the template (median of {len(frames)} "
+            f"clouds), {100 * LOST:.0f} % are needed: another object, another frame than the "
+            "base, or another finger; align the run, cut the finger out of the cloud"
         )
     support = np.array([one["support"] for one in found])
-    for row in frames:  # one that is something else, or may as well be another shape, has seen nothing
+    # one that is something else, or may as well be another shape, has seen nothing
+    for row in frames:
         if row["doubtful"] or row["used"] < max(LOST, AMID * used):
             support[row["frame"]] = 0.0
     return Registered(np.array([one["vertices"] for one in found]), support, frames, mode, seconds)
@@ -147,7 +181,9 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
 
 def clamped(model: Model) -> NDArray[np.int64]:
     """Return the vertices that no command moves: those that the clamp holds."""
-    shapes = np.asarray(model.prior.evaluate(np.array(_candidates(model)))).reshape(-1, *model.rest.shape)
+    shapes = np.asarray(model.prior.evaluate(np.array(_candidates(model)))).reshape(
+        -1, *model.rest.shape
+    )
     return np.flatnonzero(np.ptp(shapes, axis=0).max(axis=1) <= CLAMPED_MM)
 
 
@@ -164,7 +200,8 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
         raise RegistrationError(f"cloud {k}: points of shape {cloud.shape}, expected (M, 3) in mm")
     if len(cloud) < LEAST_POINTS:
         raise RegistrationError(
-            f"cloud {k}: {len(cloud)} points, {LEAST_POINTS} or more show where a finger is; leave it out"
+            f"cloud {k}: {len(cloud)} points, {LEAST_POINTS} or more show where a finger is; "
+            "leave it out"
         )
     low, high = np.quantile(cloud, [0.05, 0.95], axis=0)  # what flies about is no extent
     ratio = float(np.linalg.norm(high - low) / np.linalg.norm(np.ptp(rest, axis=0)))
@@ -176,12 +213,16 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
             )
 
 
-def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]) -> list[Document]:
+def _robust(
+    core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]
+) -> list[Document]:
     """Register clouds, each from the shapes that the model has in its orientation."""
     low, high = model.command_range.T.tolist()
     found: list[Document] = [{}] * len(clouds)
     for rows, shape in (
-        [(np.arange(len(clouds)), prior_under_gravity(model))] if run is None else priors_by_orientation(model, run)
+        [(np.arange(len(clouds)), prior_under_gravity(model))]
+        if run is None
+        else priors_by_orientation(model, run)
     ):
         some = core.robust(shape, [clouds[k] for k in rows], _candidates(model), low, high)
         for k, one in zip(rows, some):
@@ -190,7 +231,9 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
 
 
 def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[Document]:
-    """Register clouds by the published objective; only handles are matched to points, and points to handles."""
+    """Register clouds by the published objective; only handles are matched to points, and points to
+    handles.
+    """
     handles = np.arange(len(model.rest)) if model.handles is None else model.handles
     strength, found = np.zeros(len(model.rest)), []
     strength[handles] = PAPER_STRENGTH
@@ -202,9 +245,16 @@ def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> 
         support[handles] = np.bincount(nearest, minlength=len(handles))
         rms = float(np.sqrt(np.mean(np.square(distance))))
         found.append(
-            dict(vertices=vertices, support=support, rounds=rounds, settled=rounds < PAPER_ROUNDS,
-                 residual_mm=rms, noise_mm=float(np.median(distance)), used=1.0)
-        )  # fmt: skip
+            dict(
+                vertices=vertices,
+                support=support,
+                rounds=rounds,
+                settled=rounds < PAPER_ROUNDS,
+                residual_mm=rms,
+                noise_mm=float(np.median(distance)),
+                used=1.0,
+            )
+        )
     return found
 
 
@@ -225,7 +275,9 @@ def _row(k: int, one: Document, mode: Mode) -> Document:
             "start_cost": float(one["start_cost"]),
             "scale": float(one["scale"]),
         }
-    row["doubtful"] = one.get("other") is not None and one["other"][0] < row["start_cost"] + NEAR_COST
+    row["doubtful"] = (
+        one.get("other") is not None and one["other"][0] < row["start_cost"] + NEAR_COST
+    )
     row["warnings"] = _warnings(row, one)
     return row
 
@@ -235,14 +287,16 @@ def _warnings(row: Document, one: Document) -> list[str]:
     if "scale" in row and abs(row["scale"] - 1.0) > SCALE:
         percent = 100.0 * (row["scale"] - 1.0)
         warnings.append(
-            f"the cloud is {abs(percent):.0f} % {'larger' if percent > 0 else 'smaller'} than the template: check unit "
-            "and calibration"
+            f"the cloud is {abs(percent):.0f} % {'larger' if percent > 0 else 'smaller'} than the "
+            "template: check unit and calibration"
         )
     if row["used"] < POOR:
         warnings.append(
-            f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something else, or "
-            "the start was wrong"
+            f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something "
+            "else, or the start was wrong"
         )
     if row["doubtful"]:
-        warnings.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
+        warnings.append(
+            f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well"
+        )
     return warnings

@@ -1,6 +1,7 @@
 """An alignment that was found, as a person and a document read it, and a run taken into its frame.
 
-Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect `mount`; deg, mm.
+Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect
+`mount`; deg, mm.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ SCHEMA = "softmap.align/1"
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A transform found, p_base = rotation · p_seen + shift; prints itself, and `to_dict()` is softmap.align/1.
+    """A transform found, p_base = rotation · p_seen + shift; prints itself, and `to_dict()` is
+    softmap.align/1.
 
-    `sigma` (6,): standard deviations of turns about x, y, z of the base frame (deg), then of shifts (mm).
-    `moved`: how the base or home moved within the run, None where it did not. `frames`: a pose for each frame of the
-    run, where it was asked for.
+    `sigma` (6,): standard deviations of turns about x, y, z of the base frame (deg), then of shifts
+    (mm). `moved`: how the base or home moved within the run, None where it did not. `frames`: a
+    pose for each frame of the run, where it was asked for.
     """
 
     pose: RigidPose
@@ -46,7 +48,9 @@ class Alignment:
     frames: RigidPose | None = None
 
     def apply(self, run: Run) -> Run:
-        """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
+        """Return the run in the base frame, with the transform and its sigma as `frame` and
+        `frame_sigma`.
+        """
         return in_frame(run, self.pose, self.sigma, self.frames)
 
     def to_dict(self) -> Document:
@@ -77,11 +81,17 @@ class Alignment:
         turn, s = np.degrees(rotation_vector(self.pose.rotation)), self.sigma
         wrong = f"; left aside as wrong: {len(self.wrong_points)}" if self.wrong_points else ""
         lines = [
-            f"Aligned by {self.method}: {self.used_frames} frames in {self.groups} groups, {self.points} points{wrong}",
+            f"Aligned by {self.method}: {self.used_frames} frames in {self.groups} groups, "
+            f"{self.points} points{wrong}",
             f"  {'':<8}{'x':>18}{'y':>18}{'z':>18}",
-            "  turned  " + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(turn, s[:3])) + " deg, rotation vector",
-            "  shifted " + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(self.pose.shift, s[3:])) + " mm",
-            f"  left between points and places {self.residual_mm:.3f} mm RMS; noise of a frame {self.noise_mm:.3f} mm",
+            "  turned  "
+            + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(turn, s[:3]))
+            + " deg, rotation vector",
+            "  shifted "
+            + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(self.pose.shift, s[3:]))
+            + " mm",
+            f"  left between points and places {self.residual_mm:.3f} mm RMS; noise of a frame "
+            f"{self.noise_mm:.3f} mm",
         ]
         if self.moved is not None:
             lines.append(f"  {self.moved}")
@@ -89,10 +99,12 @@ class Alignment:
 
 
 def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None = None) -> Run:
-    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame` says so.
+    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame`
+    says so.
 
     Args:
-        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen in it instead.
+        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen
+            in it instead.
     """
     change: Document = {}
     for name in ("vertices", "markers", "points"):
@@ -102,10 +114,15 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
     base = base_markers(run)
     if base.shape[1]:
         change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
-    if run.cameras is not None:  # they look from where they stood, at points that have other numbers now
+    # they look from where they stood, at points that have other numbers now
+    if run.cameras is not None:
         looking = RigidPose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
         change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
-    before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
+    before = (
+        RigidPose(np.eye(3), np.zeros(3))
+        if run.frame is None
+        else RigidPose(run.frame[:, :3], run.frame[:, 3])
+    )
     combined = pose.after(before)
     change |= {"frame": np.column_stack([combined.rotation, combined.shift]), "frame_sigma": sigma}
     return dataclasses.replace(run, **change)
@@ -120,6 +137,13 @@ def base_markers(run: Run) -> Floats:
     base = run.extra.get(BASE_MARKERS)
     if base is None:
         return np.zeros((run.frames, 0, 3))
-    if base.ndim != 3 or base.shape[0] != run.frames or base.shape[2] != 3 or base.dtype.kind != "f":
-        raise AlignError(f"{BASE_MARKERS}: {base.dtype} of shape {base.shape}, expected ({run.frames}, B, 3) mm")
+    if (
+        base.ndim != 3
+        or base.shape[0] != run.frames
+        or base.shape[2] != 3
+        or base.dtype.kind != "f"
+    ):
+        raise AlignError(
+            f"{BASE_MARKERS}: {base.dtype} of shape {base.shape}, expected ({run.frames}, B, 3) mm"
+        )
     return np.asarray(base, float)

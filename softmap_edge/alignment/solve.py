@@ -1,11 +1,15 @@
 """From groups of frames to one pose, and how well it is known.
 
-    Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape     six numbers: turns, then shifts
+    Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape
+        six numbers: turns, then shifts
     T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it;
-           of base points, what is left over the coordinates that the pose did not take (3 N − 6), each point for itself
+    shape: model and robot differ at home; the model's own error, as large as what is left there,
+        correlated along it;
+           of base points, what is left over the coordinates that the pose did not take (3 N − 6),
+           each point for itself
 
-Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many seeds.
+Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many
+seeds.
 """
 
 from __future__ import annotations
@@ -37,22 +41,26 @@ def solve(
 ) -> Alignment:
     """Fit one pose to all groups and one to each; weight them by their information.
 
-    `motion` says whether the base moved; `measured`: the target points were measured one by one, as with a ruler.
+    `motion` says whether the base moved; `measured`: the target points were measured one by one, as
+    with a ruler.
     """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))
     own = np.sqrt((form**2).mean(axis=1))[section]  # (N,) mm a coordinate
     seen = groups.count > 0
     if seen.any(axis=0).sum() < 3:
-        raise AlignError("fewer than three points are seen; three that are not on one line give a frame")
+        raise AlignError(
+            "fewer than three points are seen; three that are not on one line give a frame"
+        )
     check_scale(groups.source, groups.target, seen, what)
     flat = groups.source.reshape(-1, 3), groups.target.reshape(-1, 3)
     sigma = np.sqrt(sensor**2 + own**2)
     pose, _ = robust(*flat, sigma.ravel(), seen.ravel())
     check_mirror(*flat, sigma.ravel(), seen.ravel(), pose, what)
     tukey = refined(groups.source, groups.target, sigma, seen, pose)[1]
-    # What wanders between visits, as the tip of a robot with play does, says little of the base; and points of one
-    # place along the body are off together, so that many of them say no more than one.
+    # What wanders between visits, as the tip of a robot with play does, says little of the base;
+    # and points of one place along the body are off together, so that many of them say no more than
+    # one.
     wander = _wander(groups, tukey > 0, pose)
     tukey = refined(groups.source, groups.target, np.sqrt(sigma**2 + wander**2), seen, pose)[1]
     together = np.bincount(section, seen.any(axis=0))[section]
@@ -68,8 +76,11 @@ def solve(
     number = int(np.isfinite(poses).all(axis=1).sum())
     scatter = np.cov(poses[np.isfinite(poses).all(axis=1)].T) if number > 1 else np.zeros((6, 6))
     spread = np.maximum(np.diag(scatter), np.diag(noise))
-    shape = (_ruler_covariance(answer, residual, inlier) if measured
-             else _shape_covariance(answer, form, section, residual, inlier))  # fmt: skip
+    shape = (
+        _ruler_covariance(answer, residual, inlier)
+        if measured
+        else _shape_covariance(answer, form, section, residual, inlier)
+    )
     variance = student(number - 1) ** 2 * spread / max(1, number) + np.diag(shape)
     check_turns(place[seen.any(axis=0)], np.sqrt(variance[:3]), answer)
     moved = find_motion(poses, noise, groups.t, place, "home")
@@ -78,21 +89,37 @@ def solve(
         home, moved = moved, motion(pose)
         if moved is None and home is not None:
             notes.append(
-                f"home wanders by {home.farthest_mm:.2f} mm at the far end, the base does not: creep or play; "
-                "--base clamped takes the frame from the base alone"
+                f"home wanders by {home.farthest_mm:.2f} mm at the far end, the base does not: "
+                "creep or play; --base clamped takes the frame from the base alone"
             )
     if moved is not None:
-        variance = variance + spread  # which of its places is meant is not known better than they scatter
+        # which of its places is meant is not known better than they scatter
+        variance = variance + spread
     units = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
-    wrong = [int(n) for n in np.flatnonzero(seen.any(axis=0) & (inlier.sum(axis=0) < 0.5 * seen.sum(axis=0)))]
+    wrong = [
+        int(n)
+        for n in np.flatnonzero(seen.any(axis=0) & (inlier.sum(axis=0) < 0.5 * seen.sum(axis=0)))
+    ]
     return Alignment(
-        pose, np.sqrt(variance) * units, method, number, int(groups.count.max(axis=1).sum()),
-        int(seen.any(axis=0).sum()), wrong, left, float(groups.noise * np.sqrt(3.0)), scale, moved, notes,
-    )  # fmt: skip
+        pose,
+        np.sqrt(variance) * units,
+        method,
+        number,
+        int(groups.count.max(axis=1).sum()),
+        int(seen.any(axis=0).sum()),
+        wrong,
+        left,
+        float(groups.noise * np.sqrt(3.0)),
+        scale,
+        moved,
+        notes,
+    )
 
 
 def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
-    """Return how far each point (N,) is scattered between the groups, mm a coordinate, apart from the rigid pose."""
+    """Return how far each point (N,) is scattered between the groups, mm a coordinate, apart from
+    the rigid pose.
+    """
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
     mean = left.sum(axis=0) / np.maximum(count, 1)[:, None]
@@ -103,8 +130,11 @@ def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
 def _shape_covariance(
     answer: Floats, form: Floats, section: NDArray[np.int64], residual: Floats, inlier: Mask
 ) -> Floats:
-    """Return the covariance (6, 6) from model and robot differing in shape, scaled to what is left after the pose."""
-    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]  # (N, 3) mean over the groups
+    """Return the covariance (6, 6) from model and robot differing in shape, scaled to what is left
+    after the pose.
+    """
+    # (N, 3) mean over the groups
+    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]
     places = form_covariance(form, np.ones(len(form), bool), np.arange(len(form)))
     onto = np.zeros((len(form), 3, 6))
     np.add.at(onto, section, np.moveaxis(answer, 0, -1))
@@ -115,12 +145,15 @@ def _shape_covariance(
 
 
 def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
-    """Return the covariance (6, 6) from places that were measured one by one, as wrong as what is left shows.
+    """Return the covariance (6, 6) from places that were measured one by one, as wrong as what is
+    left shows.
 
-    The pose takes six of the 3 N coordinates, so that of three or four places most of their error is not left.
+    The pose takes six of the 3 N coordinates, so that of three or four places most of their error
+    is not left.
     """
     known = inlier.any(axis=0)
-    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]  # (N, 3) mean over the groups
+    # (N, 3) mean over the groups
+    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]
     freedom = max(1, 3 * int(known.sum()) - 6)
     square = student(freedom) ** 2 * float((left[known] ** 2).sum()) / freedom
     return np.asarray(square * np.einsum("inc,jnc->ij", answer[:, known], answer[:, known]))

@@ -1,1 +1,3 @@
-"""Servo ticks → commands of a model, each parameter with its uncertainty, checked on frames held out."""
+"""Servo ticks → commands of a model, each parameter with its uncertainty, checked on frames held
+out.
+"""

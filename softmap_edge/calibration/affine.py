@@ -1,11 +1,15 @@
 """A robust linear fit of commands: which coefficients, how well known, and which rows are wrong.
 
-    u_i = Θ x_i + e_i,   cov e_i = S_i = E + P_i         P_i of each match, E what scatters beyond it (from the MAD)
-    min Σ ρ(d_i),  d_i² = e_iᵀ S_i⁻¹ e_i             Huber's ρ from least squares, then Tukey's biweight, E as it was
-    cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)      of an M-estimator (Huber 1981, 7.6)
+    u_i = Θ x_i + e_i,   cov e_i = S_i = E + P_i         P_i of each match, E what scatters beyond
+                                                         it (from the MAD)
+    min Σ ρ(d_i),  d_i² = e_iᵀ S_i⁻¹ e_i             Huber's ρ from least squares, then Tukey's
+                                                     biweight, E as it was
+    cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)
+        of an M-estimator (Huber 1981, 7.6)
 
 A row may hold only some of its commands: those that `observed` marks as false have no weight.
-Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by tests/calibration/test_calibration.py.
+Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -18,7 +22,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42  # standard deviations; more of Tukey's for each further command
+# standard deviations; more of Tukey's for each further command
+HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42
 ROUNDS, SETTLED = 40, 1e-4
 TO_SIGMA = 1.4826  # of the median absolute deviation
 NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter of their own
@@ -26,7 +31,8 @@ NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter o
 
 @dataclass(frozen=True, eq=False)
 class AffineFit:
-    """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows that are wrong.
+    """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows
+    that are wrong.
 
     `scatter` (C,) is the standard deviation of an observed command about the fit.
     """
@@ -42,7 +48,9 @@ class AffineFit:
 
     def first(self, features: int) -> AffineFit:
         """Return the fit of the first features alone, the others as they were found."""
-        cut = np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
+        cut = (
+            np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
+        )
         covariance = self.covariance[np.ix_(cut, cut)]
         return AffineFit(self.coefficients[:, :features], covariance, self.weight, self.scatter)
 
@@ -93,8 +101,11 @@ def fit(design: Floats, u: Floats, covariance: Floats, observed: Mask) -> Affine
 
 
 def _scatter(left: Floats, observed: Mask, features: int) -> Floats:
-    """Return the standard deviation (C,) by the median of the residuals, less the rows that a fit can make zero."""
-    own = np.sort(np.where(observed, np.abs(left), np.inf), axis=0)  # those that are not observed come last
+    """Return the standard deviation (C,) by the median of the residuals, less the rows that a fit
+    can make zero.
+    """
+    # those that are not observed come last
+    own = np.sort(np.where(observed, np.abs(left), np.inf), axis=0)
     count = observed.sum(axis=0)
     middle = np.minimum(features + np.maximum(count - features, 1) // 2, count - 1)
     return np.asarray(TO_SIGMA * np.take_along_axis(own, middle[None], axis=0)[0])
@@ -108,15 +119,23 @@ def _normal(x: Floats, u: Floats, precision: Floats) -> tuple[Floats, Floats]:
     """Return the matrix and the right side of least squares for the coefficients, row by row."""
     channels, features = u.shape[1], x.shape[1]
     pairs = (x[:, :, None] * x[:, None]).reshape(len(x), -1)
-    matrix = (precision.reshape(len(x), -1).T @ pairs).reshape(channels, channels, features, features)
+    matrix = (precision.reshape(len(x), -1).T @ pairs).reshape(
+        channels, channels, features, features
+    )
     right = (precision @ u[..., None])[..., 0].T @ x
     return matrix.transpose(0, 2, 1, 3).reshape(channels * features, -1), right.reshape(-1)
 
 
-def weights(distance: Floats, limit: float | None, dims: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Return weights (n,) of distances in standard deviations, and the mean slope of ψ there; Huber's without limit."""
+def weights(
+    distance: Floats, limit: float | None, dims: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Return weights (n,) of distances in standard deviations, and the mean slope of ψ there;
+    Huber's without limit.
+    """
     if limit is None:
-        weight = np.minimum(1.0, HUBER * np.sqrt(np.maximum(dims, 1)) / np.maximum(distance, 1e-300))
+        weight = np.minimum(
+            1.0, HUBER * np.sqrt(np.maximum(dims, 1)) / np.maximum(distance, 1e-300)
+        )
         return weight, weight
     ratio = np.minimum(distance / limit, 1.0) ** 2
     weight = (1.0 - ratio) ** 2

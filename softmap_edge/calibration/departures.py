@@ -1,16 +1,20 @@
-"""Departures of commands from an affine map of ticks: bends, kinks, once-per-turn errors, and loading-unloading memory.
+"""Departures of commands from an affine map of ticks: bends, kinks, once-per-turn errors, and
+loading-unloading memory.
 
-Each alternative is the affine map with a few more columns. It is tested on held commands that were left out:
+Each alternative is the affine map with a few more columns. It is tested on held commands that were
+left out:
 
     quadratic  r_i r_j              a bend: a spool that fills, a lever
-    kink       |r_c − q|            slack, a stop, a tendon that falls loose, at one of a few ticks q
+    kink  |r_c − q|  slack, a stop, a tendon that falls loose, at one of a few ticks q
     period     sin, cos 2π r_c / P  an eccentric pulley, once a turn of P ticks
-    memory     sign of the last motion of each servo, or of each command: play, friction, hysteresis. No map has it
-    turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in mm, size in degrees
+    memory     sign of the last motion of each servo, or of each command: play, friction,
+               hysteresis. No map has it
+    turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in
+               mm, size in degrees
 
-r = ticks − home. An alternative counts where the error held out falls by more than WORTH and by CLEAR of its standard
-errors. Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by
-tests/calibration/test_calibration.py.
+r = ticks − home. An alternative counts where the error held out falls by more than WORTH and by
+CLEAR of its standard errors. Limit: what has no such form, and what is smaller than the scatter of
+the matches. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -29,21 +33,26 @@ from softmap_edge.model.servo_calibration import TURN
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)  # quantiles of the ticks at which a kink is looked for, and home
+# quantiles of the ticks at which a kink is looked for, and home
+PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0
-ALSO = 0.8  # of the gain of the best: alternatives of another kind that gain so much explain it as well
-FITTED_ALONGSIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted with them
+# of the gain of the best: alternatives of another kind that gain so much explain it as well
+ALSO = 0.8
+# kinds that leave the map affine: A and b are fitted with them
+FITTED_ALONGSIDE = ("memory", "turn")
 WRONG = 5.0  # standard deviations beyond which a held command is no measurement, by any prediction
 SPARE = 4  # held commands for each coefficient that an alternative must have
 
 
 @dataclass(frozen=True)
 class Departure:
-    """A way in which the map is not affine: `better` is the share by which the error held out falls.
+    """A way in which the map is not affine: `better` is the share by which the error held out
+    falls.
 
-    `affine` and `error` are these errors, RMS in the commands' unit; `size` the largest part that is not affine, at the
-    place `ticks` (C,). `sentence` describes it. `columns` (n, m) of the held commands are those of a memory.
+    `affine` and `error` are these errors, RMS in the commands' unit; `size` the largest part that
+    is not affine, at the place `ticks` (C,). `sentence` describes it. `columns` (n, m) of the held
+    commands are those of a memory.
     """
 
     kind: str
@@ -58,17 +67,22 @@ class Departure:
     def to_dict(self) -> Document:
         """Return a plain dictionary."""
         return {
-            "kind": self.kind, "better": self.better, "affine_error": self.affine, "error": self.error,
-            "size": self.size, "ticks": self.ticks, "sentence": self.sentence,
-        }  # fmt: skip
+            "kind": self.kind,
+            "better": self.better,
+            "affine_error": self.affine,
+            "error": self.error,
+            "size": self.size,
+            "ticks": self.ticks,
+            "sentence": self.sentence,
+        }
 
 
 def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     """Return the ways in which commands do not follow ticks as an affine map, the best first.
 
     Args:
-        held: one row for each place and `direction` (n, 2C) from which it was met, of the servos, then of the commands
-            that an affine map makes of them. home: (C,) ticks.
+        held: one row for each place and `direction` (n, 2C) from which it was met, of the servos,
+            then of the commands that an affine map makes of them. home: (C,) ticks.
     """
     away = held.ticks - home
     plain = np.column_stack([away, np.ones(len(away))])
@@ -90,7 +104,9 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
             continue
         sound = np.minimum(own, base) < WRONG  # (n,)
         gain = np.minimum(base[sound], WRONG) ** 2 - np.minimum(own[sound], WRONG) ** 2
-        before, after = (float(np.sqrt(np.mean(np.minimum(d[sound], WRONG) ** 2))) for d in (base, own))
+        before, after = (
+            float(np.sqrt(np.mean(np.minimum(d[sound], WRONG) ** 2))) for d in (base, own)
+        )
         clear = float(np.mean(gain)) > CLEAR * float(np.std(gain)) / np.sqrt(max(len(gain), 1))
         better = 1.0 - after / max(before, 1e-300)
         if clear and better > WORTH:
@@ -100,7 +116,9 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     for better, before, after, kind, what, design in found:
         if kind not in best and better > ALSO * found[0][0]:
             size = float(np.sqrt(np.mean(scatter**2)))
-            best[kind] = _departure(kind, what, better, size * before, size * after, design, held, away, unit)
+            best[kind] = _departure(
+                kind, what, better, size * before, size * after, design, held, away, unit
+            )
     return list(best.values())
 
 
@@ -117,27 +135,38 @@ def _alternatives(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Float
     ]
     for c in range(channels):
         for at in inside[c]:
-            yield "kink", f"a kink of servo {c} at {at:+.0f} ticks from home", np.abs(away[:, c : c + 1] - at) / size[c]
+            yield (
+                "kink",
+                f"a kink of servo {c} at {at:+.0f} ticks from home",
+                np.abs(away[:, c : c + 1] - at) / size[c],
+            )
     if channels > 1 and all(0.0 in row for row in inside):
         yield "kink", "a kink of all servos at home", np.abs(away) / size
     turning = np.flatnonzero(size > 0.5 * TURN)
     for some in [[c] for c in turning] + ([list(turning)] if len(turning) > 1 else []):
         phase, named = 2.0 * np.pi * away[:, some] / TURN, ", ".join(map(str, some))
-        yield "period", f"once a turn ({TURN} ticks) of servo {named}", np.column_stack([np.sin(phase), np.cos(phase)])
+        yield (
+            "period",
+            f"once a turn ({TURN} ticks) of servo {named}",
+            np.column_stack([np.sin(phase), np.cos(phase)]),
+        )
     for way in (held.direction[:, :channels], held.direction[:, channels:]):
         if np.ptp(way, axis=0).all():
             yield "memory", "the way on which a command was reached", way
 
 
 def _folds(place: NDArray[np.int64]) -> list[Mask]:
-    """Return masks (n,) of the rows that are held out together: complete places, dealt out in turn."""
+    """Return masks (n,) of the rows that are held out together: complete places, dealt out in
+    turn.
+    """
     order = {p: k for k, p in enumerate(dict.fromkeys(place.tolist()))}
     fold = np.array([order[p] for p in place.tolist()]) % FOLDS
     return [fold == k for k in range(min(FOLDS, len(order)))]
 
 
 def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats) -> Floats | None:
-    """Return how far each row (n,) is from its prediction by the others, in standard deviations of an observed command.
+    """Return how far each row (n,) is from its prediction by the others, in standard deviations of
+    an observed command.
 
     None where what is left out leaves too few to fit.
     """
@@ -168,7 +197,8 @@ def _departure(
     count = away.shape[1] + 1
     extra = design[:, count:] @ found.coefficients[:, count:].T
     plain = design[:, :count]
-    extra -= plain @ np.linalg.lstsq(plain, extra, rcond=None)[0]  # what an affine map cannot follow
+    # what an affine map cannot follow
+    extra -= plain @ np.linalg.lstsq(plain, extra, rcond=None)[0]
     size = np.linalg.norm(extra, axis=1)
     row = int(np.argmax(size))
     place = ", ".join(f"{r:+.0f}" for r in away[row])
@@ -177,11 +207,17 @@ def _departure(
         apart = 2.0 * np.linalg.norm(found.coefficients[:, count:], axis=0).max()
         late = "" if held.still else ", or a delay, since frames are taken in motion"
         sentence = (
-            f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way down ({gain}): play, "
-            f"friction or hysteresis{late}. No map of ticks remembers: A and b are those between the two ways, and "
-            "`softmap diagnose` with the new bundle names it"
+            f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way "
+            f"down ({gain}): play, friction or hysteresis{late}. No map of ticks remembers: A and "
+            "b are those between the two ways, and `softmap diagnose` with the new bundle names "
+            "it"
         )
     else:
-        sentence = f"not affine: {what} ({gain}), up to {size[row]:.2g} {unit} off at ({place}) ticks from home"
+        sentence = (
+            f"not affine: {what} ({gain}), up to {size[row]:.2g} {unit} off at ({place}) ticks "
+            "from home"
+        )
     columns = design[:, count:] if kind == "memory" else None
-    return Departure(kind, better, before, after, float(size[row]), away[row].tolist(), sentence, columns)
+    return Departure(
+        kind, better, before, after, float(size[row]), away[row].tolist(), sentence, columns
+    )

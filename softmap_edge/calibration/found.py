@@ -1,4 +1,6 @@
-"""A calibration found: the map of ticks, the held commands that it was fitted to, and what speaks against it."""
+"""A calibration found: the map of ticks, the held commands that it was fitted to, and what speaks
+against it.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures` why it is not affine.
+    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures`
+    why it is not affine.
 
-    `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of the shapes, median.
-    Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle keeps.
+    `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of
+    the shapes, median. Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle
+    keeps.
     """
 
     model: Model
@@ -42,11 +46,17 @@ class Calibrated:
 
     @property
     def left(self) -> Floats:
-        """What the map leaves of the matched commands (n, C); NaN where a command was not observed."""
-        return np.where(self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
+        """What the map leaves of the matched commands (n, C); NaN where a command was not
+        observed.
+        """
+        return np.where(
+            self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan
+        )
 
     def to_dict(self) -> Document:
-        """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
+        """Return the document softmap.calibration/1 with the matched pairs and what speaks against
+        it.
+        """
         found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.observed.tolist())
         return found.to_dict() | {
             "affine": self.affine,
@@ -67,7 +77,10 @@ class Calibrated:
         rows = []
         for i, unit in enumerate(c.b):
             a = "".join(f"{v:13.6f} ± {s:<8.6f}" for v, s in zip(c.A[i], c.sigma_A[i]))
-            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.7g} ticks")
+            rows.append(
+                f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.7g} "
+                "ticks"
+            )
         wrong = int((self.weight == 0).sum())
         aside = f", {wrong} of them set aside" if wrong else ""
         error = c.held_out
@@ -76,10 +89,16 @@ class Calibrated:
             f"{'held commands' if self.held.still else 'places, in motion'}{aside}",
             f"  A, {c.unit}/tick",
             *rows,
-            f"  condition of A {c.condition:.2f}; held out: {error['command']:.3g} {c.unit} of command, "
-            f"{error['shape_mm']:.3g} mm of shape, of which the matches leave {error['matched_shape_mm']:.3g} mm",
+            f"  condition of A {c.condition:.2f}; held out: {error['command']:.3g} {c.unit} of "
+            f"command, {error['shape_mm']:.3g} mm of shape, of which the matches leave "
+            f"{error['matched_shape_mm']:.3g} mm",
         ]
         if c.window is not None:
-            span = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in c.usable(self.model.command_range))
-            lines.append(f"  usable with {c.window[0]:g} to {c.window[1]:g} ticks about home: {span} {c.unit}")
+            span = ", ".join(
+                f"{low:.2f} to {high:.2f}" for low, high in c.usable(self.model.command_range)
+            )
+            lines.append(
+                f"  usable with {c.window[0]:g} to {c.window[1]:g} ticks about home: {span} "
+                f"{c.unit}"
+            )
         return "\n".join([*lines, *(f"  look at: {text}" for text in self.warnings)])

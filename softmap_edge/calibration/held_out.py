@@ -1,8 +1,10 @@
-"""Frames of a run gathered by the command that was held: the same command counts once, however often it was seen.
+"""Frames of a run gathered by the command that was held: the same command counts once, however
+often it was seen.
 
-Frames of one dwell share what disturbs them, and dwells at one command share what the model misses there. So the rows
-of a calibration are held commands: places in ticks, with the middle of their matches. Where a run does not dwell
-enough, its places are small cells of ticks and its frames are taken in motion. Units: ticks, s, and the commands'.
+Frames of one dwell share what disturbs them, and dwells at one command share what the model misses
+there. So the rows of a calibration are held commands: places in ticks, with the middle of their
+matches. Where a run does not dwell enough, its places are small cells of ticks and its frames are
+taken in motion. Units: ticks, s, and the commands'.
 """
 
 from __future__ import annotations
@@ -22,16 +24,20 @@ Mask = NDArray[np.bool_]
 
 SAME = 0.005  # of the span of the ticks: dwells closer than this are at one place
 CELL = 0.04  # of the span: size of a place where nothing dwells
-ENOUGH = 3  # times as many places as coefficients of a channel: with fewer that are dwelt at, motion is taken too
+# times as many places as coefficients of a channel: with fewer that are dwelt at, motion is taken
+# too
+ENOUGH = 3
 WINDOW = 0.5  # s over which the way of a servo is taken
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which are `observed`.
+    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which
+    are `observed`.
 
-    `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where they were asked
-    for; `frames` are the numbers of the frames of each. `still` says whether they are dwells.
+    `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where
+    they were asked for; `frames` are the numbers of the frames of each. `still` says whether they
+    are dwells.
     """
 
     ticks: Floats
@@ -72,7 +78,9 @@ def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
 
 
 def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None) -> HeldOut:
-    """Return the held commands of a run: one for each place, or for each place and `direction` (K, m) of the frames."""
+    """Return the held commands of a run: one for each place, or for each place and `direction` (K,
+    m) of the frames.
+    """
     way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
     keys = np.column_stack([seen.place, way])
     groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
@@ -99,18 +107,26 @@ def visits(run: Run, ticks: Floats, seen: SeenMarkers) -> Index:
 
 
 def directions(run: Run, drive: Floats) -> Floats:
-    """Return the sign (K, m) of the last motion of each column of `drive` (T, m) before each frame; 0: none."""
+    """Return the sign (K, m) of the last motion of each column of `drive` (T, m) before each frame;
+    0: none.
+    """
     t, past = run.t, np.maximum(run.t - WINDOW, run.t[0])
     moved = np.column_stack([column - np.interp(past, t, column) for column in drive.T])
     moved /= np.maximum(t - past, 1e-9)[:, None]
-    sign = np.where(np.abs(moved) > STILL * np.maximum(np.ptp(drive, axis=0), 1e-12), np.sign(moved), 0.0)
+    sign = np.where(
+        np.abs(moved) > STILL * np.maximum(np.ptp(drive, axis=0), 1e-12), np.sign(moved), 0.0
+    )
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(t))[:, None], 0), axis=0)
     held = np.take_along_axis(sign, last, axis=0)
-    return np.asarray(held[np.clip(np.searchsorted(t, run.t_seen, side="right") - 1, 0, len(t) - 1)])
+    return np.asarray(
+        held[np.clip(np.searchsorted(t, run.t_seen, side="right") - 1, 0, len(t) - 1)]
+    )
 
 
 def _places(ticks: Floats, visit: Index, span: Floats) -> Index:
-    """Return the number (k,) of each frame's place: dwells whose middles are within SAME of the first at one."""
+    """Return the number (k,) of each frame's place: dwells whose middles are within SAME of the
+    first at one.
+    """
     number = np.zeros(len(ticks), np.int64)
     leaders = np.zeros((0, ticks.shape[1]))
     for v in dict.fromkeys(visit.tolist()):

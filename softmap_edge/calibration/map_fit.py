@@ -1,13 +1,16 @@
 """The map of ticks fitted to the shapes themselves: matched commands start it, shapes decide.
 
-    min Σ_k ρ(d_k)    Y_k = Rz(φ) f(A r_k + b) + left_k,   d_k² = g_kᵀ H_k⁻¹ g_k,   H_k = Jᵀ W J,  g_k = Jᵀ W left_k
-    var φ = [H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹] n / (n − p)    of an M-estimator (Huber 1981, 7.6), s_k = the score of each row
+    min Σ_k ρ(d_k)    Y_k = Rz(φ) f(A r_k + b) + left_k,   d_k² = g_kᵀ H_k⁻¹ g_k,   H_k = Jᵀ W J,
+        g_k = Jᵀ W left_k
+    var φ = [H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹] n / (n − p)    of an M-estimator (Huber 1981, 7.6), s_k = the
+                                                    score of each row
 
-d_k is how far a held command is from the map, in mm of shape: what no command could follow does not count. A command
-that hangs slack hardly moves the shape; matched, it jumps over the full slack for a little that the model lacks, and a
-fit to matched commands follows. Here it weighs as much as it moves. φ is a turn of all shapes about the base's axis,
-fitted with the map on request: tendons at other angles about the axis, or the roll of the frame.
-Units: mm, ticks, rad. Pinned by tests/calibration/test_calibration.py.
+d_k is how far a held command is from the map, in mm of shape: what no command could follow does not
+count. A command that hangs slack hardly moves the shape; matched, it jumps over the full slack for
+a little that the model lacks, and a fit to matched commands follows. Here it weighs as much as it
+moves. φ is a turn of all shapes about the base's axis, fitted with the map on request: tendons at
+other angles about the axis, or the roll of the frame. Units: mm, ticks, rad. Pinned by
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -54,13 +57,22 @@ class MapFit:
 
 
 class Sights:
-    """What a map is fitted to: a few frames of each held command, their ticks from home, the shapes of the model."""
+    """What a map is fitted to: a few frames of each held command, their ticks from home, the shapes
+    of the model.
+    """
 
-    def __init__(self, model: Model, run: Run, held: HeldOut, seen: SeenMarkers, home: Floats) -> None:
+    def __init__(
+        self, model: Model, run: Run, held: HeldOut, seen: SeenMarkers, home: Floats
+    ) -> None:
         """Pick the frames of `held` among those `seen`; `home` (C,) ticks."""
         each = max(1, min(EACH, MOST // max(len(held), 1)))
-        picked = [np.unique(part[np.linspace(0, len(part) - 1, each).astype(int)]) for part in held.frames]
-        frames, row = np.concatenate(picked), np.repeat(np.arange(len(held)), [len(part) for part in picked])
+        picked = [
+            np.unique(part[np.linspace(0, len(part) - 1, each).astype(int)]) for part in held.frames
+        ]
+        frames, row = (
+            np.concatenate(picked),
+            np.repeat(np.arange(len(held)), [len(part) for part in picked]),
+        )
         order = np.argsort(frames)
         frames, self.row = frames[order], row[order]
         self.rows = len(held)
@@ -69,10 +81,14 @@ class Sights:
         some = run.at(frames)
         self.points, weight = weighted(model, some)
         self.weight = weight / weight.sum(axis=1, keepdims=True)
-        self.parts = [(at, Shapes(model, some, family)) for at, family in priors_by_orientation(model, some)]
+        self.parts = [
+            (at, Shapes(model, some, family)) for at, family in priors_by_orientation(model, some)
+        ]
 
     def look(self, coefficients: Floats, turn: float) -> tuple[Floats, Floats]:
-        """Return what a map leaves of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1) of commands and turn."""
+        """Return what a map leaves of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1) of
+        commands and turn.
+        """
         u = self.design @ coefficients.T
         left, slopes = np.empty(self.points.shape), np.empty((*self.points.shape, u.shape[1] + 1))
         for at, shapes in self.parts:
@@ -85,7 +101,9 @@ class Sights:
         return left, slopes
 
     def normal(self, left: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) of each frame, for commands and turn."""
+        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) of each frame, for commands and
+        turn.
+        """
         bend = np.einsum("kn,knxc,knxd->kcd", self.weight, slopes, slopes, optimize=True)
         return bend, np.einsum("kn,knxc,knx->kc", self.weight, slopes, left, optimize=True)
 
@@ -100,12 +118,16 @@ class Sights:
 
 
 def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Departure]:
-    """Return what a turn of all shapes about the axis explains of held commands that were left out, if it is clear."""
+    """Return what a turn of all shapes about the axis explains of held commands that were left out,
+    if it is clear.
+    """
     error, features = np.full((2, sights.rows), np.nan), start.shape[1]
     for test in blocks:
         if (~test).sum() > 2 * features:
             for turned in (False, True):
-                error[int(turned), test] = sights.error_of(fit_map(sights, start, turned, ~test))[test]
+                error[int(turned), test] = sights.error_of(fit_map(sights, start, turned, ~test))[
+                    test
+                ]
     found = fit_map(sights, start, True, np.ones(sights.rows, bool))
     good = np.flatnonzero((found.weight > 0) & np.isfinite(error).all(axis=0))
     if len(good) < 2:
@@ -117,31 +139,41 @@ def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Dep
         return []
     size, sigma = np.degrees(found.turn), np.degrees(found.turn_sigma)
     sentence = (
-        f"turned: all shapes stand {size:+.2f} ± {sigma:.2g} deg about the axis of the base from where the map puts "
-        f"them (held-out error {before:.2g} → {after:.2g} mm RMS of shape): tendons at other angles about the "
-        "axis, or the roll of the frame. No map of ticks turns shapes: A and b are without the turn, and `softmap "
-        "diagnose` with the new bundle names it"
+        f"turned: all shapes stand {size:+.2f} ± {sigma:.2g} deg about the axis of the base from "
+        f"where the map puts them (held-out error {before:.2g} → {after:.2g} mm RMS of shape): "
+        "tendons at other angles about the axis, or the roll of the frame. No map of ticks turns "
+        "shapes: A and b are without the turn, and `softmap diagnose` with the new bundle names "
+        "it"
     )
     away = sights.design[np.flatnonzero(sights.row == good[np.argmax(gain)])[0], :-1]
-    return [Departure("turn", 1.0 - after / before, before, after, abs(float(size)), away.tolist(), sentence)]
+    return [
+        Departure(
+            "turn", 1.0 - after / before, before, after, abs(float(size)), away.tolist(), sentence
+        )
+    ]
 
 
 def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
     """Fit A and b (C, C + 1), and a turn where it is asked, to the held commands `use` (rows,)."""
     channels, features = start.shape
     size = np.maximum(np.sqrt(np.mean(sights.design**2, axis=0)), 1e-300)
-    spread = np.zeros((len(sights.design), channels, features, channels + 1))  # what a coefficient moves
+    # what a coefficient moves
+    spread = np.zeros((len(sights.design), channels, features, channels + 1))
     for c in range(channels):
         spread[:, c, :, c] = sights.design / size
     moves = spread.reshape(len(spread), -1, channels + 1)
     if turned:
-        moves = np.concatenate([moves, np.tile(np.eye(channels + 1)[-1:], (len(moves), 1, 1))], axis=1)
+        moves = np.concatenate(
+            [moves, np.tile(np.eye(channels + 1)[-1:], (len(moves), 1, 1))], axis=1
+        )
     scale = np.r_[np.tile(size, channels), np.ones(int(turned))]
     theta, damping = np.r_[start.ravel() * scale[: start.size], np.zeros(int(turned))], 1e-6
 
     def at(theta: Floats) -> tuple[Floats, Floats, Floats, Floats, float]:
         """Return errors, weights and mean slope of ψ, matrix and scores at coefficients."""
-        left, slopes = sights.look((theta / scale)[: start.size].reshape(start.shape), theta[-1] if turned else 0.0)
+        left, slopes = sights.look(
+            (theta / scale)[: start.size].reshape(start.shape), theta[-1] if turned else 0.0
+        )
         bend, pull = sights.normal(left, slopes)
         rho, steep = _weights(bend[:, :-1, :-1], pull[:, :-1], sights.row, use)
         seen = rho[sights.row] / np.bincount(sights.row)[sights.row]
@@ -152,7 +184,9 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
 
     error, rho, matrix, scores, steep = at(theta)
     for _ in range(ROUNDS):
-        step = np.linalg.lstsq(matrix + damping * np.diag(np.diag(matrix) + 1e-30), scores.sum(axis=0))[0]
+        step = np.linalg.lstsq(
+            matrix + damping * np.diag(np.diag(matrix) + 1e-30), scores.sum(axis=0)
+        )[0]
         tried = at(theta + step)
         if (rho * tried[0] ** 2).sum() > (1.0 + 1e-9) * (rho * error**2).sum():
             damping = max(8.0 * damping, 1e-3)
@@ -169,14 +203,18 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
 
 
 def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> tuple[Floats, float]:
-    """Return Tukey's weight of each held command (rows,), by how far it is from the map, and the mean slope of ψ."""
+    """Return Tukey's weight of each held command (rows,), by how far it is from the map, and the
+    mean slope of ψ.
+    """
     channels = pull.shape[1]
     h, g = np.zeros((len(use), channels, channels)), np.zeros((len(use), channels))
     per = np.bincount(row)
     np.add.at(h, row, bend / per[row, None, None])
     np.add.at(g, row, pull / per[row, None])
     h += (1e-6 * np.einsum("kcc->k", h)[:, None, None] + 1e-300) * np.eye(channels)
-    distance = np.sqrt(np.maximum(np.einsum("kc,kc->k", g, np.linalg.solve(h, g[..., None])[..., 0]), 0.0))
+    distance = np.sqrt(
+        np.maximum(np.einsum("kc,kc->k", g, np.linalg.solve(h, g[..., None])[..., 0]), 0.0)
+    )
     scatter = max(float(np.median(distance[use])) / _middle(channels), EXACT)
     limit = TUKEY + WIDER * (channels - 1)
     weight, slope = weights(distance / scatter, limit, np.full(len(use), channels))
@@ -184,5 +222,7 @@ def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> t
 
 
 def _middle(count: int) -> float:
-    """Return the median length of a normal vector of so many numbers (Wilson & Hilferty 1931, to 2 %)."""
+    """Return the median length of a normal vector of so many numbers (Wilson & Hilferty 1931, to 2
+    %).
+    """
     return float(np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3))

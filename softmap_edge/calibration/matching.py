@@ -1,12 +1,15 @@
-"""Which command of the model shows the shape that was seen: the nearest shape of a grid, then the best one between.
+"""Which command of the model shows the shape that was seen: the nearest shape of a grid, then the
+best one between.
 
-    j*(k) = argmin_j MAE(Y_k, f(u_j))  over the vertices seen      nearest of the grid (SoftMap, Data Alignment)
-    u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h                Levenberg-Marquardt from there, w = 1 / sigma²
+    j*(k) = argmin_j MAE(Y_k, f(u_j))  over the vertices seen
+        nearest of the grid (SoftMap, Data Alignment)
+    u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h  Levenberg-Marquardt from there, w = 1 / sigma²
 
-The paper stops at j*: its answer is off by up to half a step of the grid, and by more between shapes that are alike.
-f is the prior of the model, with its residual if it has one, in the orientation of the run; loads are not in it.
-A cloud does not show the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
-out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/calibration/test_calibration.py.
+The paper stops at j*: its answer is off by up to half a step of the grid, and by more between
+shapes that are alike. f is the prior of the model, with its residual if it has one, in the
+orientation of the run; loads are not in it. A cloud does not show the roll of a round finger
+(`roll_seen` false): a turn of each section about the body is then left out of the residuals and of
+the slopes. Units: mm, and the commands'. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -32,12 +35,15 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-STEPS, MOST_SHAPES = 41, 1700  # of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
+# of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
+STEPS, MOST_SHAPES = 41, 1700
 FEW = 150  # points by which the nearest shape is chosen where it is refined anyway
 ROUNDS = 25  # of Levenberg-Marquardt
 SETTLED = 1e-5  # of the range of a command: smaller steps end it
 EDGE = 1e-3  # of the range: commands nearer to its end are cut off there
-STEP = 0.025  # of its range: a command that moves the shape over so much by less than MOVES of what is usual, on one
+# of its range: a command that moves the shape over so much by less than MOVES of what is usual, on
+# one
+STEP = 0.025
 MOVES = 0.2  # side or the other, is slack there: shapes do not determine it
 USUAL = 200  # commands that say what is usual
 CHUNK = 4_000_000  # numbers of one difference: 32 MB
@@ -48,10 +54,11 @@ LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matc
 class Matches:
     """The commands (K, C) whose shapes are nearest to K frames; NaN where a frame shows too little.
 
-    `covariance` (K, C, C) of each, from the noise and from what is left, section by section. `mae_mm` (K,) is the mean
-    absolute error that is left, over the coordinates of the points seen. `edge` (K,) marks commands at the end of the
-    model's range, beyond which the true one may lie. `observed` (K, C) says which commands move the shape there:
-    where both tendons of a pair hang slack, the command between them is a guess, with the variance of the full range.
+    `covariance` (K, C, C) of each, from the noise and from what is left, section by section.
+    `mae_mm` (K,) is the mean absolute error that is left, over the coordinates of the points seen.
+    `edge` (K,) marks commands at the end of the model's range, beyond which the true one may lie.
+    `observed` (K, C) says which commands move the shape there: where both tendons of a pair hang
+    slack, the command between them is a guess, with the variance of the full range.
     """
 
     command: Floats
@@ -66,7 +73,8 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
 
     Args:
         model: prior and residual are matched, its effects are not.
-        run: with the model's own vertices or markers, in the base frame, or with markers carried on its template.
+        run: with the model's own vertices or markers, in the base frame, or with markers carried on
+            its template.
         refine: go on between the shapes of the grid; without, the answer of the paper.
 
     Returns:
@@ -93,7 +101,9 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
             u[part] = _refined(shapes, seen[part], weight[part], u[part], low, high)
         there, left, _ = _left(shapes, seen[part], weight[part], u[part])
         slopes = shapes.without_roll(shapes.slopes(u[part]), there, weight[part])
-        covariance[part] = _covariance(shapes.member, slopes, left, weight[part], run.sigma is not None)
+        covariance[part] = _covariance(
+            shapes.member, slopes, left, weight[part], run.sigma is not None
+        )
     observed = _observed(shapes, grid, u, low, high)
     covariance += _slack(observed, low, high)
     off = np.abs(shapes(u) - seen).sum(axis=2)
@@ -102,17 +112,25 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     lost = count < max(3.0, LEAST_SEEN * visible.shape[1])
     u[lost], covariance[lost], mae[lost] = np.nan, np.nan, np.nan
     reach = EDGE * (high - low)
-    edge = (observed & ((u <= low + reach) | (u >= high - reach))).any(axis=1)  # what hangs slack may be anywhere
+    # what hangs slack may be anywhere
+    edge = (observed & ((u <= low + reach) | (u >= high - reach))).any(axis=1)
     return Matches(u, covariance, mae, np.asarray(edge, np.bool_), observed)
 
 
-def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float) -> Matches:
-    """Return the matches, those of some frames (F,) as one step of Gauss and Newton from commands (F, C) gives them.
+def linearised(
+    model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float
+) -> Matches:
+    """Return the matches, those of some frames (F,) as one step of Gauss and Newton from commands
+    (F, C) gives them.
 
-    What hangs slack where a map puts it stays there, and does not jump over the slack for what the model lacks.
-    `turn` in rad: of all shapes about the axis of the base.
+    What hangs slack where a map puts it stays there, and does not jump over the slack for what the
+    model lacks. `turn` in rad: of all shapes about the axis of the base.
     """
-    command, covariance, observed = matches.command.copy(), matches.covariance.copy(), matches.observed.copy()
+    command, covariance, observed = (
+        matches.command.copy(),
+        matches.covariance.copy(),
+        matches.observed.copy(),
+    )
     low, high = model.command_range.T
     some = run.at(frames)
     for rows, family in priors_by_orientation(model, some):
@@ -127,34 +145,47 @@ def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands
             step = np.einsum("kcd,kd->kc", _inverse(_squares(slopes, weight)), pull)
             left -= np.einsum("knxc,kc->knx", slopes, step)
             command[at] = u + step
-            covariance[at] = _covariance(shapes.member, slopes, left, weight, some.sigma is not None)
+            covariance[at] = _covariance(
+                shapes.member, slopes, left, weight, some.sigma is not None
+            )
             observed[at] = _observed(shapes, _grid(low, high), u, low, high)
     covariance[frames] += _slack(observed[frames], low, high)
     return replace(matches, command=command, covariance=covariance, observed=observed)
 
 
 def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
-    """Return what a run shows of a model's points (K, N, 3), 0 where unseen, and the weight (K, N) of each, 1/mm²."""
+    """Return what a run shows of a model's points (K, N, 3), 0 where unseen, and the weight (K, N)
+    of each, 1/mm².
+    """
     points = np.asarray(model.points_in_mm(run), float)
     visible = known(run, points)
-    sigma = np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
+    sigma = (
+        np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
+    )
     return np.where(visible[..., None], points, 0.0), visible / np.maximum(sigma, 1e-6) ** 2
 
 
 def _slack(observed: Mask, low: Floats, high: Floats) -> Floats:
-    """Return the covariance (K, C, C) of commands that shapes do not determine: that of their full range."""
-    return np.asarray(np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low))))
+    """Return the covariance (K, C, C) of commands that shapes do not determine: that of their full
+    range.
+    """
+    return np.asarray(
+        np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low)))
+    )
 
 
 def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
     """Return the matches of a run's frames from those of its parts, each with its rows."""
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     names = [f.name for f in fields(Matches)]
-    return Matches(**{n: np.concatenate([getattr(part, n) for _, part in parts])[order] for n in names})
+    return Matches(
+        **{n: np.concatenate([getattr(part, n) for _, part in parts])[order] for n in names}
+    )
 
 
 class Shapes:
-    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body.
+    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and
+    turns about the body.
 
     `turn` in rad about the axis of the base; 0 unless it was asked for.
     """
@@ -171,7 +202,11 @@ class Shapes:
 
     def __call__(self, u: Floats) -> Floats:
         points = np.asarray(self.family.evaluate(np.ascontiguousarray(u))).reshape(len(u), -1, 3)
-        points = points if self.carry is None else np.asarray(np.einsum("mn,knx->kmx", self.carry, points))
+        points = (
+            points
+            if self.carry is None
+            else np.asarray(np.einsum("mn,knx->kmx", self.carry, points))
+        )
         return points if self.turn is None else points @ self.turn.T
 
     def turned(self, angle: float) -> Shapes:
@@ -182,12 +217,22 @@ class Shapes:
 
     def slopes(self, u: Floats) -> Floats:
         """Return the slopes (n, N, 3, C)."""
-        found = np.asarray(self.family.jacobian(np.ascontiguousarray(u))).reshape(len(u), -1, 3, u.shape[1])
-        found = found if self.carry is None else np.asarray(np.einsum("mn,knxc->kmxc", self.carry, found))
-        return found if self.turn is None else np.asarray(np.einsum("ij,knjc->knic", self.turn, found))
+        found = np.asarray(self.family.jacobian(np.ascontiguousarray(u))).reshape(
+            len(u), -1, 3, u.shape[1]
+        )
+        found = (
+            found
+            if self.carry is None
+            else np.asarray(np.einsum("mn,knxc->kmxc", self.carry, found))
+        )
+        return (
+            found if self.turn is None else np.asarray(np.einsum("ij,knjc->knic", self.turn, found))
+        )
 
     def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
-        """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section that explains most."""
+        """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section
+        that explains most.
+        """
         return moved if self.roll_seen else without_roll(self.member, moved, points, weight)
 
 
@@ -199,9 +244,17 @@ def _grid(low: Floats, high: Floats) -> Floats:
 
 
 def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
-    """Return which of the shapes (G, N, 3) has the least mean absolute error to each frame (K, N, 3)."""
-    flat, each = np.asarray(shapes.reshape(len(shapes), -1), np.float32), max(1, CHUNK // max(1, shapes.size))
-    rows, shown = seen.reshape(len(seen), -1).astype(np.float32), np.repeat(visible, 3, axis=1).astype(np.float32)
+    """Return which of the shapes (G, N, 3) has the least mean absolute error to each frame (K, N,
+    3).
+    """
+    flat, each = (
+        np.asarray(shapes.reshape(len(shapes), -1), np.float32),
+        max(1, CHUNK // max(1, shapes.size)),
+    )
+    rows, shown = (
+        seen.reshape(len(seen), -1).astype(np.float32),
+        np.repeat(visible, 3, axis=1).astype(np.float32),
+    )
     found = np.zeros(len(seen), np.intp)
     for k in range(0, len(seen), each):
         off = np.abs(flat - rows[k : k + each, None])
@@ -209,7 +262,9 @@ def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
     return found
 
 
-def _refined(shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats) -> Floats:
+def _refined(
+    shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats
+) -> Floats:
     """Return the best commands (k, C) within their range, from a start."""
     damping = np.full(len(u), 1e-3)
     points, left, cost = _left(shapes, seen, weight, u)
@@ -219,12 +274,19 @@ def _refined(shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Float
         bend = _squares(slopes, weight)
         held = ((u <= low) & (gradient < 0)) | ((u >= high) & (gradient > 0))
         own = np.where(held, 1.0, damping[:, None] * np.einsum("kcc->kc", bend) + 1e-9)
-        system = np.where(~held[:, :, None] & ~held[:, None], bend, 0.0) + own[:, :, None] * np.eye(u.shape[1])
-        tried = np.clip(u + np.linalg.solve(system, np.where(held, 0.0, gradient)[..., None])[..., 0], low, high)
+        system = np.where(~held[:, :, None] & ~held[:, None], bend, 0.0) + own[:, :, None] * np.eye(
+            u.shape[1]
+        )
+        tried = np.clip(
+            u + np.linalg.solve(system, np.where(held, 0.0, gradient)[..., None])[..., 0], low, high
+        )
         there, after, price = _left(shapes, seen, weight, tried)
         better, step = price < cost, np.abs(tried - u) / (high - low)
         u, cost = np.where(better[:, None], tried, u), np.where(better, price, cost)
-        points, left = (np.where(better[:, None, None], new, old) for new, old in ((there, points), (after, left)))
+        points, left = (
+            np.where(better[:, None, None], new, old)
+            for new, old in ((there, points), (after, left))
+        )
         damping = np.where(better, 0.2 * damping, 8.0 * damping)
         if np.all((step.max(axis=1) < SETTLED) | (damping > 1e8)):
             break
@@ -232,7 +294,9 @@ def _refined(shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Float
 
 
 def _left(shapes: Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the shapes (k, N, 3) at commands, what they leave of what was seen, and its weighted squares (k,)."""
+    """Return the shapes (k, N, 3) at commands, what they leave of what was seen, and its weighted
+    squares (k,).
+    """
     points = shapes(u)
     left = shapes.without_roll((seen - points)[..., None], points, weight)[..., 0]
     return points, left, np.einsum("kn,knx,knx->k", weight, left, left, optimize=True)
@@ -245,11 +309,16 @@ def _squares(slopes: Floats, weight: Floats) -> Floats:
 def _inverse(bend: Floats) -> Floats:
     """Return the inverses of matrices (k, C, C), of flat ones as good as there is."""
     eye = np.eye(bend.shape[1])
-    return np.asarray(np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * eye + 1e-12 * eye))
+    return np.asarray(
+        np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * eye + 1e-12 * eye)
+    )
 
 
-def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool) -> Floats:
-    """Return the covariance (k, C, C): of independent noise, or of what is left where sections are off together.
+def _covariance(
+    member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool
+) -> Floats:
+    """Return the covariance (k, C, C): of independent noise, or of what is left where sections are
+    off together.
 
     `known`: the weights are those of a known noise.
     """
@@ -265,7 +334,9 @@ def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, kn
 
 
 def _observed(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
-    """Return which commands (K, C) move the shape, to both sides, as commands of that channel usually do."""
+    """Return which commands (K, C) move the shape, to both sides, as commands of that channel
+    usually do.
+    """
     observed, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
 

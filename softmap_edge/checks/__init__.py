@@ -1,1 +1,3 @@
-"""Checks of the data: lost points, clocks, conditions that cannot be separated, a run of another robot."""
+"""Checks of the data: lost points, clocks, conditions that cannot be separated, a run of another
+robot.
+"""

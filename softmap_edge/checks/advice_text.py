@@ -1,4 +1,6 @@
-"""What a run can identify, and how effects would show in it, for a terminal. Text only, 100 columns."""
+"""What a run can identify, and how effects would show in it, for a terminal. Text only, 100
+columns.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,13 @@ from softmap_edge.files.numbers import folded
 
 
 def advice_lines(words: list[Advice]) -> list[str]:
-    """Return the words for a terminal: what can be identified, what cannot with its remedy, and the minutes in all."""
+    """Return the words for a terminal: what can be identified, what cannot with its remedy, and the
+    minutes in all.
+    """
     lines = ["", "This run can identify"]
-    lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or ["  nothing yet"]
+    lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or [
+        "  nothing yet"
+    ]
     poor = [word for word in words if not word.tells]
     if not poor:
         return lines
@@ -19,12 +25,21 @@ def advice_lines(words: list[Advice]) -> list[str]:
         time = "" if word.minutes is None else f" ({word.minutes:g} min)"
         lines += [*folded(f"- {word.text}", 2, 2), *folded(f"> {word.remedy}{time}", 6, 2)]
     minutes = sum(word.minutes or 0.0 for word in poor)
-    return [*lines, "", f"What is missing (the lines marked >) takes about {minutes:g} minutes of recording in all."]
+    return [
+        *lines,
+        "",
+        f"What is missing (the lines marked >) takes about {minutes:g} minutes of recording in "
+        "all.",
+    ]
 
 
 def effect_lines(effects: list[Document]) -> list[str]:
     """Return for a terminal what `diagnosis.showing` found of each effect."""
-    lines = ["", "Effects at typical strength: how far each would move the body, and how often that is the noise"]
+    lines = [
+        "",
+        "Effects at typical strength: how far each would move the body, and how often that is the "
+        "noise",
+    ]
     wide = max((len(row["name"]) for row in effects), default=0)
     for row in effects:
         if row["shows"]:

@@ -1,13 +1,16 @@
-"""Find conditions of a run that cannot be separated from time or from the commands, and tied channels.
+"""Find conditions of a run that cannot be separated from time or from the commands, and tied
+channels.
 
-    R² of a condition on (1, t), on (1, t, t²) where that is monotonic, on one exponential or on one step: time
-    R² of a condition on a polynomial of the commands:                                              commands
+    R² of a condition on (1, t), on (1, t, t²) where that is monotonic, on one exponential or on one
+    step: time
+    R² of a condition on a polynomial of the commands:  commands
 
-Both are adjusted for their number of columns. From CONFUSED on the run cannot separate the two. A condition that
-returns, such as a temperature that warms up and cools down, is not tested against a parabola in time, because drift is
-monotonic. Tied channels are the null space of the standardised commands, split into groups that share a null vector.
-Units: °C, g, V, s. Limit: a condition that follows earlier commands (heat of the motors) is not tested.
-Pinned by tests/checks/test_collinear.py.
+Both are adjusted for their number of columns. From CONFUSED on the run cannot separate the two. A
+condition that returns, such as a temperature that warms up and cools down, is not tested against a
+parabola in time, because drift is monotonic. Tied channels are the null space of the standardised
+commands, split into groups that share a null vector. Units: °C, g, V, s. Limit: a condition that
+follows earlier commands (heat of the motors) is not tested. Pinned by
+tests/checks/test_collinear.py.
 """
 
 from __future__ import annotations
@@ -28,18 +31,31 @@ Floats = NDArray[np.float64]
 CONFUSED = 0.95  # R² from which two influences cannot be separated in this run
 TAUS = (0.1, 0.3, 1.0)  # of the duration: time constants of the exponentials that are tried
 STEPS = 60  # instants at which one step is tried
-DEGREE, MANY = 3, 3  # of the polynomial in the commands, and the channels above which it is linear with squares
-LEAST = {"temperature": 0.5, "load": 0.5, "voltage": 0.1, "orientation": TURNED}  # °C, g, V, g: less is no change
+# of the polynomial in the commands, and the channels above which it is linear with squares
+DEGREE, MANY = 3, 3
+# °C, g, V, g: less is no change
+LEAST = {"temperature": 0.5, "load": 0.5, "voltage": 0.1, "orientation": TURNED}
 REMEDY = {
-    "temperature": {"time": "warm up and cool down", "commands": "repeat the same moves at another temperature"},
+    "temperature": {
+        "time": "warm up and cool down",
+        "commands": "repeat the same moves at another temperature",
+    },
     "orientation": {
         "time": "return to the first orientation and repeat",
         "commands": "repeat the same moves in each orientation",
     },
-    "load": {"time": "take the load off again and repeat", "commands": "repeat the same moves with each load"},
-    "voltage": {"time": "return to the first voltage and repeat", "commands": "repeat the same moves at each voltage"},
+    "load": {
+        "time": "take the load off again and repeat",
+        "commands": "repeat the same moves with each load",
+    },
+    "voltage": {
+        "time": "return to the first voltage and repeat",
+        "commands": "repeat the same moves at each voltage",
+    },
 }
-TIED = 0.05  # singular value, relative to the largest of the standardised commands, below which a direction never moves
+# singular value, relative to the largest of the standardised commands, below which a direction
+# never moves
+TIED = 0.05
 PART = 0.05  # of a null vector: a channel with less is not part of it
 NOTHING = 0.02  # of a channel's standard deviation: a sum that small is zero
 EQUAL = 0.05  # weights closer than this are equal
@@ -47,9 +63,11 @@ EQUAL = 0.05  # weights closer than this are equal
 
 @dataclass(frozen=True)
 class Collinear:
-    """A declared `condition` that this run cannot separate from time or the commands (`with_`), and how well it fits.
+    """A declared `condition` that this run cannot separate from time or the commands (`with_`), and
+    how well it fits.
 
-    `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step", "a polynomial".
+    `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step",
+    "a polynomial".
     """
 
     condition: str
@@ -65,17 +83,18 @@ class Collinear:
     def __str__(self) -> str:
         other = "the commands" if self.with_ == "commands" else self.with_
         return (
-            f"{self.condition} and {other} cannot be distinguished in this run: {self.condition} follows {self.like} "
-            f"of {other} (R² {self.r2:.2f}); {self.remedy}"
+            f"{self.condition} and {other} cannot be distinguished in this run: {self.condition} "
+            f"follows {self.like} of {other} (R² {self.r2:.2f}); {self.remedy}"
         )
 
 
 @dataclass(frozen=True)
 class TiedChannels:
-    """Channels that move in fewer directions than there are channels: their separate effects cannot be identified.
+    """Channels that move in fewer directions than there are channels: their separate effects cannot
+    be identified.
 
-    `weights` are those of the sum that stays constant, largest 1, if there is one such sum; else empty. `total` is that
-    sum, in the unit of the commands.
+    `weights` are those of the sum that stays constant, largest 1, if there is one such sum; else
+    empty. `total` is that sum, in the unit of the commands.
     """
 
     channels: tuple[int, ...]
@@ -87,7 +106,9 @@ class TiedChannels:
     def remedy(self) -> str:
         """What to record, or what to expect."""
         named = ", ".join(map(str, self.channels))
-        return f"move channels {named} each alone, or expect only their differences to be identified"
+        return (
+            f"move channels {named} each alone, or expect only their differences to be identified"
+        )
 
     def __str__(self) -> str:
         named = ", ".join(map(str, self.channels))
@@ -99,20 +120,26 @@ class TiedChannels:
             return f"channels {named} add up to {self.total:.3g} {directions}"
         if len(w) == 2:
             ratio = -w[1] / w[0]
-            how = "move together" if abs(ratio - 1.0) < EQUAL else f"move in proportion, 1 to {1.0 / ratio:.3g}"
+            how = (
+                "move together"
+                if abs(ratio - 1.0) < EQUAL
+                else f"move in proportion, 1 to {1.0 / ratio:.3g}"
+            )
             return f"channels {named} {how} {directions}"
         terms = " ".join(f"{x:+.2g}·u{c}" for c, x in zip(self.channels, w)).replace("-", "−")
         return f"channels {named} are tied, {terms} is {self.total:.3g} {directions}"
 
 
 def collinear_conditions(run: Run) -> list[Collinear]:
-    """Return the declared conditions of a run that cannot be separated from time or from the commands.
+    """Return the declared conditions of a run that cannot be separated from time or from the
+    commands.
 
     Args:
         run: any run; only its seen frames count.
 
     Returns:
-        list: one entry for each pair, time first; empty where all conditions vary on their own or not at all.
+        list: one entry for each pair, time first; empty where all conditions vary on their own or
+        not at all.
     """
     if run.frames < 8:
         return []
@@ -128,7 +155,9 @@ def collinear_conditions(run: Run) -> list[Collinear]:
 
 
 def tied_channels(command: Floats) -> list[TiedChannels]:
-    """Return the groups of channels of commands (T, C) that move in fewer directions than they have channels."""
+    """Return the groups of channels of commands (T, C) that move in fewer directions than they have
+    channels.
+    """
     spread = command.std(axis=0) if len(command) else np.zeros(command.shape[1])
     alive = np.flatnonzero(spread > 1e-9 * max(float(spread.max(initial=0.0)), 1e-300))
     if len(alive) < 2:
@@ -136,11 +165,16 @@ def tied_channels(command: Floats) -> list[TiedChannels]:
     scaled = (command[:, alive] - command[:, alive].mean(axis=0)) / spread[alive]
     _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
     null = directions[singular < TIED * singular[0]]  # (n, C)
-    return [_tie(alive[group], null[:, group], command[:, alive[group]]) for group in _groups(null.T @ null)]
+    return [
+        _tie(alive[group], null[:, group], command[:, alive[group]])
+        for group in _groups(null.T @ null)
+    ]
 
 
 def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChannels:
-    """Return a group of channels with its null vectors (n, m) of the standardised commands; `command` (T, m)."""
+    """Return a group of channels with its null vectors (n, m) of the standardised commands;
+    `command` (T, m).
+    """
     _, singular, vectors = np.linalg.svd(null, full_matrices=False)
     dimension = int((singular > 0.5).sum())
     named = tuple(int(c) for c in channels)
@@ -150,11 +184,15 @@ def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChann
     weights = weights / weights[int(np.argmax(np.abs(weights)))]
     total = float((command @ weights).mean())
     zero = abs(total) < NOTHING * float(np.abs(weights * command.std(axis=0)).max())
-    return TiedChannels(named, len(named) - 1, tuple(float(x) for x in weights), 0.0 if zero else total)
+    return TiedChannels(
+        named, len(named) - 1, tuple(float(x) for x in weights), 0.0 if zero else total
+    )
 
 
 def _groups(projector: Floats) -> list[NDArray[np.intp]]:
-    """Return the connected groups of two or more channels in the projector (C, C) on the null space."""
+    """Return the connected groups of two or more channels in the projector (C, C) on the null
+    space.
+    """
     joined = np.abs(projector) > PART
     left, found = set(np.flatnonzero(np.diag(projector) > PART).tolist()), []
     while left:
@@ -174,11 +212,17 @@ def _groups(projector: Floats) -> list[NDArray[np.intp]]:
 
 def _at_frames(run: Run, rows: Floats) -> Floats:
     """Return rows (T, n) at the seen frames, (K, n)."""
-    return np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1) if rows.shape[1] else rows[: run.frames]
+    return (
+        np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1)
+        if rows.shape[1]
+        else rows[: run.frames]
+    )
 
 
 def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
-    """Yield each declared condition that changes: its name and its values (K, n) at the seen frames."""
+    """Yield each declared condition that changes: its name and its values (K, n) at the seen
+    frames.
+    """
     given: dict[str, NDArray[np.generic] | None] = {
         "temperature": run.temperature,
         "orientation": run.gravity,
@@ -189,7 +233,9 @@ def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
         if raw is None or raw.dtype.kind not in "fiu" or raw.shape[:1] != run.t.shape:
             continue
         rows = np.asarray(raw, float).reshape(len(run.t), -1)
-        values = _at_frames(run, rows if name == "orientation" else rows.mean(axis=1, keepdims=True))
+        values = _at_frames(
+            run, rows if name == "orientation" else rows.mean(axis=1, keepdims=True)
+        )
         if np.isfinite(values).all() and float(np.ptp(values, axis=0).max()) >= LEAST[name]:
             yield name, values
 
@@ -211,14 +257,24 @@ def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
 
 
 def _polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C): degree 3, or up to squares for many channels; the 1 is first."""
+    """Return the monomials (K, m) of commands (K, C): degree 3, or up to squares for many channels;
+    the 1 is first.
+    """
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
-    x = (command - command.mean(axis=0))[:, span > 0] / np.maximum(span[span > 0], 1e-12) if len(command) else command
+    x = (
+        (command - command.mean(axis=0))[:, span > 0] / np.maximum(span[span > 0], 1e-12)
+        if len(command)
+        else command
+    )
     channels, one = x.shape[1], np.ones((len(command), 1))
     if channels > MANY:
         return np.concatenate([one, x, x**2], axis=1)
-    sets = [c for n in range(1, DEGREE + 1) for c in combinations_with_replacement(range(channels), n)]
-    return np.concatenate([one, *(np.prod(x[:, list(c)], axis=1, keepdims=True) for c in sets)], axis=1)
+    sets = [
+        c for n in range(1, DEGREE + 1) for c in combinations_with_replacement(range(channels), n)
+    ]
+    return np.concatenate(
+        [one, *(np.prod(x[:, list(c)], axis=1, keepdims=True) for c in sets)], axis=1
+    )
 
 
 def _r2(columns: Floats, values: Floats) -> float:

@@ -1,17 +1,19 @@
-"""Compare the clock of the frames with that of the commands: a different rate, or a step, from the motion alone.
+"""Compare the clock of the frames with that of the commands: a different rate, or a step, from the
+motion alone.
 
     y(t) = W φ(t − d(t)) + e        d(t) = a,  a + b (t − t₀),  or  a + s [t ≥ t₁]
 
-φ are a polynomial of the commands, play and lag of several sizes, and gains and places that change linearly with
-time, so memory and drift of the robot do not count as delay. Blocks of time have a delay each, fitted together with
-W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ = −Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the
-blocks in the metric H, and the scatter of the blocks gives the uncertainty, so slow changes of the robot widen it.
-A change that play and lag explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes.
-b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
-latency, or one shift of the clock, and is not reported (`clock_shift`). A log that stamps frames and commands in
-the same rows has one clock, and is not examined. Units: s, mm. Limits: 200 frames in 20
-s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
-tests/checks/test_frame_clock.py.
+φ are a polynomial of the commands, play and lag of several sizes, and gains and places that change
+linearly with time, so memory and drift of the robot do not count as delay. Blocks of time have a
+delay each, fitted together with W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ =
+−Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the blocks in the metric H, and the scatter of the
+blocks gives the uncertainty, so slow changes of the robot widen it. A change that play and lag
+explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes. b is the
+rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The
+constant a is latency, or one shift of the clock, and is not reported (`clock_shift`). A log that
+stamps frames and commands in the same rows has one clock, and is not examined. Units: s, mm.
+Limits: 200 frames in 20 s, commands that explain half of the motion, and a change beyond five
+standard errors; one step. Pinned by tests/checks/test_frame_clock.py.
 """
 
 from __future__ import annotations
@@ -52,8 +54,10 @@ class FrameClock:
     """How the clock of the frames runs against that of the commands.
 
     Attributes:
-        fast_ppm, sigma_ppm: its rate error (positive: fast) and standard error; None if the moves do not show it.
-        step_s, step_sigma_s, at_s: size of a forward step, its standard error, and its time; None without a step.
+        fast_ppm, sigma_ppm: its rate error (positive: fast) and standard error; None if the moves
+            do not show it.
+        step_s, step_sigma_s, at_s: size of a forward step, its standard error, and its time; None
+            without a step.
         duration_s: time span of the frames.
     """
 
@@ -80,22 +84,24 @@ class FrameClock:
     def __str__(self) -> str:
         if self.step_s is not None:
             return (
-                f"the clock of the frames steps by {1e3 * self.step_s:+.1f} ± {1e3 * (self.step_sigma_s or 0):.1f} ms "
-                f"against the commands at {self.at_s:.6g} s: set seen.clock_step = [{self.at_s:.6g}, "
-                f"{self.step_s:.4f}] in the mapping, or cut the run there"
+                f"the clock of the frames steps by {1e3 * self.step_s:+.1f} ± "
+                f"{1e3 * (self.step_sigma_s or 0):.1f} ms against the commands at {self.at_s:.6g} "
+                f"s: set seen.clock_step = [{self.at_s:.6g}, {self.step_s:.4f}] in the mapping, "
+                "or cut the run there"
             )
         if self.fast_ppm is None or self.sigma_ppm is None:
             return "the moves of this run do not show how fast the clock of the frames runs"
         if not self.runs_fast:
             return (
-                f"the clocks of the frames and of the commands agree within {abs(self.fast_ppm):.0f} ± "
-                f"{self.sigma_ppm:.0f} ppm; nothing is to be corrected"
+                "the clocks of the frames and of the commands agree within "
+                f"{abs(self.fast_ppm):.0f} ± {self.sigma_ppm:.0f} ppm; nothing is to be corrected"
             )
         late = 1e-6 * self.fast_ppm * self.duration_s
         way = "fast" if self.fast_ppm > 0 else "slow"
         return (
-            f"the clock of the frames runs {abs(self.fast_ppm):.0f} ± {self.sigma_ppm:.0f} ppm {way} against the "
-            f"commands ({abs(late):.3f} s over the run): set seen.fast_ppm = {self.fast_ppm:.0f} in the mapping"
+            f"the clock of the frames runs {abs(self.fast_ppm):.0f} ± {self.sigma_ppm:.0f} ppm "
+            f"{way} against the commands ({abs(late):.3f} s over the run): set seen.fast_ppm = "
+            f"{self.fast_ppm:.0f} in the mapping"
         )
 
     def to_dict(self) -> Document:
@@ -124,7 +130,9 @@ def frame_clock(run: Run) -> FrameClock | None:
             found = _found(run)
         except np.linalg.LinAlgError:
             return None
-    numbers = [] if found is None else [found.fast_ppm, found.sigma_ppm, found.step_s, found.step_sigma_s]
+    numbers = (
+        [] if found is None else [found.fast_ppm, found.sigma_ppm, found.step_s, found.step_sigma_s]
+    )
     return found if all(number is None or np.isfinite(number) for number in numbers) else None
 
 
@@ -151,7 +159,9 @@ def _found(run: Run) -> FrameClock | None:
 
 
 def _motion(run: Run) -> tuple[Floats, Floats] | None:
-    """Return times (K,) s and components (K, P) mm of the motion in frames with all chosen points."""
+    """Return times (K,) s and components (K, P) mm of the motion in frames with all chosen
+    points.
+    """
     seen = run.vertices if run.vertices is not None else run.markers
     given = run.command if run.command is not None else run.ticks
     if seen is None or given is None or run.timeless or run.channels == 0:
@@ -163,9 +173,17 @@ def _motion(run: Run) -> tuple[Floats, Floats] | None:
     there = known(run, seen)
     often = there.mean(axis=0) > 0.9
     chosen = np.flatnonzero(often)
-    often[np.delete(chosen, np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), POINTS)).astype(int)))] = False
+    often[
+        np.delete(
+            chosen, np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), POINTS)).astype(int))
+        )
+    ] = False
     rows = np.flatnonzero(there[:, often].all(axis=1)) if often.any() else np.zeros(0, int)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int))] if len(rows) else rows
+    rows = (
+        rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int))]
+        if len(rows)
+        else rows
+    )
     t = np.asarray(run.t_seen, float)[rows]
     if len(rows) < LEAST_FRAMES or t[-1] - t[0] < LEAST_S:
         return None
@@ -190,7 +208,9 @@ class _Memory:
         for c in range(u.shape[1]):
             one = np.ascontiguousarray(u[:, c : c + 1])
             for name, sizes in (("backlash", 2.0 * np.array(PLAYS)), ("lag", np.array(LAGS))):
-                made = _core.Chain([name], 1).rollout(np.ascontiguousarray(sizes[:, None]), one, self.t)
+                made = _core.Chain([name], 1).rollout(
+                    np.ascontiguousarray(sizes[:, None]), one, self.t
+                )
                 columns.append(np.asarray(made)[..., 0].T[::thin])
         self.channels, self.series, self.t = u.shape[1], np.hstack(columns), self.t[::thin]
         self.count = self.at(self.t[:1]).shape[1]
@@ -200,7 +220,9 @@ class _Memory:
         rows = np.stack([np.interp(t, self.t, column) for column in self.series.T], axis=1)
         u = rows[:, : self.channels]
         drift = (2 * (t - self.t[0]) / (self.t[-1] - self.t[0]) - 1)[:, None]
-        products = [u[:, i] * u[:, j] for i in range(self.channels) for j in range(i, self.channels)]
+        products = [
+            u[:, i] * u[:, j] for i in range(self.channels) for j in range(i, self.channels)
+        ]
         if self.channels <= MANY_CHANNELS:
             products += [u[:, i] * p for i in range(self.channels) for p in list(products)]
         return np.column_stack([np.ones(len(rows)), rows, *products, drift, drift**2, drift * u])
@@ -220,7 +242,9 @@ class _Memory:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A map of the columns (K, F) onto what was seen: errors and slopes over time (K, P); all weighted."""
+    """A map of the columns (K, F) onto what was seen: errors and slopes over time (K, P); all
+    weighted.
+    """
 
     columns: Floats
     error: Floats
@@ -251,8 +275,12 @@ class _Blocks:
     def __init__(self, t: Floats) -> None:
         self.count = int(np.clip(len(t) // BLOCK_FRAMES, LEAST_BLOCKS, MOST_BLOCKS))
         share = (t - t[0]) / (t[-1] - t[0])
-        self.of: NDArray[np.int64] = np.minimum((share * self.count).astype(np.int64), self.count - 1)
-        self.t = np.bincount(self.of, t, self.count) / np.maximum(np.bincount(self.of, minlength=self.count), 1)
+        self.of: NDArray[np.int64] = np.minimum(
+            (share * self.count).astype(np.int64), self.count - 1
+        )
+        self.t = np.bincount(self.of, t, self.count) / np.maximum(
+            np.bincount(self.of, minlength=self.count), 1
+        )
         self.weight: Floats = np.zeros((self.count, self.count))  # H
         self.alone: Floats = np.zeros(self.count)  # its diagonal if the map were known
         self.pull = np.zeros(self.count)  # H δ
@@ -262,11 +290,14 @@ class _Blocks:
         """Measure the delay of each block about one that is assumed, (K,) s."""
         fitted = memory.errors(t - delay, y)
         q, _ = np.linalg.qr(fitted.columns)
-        self.alone = np.asarray(np.bincount(self.of, (fitted.slope**2).sum(axis=1), self.count), float)
+        self.alone = np.asarray(
+            np.bincount(self.of, (fitted.slope**2).sum(axis=1), self.count), float
+        )
         self.weight = np.diag(self.alone)
         along = np.zeros(self.count)
         for slope, error in zip(fitted.slope.T, fitted.error.T):
-            inner = np.stack([np.bincount(self.of, column * slope, self.count) for column in q.T])  # (F, B)
+            # (F, B)
+            inner = np.stack([np.bincount(self.of, column * slope, self.count) for column in q.T])
             self.weight -= inner.T @ inner
             along += np.bincount(self.of, slope * error, self.count)
         counts = np.maximum(np.bincount(self.of, minlength=self.count), 1)
@@ -274,7 +305,9 @@ class _Blocks:
         self.inverse = np.asarray(np.linalg.pinv(self.weight, rcond=1e-6, hermitian=True), float)
 
     def fit(self, part: Floats, kind: str, pivot: float) -> _Line:
-        """Fit a first value and so much of a `part` (B,) to the delays; their scatter gives the standard error."""
+        """Fit a first value and so much of a `part` (B,) to the delays; their scatter gives the
+        standard error.
+        """
         ones = np.ones((self.count, 1))
         columns = ones if kind == "constant" else np.column_stack([ones, part])
         gram = columns.T @ self.weight @ columns
@@ -286,7 +319,13 @@ class _Blocks:
         known = np.linalg.pinv((columns * self.alone[:, None]).T @ columns, hermitian=True)[-1, -1]
         separate = known > SEPARATE * inverse[-1, -1]
         sigma = float(np.sqrt(max(spread * inverse[-1, -1], 0.0))) if separate else np.inf
-        return _Line(kind, (float(value[0]), float(value[-1]) if kind != "constant" else 0.0), sigma, pivot, squares)
+        return _Line(
+            kind,
+            (float(value[0]), float(value[-1]) if kind != "constant" else 0.0),
+            sigma,
+            pivot,
+            squares,
+        )
 
 
 @dataclass(frozen=True)
@@ -303,7 +342,13 @@ class _Line:
 
     def at(self, t: Floats) -> Floats:
         """Return the delay (K,) s at times (K,) s."""
-        part = t - self.pivot if self.kind == "line" else (t >= self.pivot) if self.kind == "step" else np.zeros(len(t))
+        part = (
+            t - self.pivot
+            if self.kind == "line"
+            else (t >= self.pivot)
+            if self.kind == "step"
+            else np.zeros(len(t))
+        )
         return np.asarray(self.value[0] + self.value[1] * part)
 
 
@@ -314,9 +359,15 @@ def _best(blocks: _Blocks) -> _Line:
     flat, line = blocks.fit(t, "constant", 0.0), blocks.fit(t - middle, "line", middle)
     cuts = 0.5 * (t[2:-1] + t[1:-2])
     steps = [blocks.fit((t >= cut).astype(float), "step", float(cut)) for cut in cuts]
-    step = min((one for one in steps if np.isfinite(one.sigma)), key=lambda one: one.left, default=flat)
+    step = min(
+        (one for one in steps if np.isfinite(one.sigma)), key=lambda one: one.left, default=flat
+    )
     clear = line.left - step.left > STEP_OVER_LINE * step.left / (blocks.count - 3)
-    if step.kind == "step" and clear and abs(step.value[1]) > max(STEP_SURE * step.sigma, LEAST_CHANGE):
+    if (
+        step.kind == "step"
+        and clear
+        and abs(step.value[1]) > max(STEP_SURE * step.sigma, LEAST_CHANGE)
+    ):
         found = step
     else:
         found = line if abs(line.value[1]) > SURE * line.sigma else flat
@@ -333,7 +384,9 @@ def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:
 
 
 def _place(shape: _Line, t: Floats) -> float:
-    """Return the time of the step: the stamps whose distance shows it, near the place found by the blocks."""
+    """Return the time of the step: the stamps whose distance shows it, near the place found by the
+    blocks.
+    """
     apart = np.diff(t) - np.median(np.diff(t))
     near = np.abs(t[1:] - shape.pivot) < 2 * (t[-1] - t[0]) / LEAST_BLOCKS
     odd = np.where(near, np.sign(shape.value[1]) * apart, -np.inf)

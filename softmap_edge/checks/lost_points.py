@@ -1,8 +1,8 @@
 """Find points that stand for "not seen" in run files of older versions or other programs.
 
-`softmap import` sets such points aside and writes the field `NOT_SEEN`, so that the search is not repeated. Any other
-run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
-Pinned by tests/logs/test_not_seen.py.
+`softmap import` sets such points aside and writes the field `NOT_SEEN`, so that the search is not
+repeated. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`). Pinned
+by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -37,11 +37,21 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     points = run.vertices if run.vertices is not None else run.markers
     if points is None or not points.size or _looked_for(run):
         return np.zeros((len(run.t_seen), 0 if points is None else points.shape[1]), bool), []
-    names = run.marker_names if run.markers is not None else [f"vertex {n}" for n in range(points.shape[1])]
+    names = (
+        run.marker_names
+        if run.markers is not None
+        else [f"vertex {n}" for n in range(points.shape[1])]
+    )
     visible = known(run, points)
-    raw = np.where(visible[..., None], points if run.output is None else run.outputs[..., None], np.nan)
+    raw = np.where(
+        visible[..., None], points if run.output is None else run.outputs[..., None], np.nan
+    )
     rows = commanded(run)
-    u = np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1) if rows.shape[1] else None
+    u = (
+        np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1)
+        if rows.shape[1]
+        else None
+    )
     lost = not_seen(raw, u)
     mask, lines = lost.mask, lost.lines(names, remedy)
     raw[mask] = np.nan
@@ -52,12 +62,16 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 
 
 def _looked_for(run: Run) -> bool:
-    """Return whether an import has searched for such points, or the user keeps them; an array does not count."""
+    """Return whether an import has searched for such points, or the user keeps them; an array does
+    not count.
+    """
     return text_in(run.extra, NOT_SEEN) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
-    """Return a run in which these points are not visible, and the sentences; the same run if there are none."""
+    """Return a run in which these points are not visible, and the sentences; the same run if there
+    are none.
+    """
     mask, lines = lost_points(run, remedy)
     if not mask.any():
         return run, []

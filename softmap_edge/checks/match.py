@@ -1,14 +1,16 @@
-"""Check that a run belongs to this model's robot: units, frame, handedness, order of points, clocks.
+"""Check that a run belongs to this model's robot: units, frame, handedness, order of points,
+clocks.
 
-The checks are gross, so that missing physics passes: each limit lies beyond the reach of any effect of the library, and
-a memory as strong as a play over most of the range is no fault (`remembered.py`). A run that fails is refused, with its
-numbers and the remedy. A fault that a diagnosis can fit passes: a base that is misaligned by 2 mm, a swapped servo, a
-clock 0.2 s late.
+The checks are gross, so that missing physics passes: each limit lies beyond the reach of any effect
+of the library, and a memory as strong as a play over most of the range is no fault
+(`remembered.py`). A run that fails is refused, with its numbers and the remedy. A fault that a
+diagnosis can fit passes: a base that is misaligned by 2 mm, a swapped servo, a clock 0.2 s late.
 
-    follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
+    follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the
+                                                          frames
 
-Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/run/test_bad_runs.py and
-tests/diagnosis/test_wrongly_declared.py.
+Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by
+tests/run/test_bad_runs.py and tests/diagnosis/test_wrongly_declared.py.
 """
 
 from __future__ import annotations
@@ -39,25 +41,33 @@ FRAMES = 100  # looked at where all would take long
 LITTLE = 0.05  # of the range of the model: commands that stay within it may be in another unit
 NO_LOAD = 0.5  # g: a heaviest load below this was meant in kg
 OUT_OF_REACH = 3.0  # lengths of the body that no prediction may leave the base by
-SPACING = 2.0  # by which neighbouring points may come closer or part: silicone does not stretch so far
-TURNED, SHIFTED = 60.0, 0.5  # deg and body lengths: a heavy load turns the markers of a soft body by half as much
+# by which neighbouring points may come closer or part: silicone does not stretch so far
+SPACING = 2.0
+# deg and body lengths: a heavy load turns the markers of a soft body by half as much
+TURNED, SHIFTED = 60.0, 0.5
 CLAMPED = 0.15  # of the body's length from its base: there only the frame of reference moves points
-FAR, STEADY = 1.5, 3.0  # times what is fitted as a mount, and the scatter over frames, by which such a frame is off
+# times what is fitted as a mount, and the scatter over frames, by which such a frame is off
+FAR, STEADY = 1.5, 3.0
 BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
 LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
-STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges exceeds 0.05
+# of the expected motion: in all, and along it; a play of 1.9 half ranges exceeds 0.05
+STILL, ALONG = 0.08, 0.02
 MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
 NEARLY = 0.1  # of the motion: explained as well as by another cause
 FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
 MENDED = 0.3  # of the error that gravity the other way round must leave at most
 LATE = 2.0  # s: a delay up to here is asked of the effects
 TIMES = 1000  # at which a shift of the clocks is tried
-HELD, END, LEAST_HELD = 0.05, 0.02, 4  # of the frames at extreme commands, and at one of them, that may be clipped
+# of the frames at extreme commands, and at one of them, that may be clipped
+HELD, END, LEAST_HELD = 0.05, 0.02, 4
 STEP = 0.02  # of the range of a command over which slopes are taken
 GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
-MORE = 1.2  # times the scatter while it is not held, less what is linear in the command: else the model is that wrong
-SEEN = 0.3  # of what a step of the command usually moves, below which a frame says nothing about the command
+# times the scatter while it is not held, less what is linear in the command: else the model is that
+# wrong
+MORE = 1.2
+# of what a step of the command usually moves, below which a frame says nothing about the command
+SEEN = 0.3
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
 
@@ -66,28 +76,40 @@ def declaration_remarks(model: Model, run: Run) -> list[str]:
     found = [f"{text}" for text in doubts_of_time(np.asarray(run.t, float))]
     if run.robot is not None and run.robot != model.robot:
         found.append(
-            f"the run is one of '{run.robot}', the model is of '{model.robot}'; give --bundle if that is another"
+            f"the run is one of '{run.robot}', the model is of '{model.robot}'; give --bundle if "
+            "that is another"
         )
     if model.channels and run.command_unit != model.command_unit:
         found.append(
-            f"the run's commands are in {run.command_unit}, the model takes {model.command_unit}: they are taken as "
-            "they are; set the unit in the mapping"
+            f"the run's commands are in {run.command_unit}, the model takes {model.command_unit}: "
+            "they are taken as they are; set the unit in the mapping"
         )
-    low, high = np.asarray(model.command_range, float).T if len(model.command_range) else (np.zeros(0), np.zeros(0))
-    share = float(np.max(np.ptp(model.commands(run), axis=0) / np.maximum(high - low, 1e-12), initial=0.0))
+    low, high = (
+        np.asarray(model.command_range, float).T
+        if len(model.command_range)
+        else (np.zeros(0), np.zeros(0))
+    )
+    share = float(
+        np.max(np.ptp(model.commands(run), axis=0) / np.maximum(high - low, 1e-12), initial=0.0)
+    )
     if 0.0 < share < LITTLE:
         found.append(
-            f"the commands move by at most {100 * share:.2g} % of what the model was made from; if they are not in "
-            f"{model.command_unit}, set their unit in the mapping"
+            f"the commands move by at most {100 * share:.2g} % of what the model was made from; "
+            f"if they are not in {model.command_unit}, set their unit in the mapping"
         )
     most = 0.0 if run.load is None else float(np.max(run.load, initial=0.0))
     if 0.0 < most < NO_LOAD:
-        found.append(f"the heaviest load is {most:.3g} g, which moves nothing; `load` is in grams, not kg")
+        found.append(
+            f"the heaviest load is {most:.3g} g, which moves nothing; `load` is in grams, not kg"
+        )
     return found
 
 
-def check_run_matches_model(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> list[str]:
-    """Refuse a run that cannot be one of this robot under these commands; return doubts about one that may be.
+def check_run_matches_model(
+    model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats
+) -> list[str]:
+    """Refuse a run that cannot be one of this robot under these commands; return doubts about one
+    that may be.
 
     Args:
         model, run: as for `sound`. seen, predicted: points (K, N, 3) mm. visible: (K, N).
@@ -99,22 +121,31 @@ def check_run_matches_model(model: Model, run: Run, seen: Floats, visible: Mask,
     _in_reach(model, run, predicted, length)
     some = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), FRAMES)).astype(int))
     s, p, v = seen[some], predicted[some], visible[some]
-    rest = np.asarray(model.rest if run.marker_rest is None or model.markers else run.marker_rest, float)
+    rest = np.asarray(
+        model.rest if run.marker_rest is None or model.markers else run.marker_rest, float
+    )
     _in_order(model, rest, s, v)
     _in_place(model, run.at(some), rest, s, v, p)
     _upside_down(model, run.at(some), s, v, p)
     motion = centred(s, v)
-    if float(np.sqrt(np.mean(np.sum(motion[v] ** 2, axis=1)))) < MOTION * length or not model.channels:
+    if (
+        float(np.sqrt(np.mean(np.sum(motion[v] ** 2, axis=1)))) < MOTION * length
+        or not model.channels
+    ):
         return []
     answer = centred(p, v)
     both = float(np.sum(motion * answer))
     power, moved = float(np.sum(answer**2)), float(np.sum(motion**2))
-    other = power > 0 and both > ALIKE * np.sqrt(power * moved) and not 1 / LARGER < both / power < LARGER
+    other = (
+        power > 0
+        and both > ALIKE * np.sqrt(power * moved)
+        and not 1 / LARGER < both / power < LARGER
+    )
     if other and memory_share(model, run.at(some), s, v).share < ALIKE:
         raise RunError(
-            f"the points move {both / power:.3g} times as far as the commands say, in the same way: the commands "
-            f"are in another unit than {model.command_unit} (cm, m, deg or ticks?) or of another robot; set `unit` in "
-            "the mapping"
+            f"the points move {both / power:.3g} times as far as the commands say, in the same "
+            f"way: the commands are in another unit than {model.command_unit} (cm, m, deg or "
+            "ticks?) or of another robot; set `unit` in the mapping"
         )
     if followed_share(s - p, s, v) < FOLLOWED:
         _other_cause(model, run, s, v)
@@ -127,14 +158,18 @@ def followed_share(left: Floats, seen: Floats, visible: Mask) -> float:
     return 1.0 - float(np.sum(centred(left, visible) ** 2)) / max(moved, 1e-300)
 
 
-def not_following(seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float) -> str | None:
-    """Report a robot that does not follow its commands at all: it hardly moves, or as a model that does not move.
+def not_following(
+    seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float
+) -> str | None:
+    """Report a robot that does not follow its commands at all: it hardly moves, or as a model that
+    does not move.
 
     Args:
         seen: measured points (K, N, 3) mm.
         visible: (K, N).
         expected: predicted points (K, N, 3) mm.
-        fitted: points (K, N, 3) mm of the model with what was found, which may be a dead zone of the full range.
+        fitted: points (K, N, 3) mm of the model with what was found, which may be a dead zone of
+            the full range.
         length: of the body, mm.
     """
     required = spread(expected, visible)
@@ -146,9 +181,10 @@ def not_following(seen: Floats, visible: Mask, expected: Floats, fitted: Floats,
     if abs(along) > ALONG or min(got, spread(fitted, visible)) > STILL * required:
         return None
     return (
-        f"The robot does not follow its commands: they should move its points by {required:.3g} mm RMS, and the points "
-        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % follow the commands. No effect is named. Check "
-        "that the drive is engaged (power, torque, tendons attached), and that the frames are of this recording."
+        f"The robot does not follow its commands: they should move its points by {required:.3g} "
+        f"mm RMS, and the points move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % "
+        "follow the commands. No effect is named. Check that the drive is engaged (power, "
+        "torque, tendons attached), and that the frames are of this recording."
     )
 
 
@@ -162,11 +198,14 @@ def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
     if run.load is not None and np.any(run.load):
         alone = np.linalg.norm(model.predict(replace(run, load=None)), axis=2)
         if (alone < OUT_OF_REACH * length).all():
-            reasons = [f"the run declares a load of up to {run.load.max():.4g} g; give `load` in grams"]
+            reasons = [
+                f"the run declares a load of up to {run.load.max():.4g} g; give `load` in grams"
+            ]
     why = (reasons or [""])[0] or "look at the commands with `softmap show`"
     raise RunError(
-        f"in {int(gone.sum())} of {len(gone)} frames the model puts the body beyond {OUT_OF_REACH * length:.3g} mm "
-        f"from its base, {OUT_OF_REACH:g} times the length of '{model.robot}', so the run cannot be used: {why}"
+        f"in {int(gone.sum())} of {len(gone)} frames the model puts the body beyond "
+        f"{OUT_OF_REACH * length:.3g} mm from its base, {OUT_OF_REACH:g} times the length of "
+        f"'{model.robot}', so the run cannot be used: {why}"
     )
 
 
@@ -184,17 +223,21 @@ def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
         return
     count = both.sum(axis=0)
     step = np.where(both[..., None], seen[:, ones] - seen[:, others], 0.0).sum(axis=0)[count > 0]
-    ratio = np.linalg.norm(step / count[count > 0][:, None], axis=1) / usual[count > 0]  # the mean: noise averages out
+    # the mean: noise averages out
+    ratio = np.linalg.norm(step / count[count > 0][:, None], axis=1) / usual[count > 0]
     median = float(np.median(np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-9))))
     if median > SPACING:
         raise RunError(
-            f"neighbouring points of '{model.robot}' are {median:.3g} times farther apart or closer in this run than "
-            f"at rest, at most {SPACING:g} times is plausible: the points are in another order, in another unit, or of "
-            "another robot; give them as the template has them"
+            f"neighbouring points of '{model.robot}' are {median:.3g} times farther apart or "
+            f"closer in this run than at rest, at most {SPACING:g} times is plausible: the points "
+            "are in another order, in another unit, or of another robot; give them as the "
+            "template has them"
         )
 
 
-def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
+def _in_place(
+    model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask, predicted: Floats
+) -> None:
     """The frame of the points is right-handed, and the base stands where a fit can find it."""
     weight = visible.astype(float)
     middle = (seen * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)[:, None]
@@ -205,30 +248,44 @@ def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask,
         mixed = np.einsum("kni,nj->kij", about, still)
         strength, sign = np.linalg.svd(mixed, compute_uv=False), np.sign(np.linalg.det(mixed))
         total = np.sum(about**2, axis=(1, 2)) + np.sum(still**2)
-        pair = [total - 2 * (strength[:, 0] + strength[:, 1] + way * sign * strength[:, 2]) for way in (1.0, -1.0)]
-        turned, mirrored = (float(np.sqrt(max(float(left.min()), 0.0) / np.sum(still**2))) for left in pair)
+        pair = [
+            total - 2 * (strength[:, 0] + strength[:, 1] + way * sign * strength[:, 2])
+            for way in (1.0, -1.0)
+        ]
+        turned, mirrored = (
+            float(np.sqrt(max(float(left.min()), 0.0) / np.sum(still**2))) for left in pair
+        )
         if mirrored < 0.5 * turned and mirrored < 0.1 and turned > 0.1:
             raise RunError(
-                f"the points are mirrored: no turn brings them nearer to '{model.robot}' at rest than "
-                f"{100 * turned:.0f} % of its size, a mirror does to {100 * mirrored:.0f} %; the axes of their frame "
-                "are left-handed, so turn one axis round in the mapping"
+                f"the points are mirrored: no turn brings them nearer to '{model.robot}' at rest "
+                f"than {100 * turned:.0f} % of its size, a mirror does to {100 * mirrored:.0f} %; "
+                "the axes of their frame are left-handed, so turn one axis round in the mapping"
             )
     _at_the_clamp(model, rest, seen, visible, predicted)
     flat = (seen[visible], predicted[visible])
     pose = kabsch(flat[1], flat[0], np.ones(len(flat[0])))
-    before, after = (float(np.sqrt(np.mean(np.sum((q - flat[0]) ** 2, axis=1)))) for q in (flat[1], pose(flat[1])))
-    angle, shift = np.degrees(np.linalg.norm(rotation_vector(pose.rotation))), float(np.linalg.norm(pose.shift))
+    before, after = (
+        float(np.sqrt(np.mean(np.sum((q - flat[0]) ** 2, axis=1))))
+        for q in (flat[1], pose(flat[1]))
+    )
+    angle, shift = (
+        np.degrees(np.linalg.norm(rotation_vector(pose.rotation))),
+        float(np.linalg.norm(pose.shift)),
+    )
     length = float(np.linalg.norm(model.rest, axis=1).max())  # points may all be at the tip
     if after < BETTER * before and (angle > TURNED or shift > SHIFTED * length):
         raise RunError(
-            f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
-            f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "
-            f"`softmap run align`{_or_opposite(model, run, seen, visible)}"
+            f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the "
+            f"base of '{model.robot}', which takes their distance from {before:.3g} to "
+            f"{after:.3g} mm RMS; bring them to the base with `softmap run "
+            f"align`{_or_opposite(model, run, seen, visible)}"
         )
 
 
 def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
-    """Say so if commands of the opposite sign explain the motion as well as a frame that is turned."""
+    """Say so if commands of the opposite sign explain the motion as well as a frame that is
+    turned.
+    """
     share = followed_share(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
     if share < ALIKE:
         return ""
@@ -242,22 +299,29 @@ def _opposite(model: Model, run: Run) -> Floats:
     return np.asarray(model.predict(replace(run, **turned)))
 
 
-def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """Where the body is held nothing moves it: points that stand at another place are in another frame of reference."""
+def _at_the_clamp(
+    model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats
+) -> None:
+    """Where the body is held nothing moves it: points that stand at another place are in another
+    frame of reference.
+    """
     length = float(np.linalg.norm(model.rest, axis=1).max())
     there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
     frames = there.any(axis=1)
     if not frames.any():
         return
-    off = np.where(there[..., None], seen - predicted, 0.0).sum(axis=1)[frames] / there.sum(axis=1)[frames][:, None]
+    off = (
+        np.where(there[..., None], seen - predicted, 0.0).sum(axis=1)[frames]
+        / there.sum(axis=1)[frames][:, None]
+    )
     shift, noise = float(np.linalg.norm(off.mean(axis=0))), float(np.linalg.norm(off.std(axis=0)))
     fitted = max(one.high for one in registry()["mount"].parameters if one.unit == "mm")
     if shift > max(FAR * fitted, CLAMPED / 2 * length) and shift > STEADY * noise:
         where = ", ".join(f"{x:.3g}" for x in off.mean(axis=0))
         raise RunError(
-            f"this run's frame of reference is {shift:.3g} mm off: where '{model.robot}' is held its points stand at "
-            f"({where}) mm from their place; up to {fitted:g} mm is fitted as `mount`, so bring them to the base with "
-            "`softmap run align`"
+            f"this run's frame of reference is {shift:.3g} mm off: where '{model.robot}' is held "
+            f"its points stand at ({where}) mm from their place; up to {fitted:g} mm is fitted as "
+            "`mount`, so bring them to the base with `softmap run align`"
         )
 
 
@@ -266,11 +330,15 @@ def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted:
     if run.gravity is None:
         return
     other = np.asarray(model.predict(replace(run, gravity=-run.gravity)))
-    ours, theirs = (float(np.sqrt(np.mean(np.sum((seen - p)[visible] ** 2, axis=1)))) for p in (predicted, other))
+    ours, theirs = (
+        float(np.sqrt(np.mean(np.sum((seen - p)[visible] ** 2, axis=1))))
+        for p in (predicted, other)
+    )
     if theirs < MENDED * ours:
         raise RunError(
-            f"with `gravity` the other way round the error is {theirs:.3g} instead of {ours:.3g} mm RMS: it is "
-            "declared upside down; give the direction in which things fall, in the base frame"
+            f"with `gravity` the other way round the error is {theirs:.3g} instead of {ours:.3g} "
+            "mm RMS: it is declared upside down; give the direction in which things fall, in the "
+            "base frame"
         )
 
 
@@ -279,25 +347,30 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
     some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
     share = followed_share(seen - _opposite(model, run.at(some)), seen, visible)
     late, later = _clock(model, run, seen, visible, run.t_seen[some])
-    if max(share, later) > ALIKE and memory_share(model, run.at(some), seen, visible).free > max(share, later) - NEARLY:
+    if (
+        max(share, later) > ALIKE
+        and memory_share(model, run.at(some), seen, visible).free > max(share, later) - NEARLY
+    ):
         return
     if share > ALIKE:
         raise RunError(
-            f"with the opposite sign the commands explain {100 * share:.0f} % of the motion, as they are far "
-            "less: every channel pulls the other way; set sign = -1 in the mapping"
+            f"with the opposite sign the commands explain {100 * share:.0f} % of the motion, as "
+            "they are far less: every channel pulls the other way; set sign = -1 in the mapping"
         )
     if later > ALIKE and abs(late) > LATE and not run.timeless:
         raise RunError(
-            f"the commands explain {100 * later:.0f} % of the motion with the frames {abs(late):.4g} s "
-            f"{'earlier' if late > 0 else 'later'}, as they are far less: bring both to one clock "
-            "(`time.offset_s` of one log in the mapping)"
+            f"the commands explain {100 * later:.0f} % of the motion with the frames "
+            f"{abs(late):.4g} s {'earlier' if late > 0 else 'later'}, as they are far less: bring "
+            "both to one clock (`time.offset_s` of one log in the mapping)"
         )
 
 
 def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
-    """Return the delay of the frames in s, and the share of the motion that the commands explain with it.
+    """Return the delay of the frames in s, and the share of the motion that the commands explain
+    with it.
 
-    A periodic command fits again a period later. Of shifts that explain nearly as much, return the smallest.
+    A periodic command fits again a period later. Of shifts that explain nearly as much, return the
+    smallest.
     """
     grid = np.linspace(run.t[0], run.t[-1], TIMES)
     blank: Document = {
@@ -309,7 +382,10 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
         "t_seen": grid,
     }
     name = "vertices" if run.vertices is not None else "markers"
-    blank |= {name: np.full((TIMES, *seen.shape[1:]), np.nan), "visible": np.zeros((TIMES, seen.shape[1]), bool)}
+    blank |= {
+        name: np.full((TIMES, *seen.shape[1:]), np.nan),
+        "visible": np.zeros((TIMES, seen.shape[1]), bool),
+    }
     played = np.asarray(model.predict(replace(run, extra={}, **blank)))
     motion = centred(seen, visible)
     ones = np.argsort(-np.sum(motion**2, axis=(0, 2)))[:3]  # the points that move most
@@ -318,7 +394,9 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
         inside = (t - late >= grid[0]) & (t - late <= grid[-1])
         if inside.sum() < max(30, 0.4 * len(t)):
             continue
-        at = np.clip(np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1)
+        at = np.clip(
+            np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1
+        )
         s, v = seen[inside][:, ones], visible[inside][:, ones]
         share = followed_share(s - played[at][:, ones], s, v)
         found.append((float(late), share))
@@ -334,19 +412,24 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
 
 
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
-    """Say where a command is logged at its extreme while the body goes on as if it were not: the log may be clipped.
+    """Say where a command is logged at its extreme while the body goes on as if it were not: the
+    log may be clipped.
 
-    What is left there, along the slope of the points over this command, is by how much the command went on. An effect
-    leaves the same whenever a command is held, or goes with the time that it is held for. A clipped one goes on by more
-    or less each time, or as far as it gets at the speed at which it came and went.
+    What is left there, along the slope of the points over this command, is by how much the command
+    went on. An effect leaves the same whenever a command is held, or goes with the time that it is
+    held for. A clipped one goes on by more or less each time, or as far as it gets at the speed at
+    which it came and went.
     """
     u = model.commands(run)
     dwell = conditions(run, u).dwell
     at = np.stack([np.interp(run.t_seen, run.t, row) for row in u.T], axis=1)
     span = np.ptp(u, axis=0)
     found, frames, furthest = [], np.zeros(len(at), bool), 0.0
-    ends = np.minimum(np.abs(at - u.min(axis=0)), np.abs(at - u.max(axis=0))) <= 1e-9 * np.maximum(span, 1e-12)
-    few = ends[:, span > 0].sum(axis=1) <= max(1, model.channels // 2)  # most of them at their ends is meant so: slack
+    ends = np.minimum(np.abs(at - u.min(axis=0)), np.abs(at - u.max(axis=0))) <= 1e-9 * np.maximum(
+        span, 1e-12
+    )
+    # most of them at their ends is meant so: slack
+    few = ends[:, span > 0].sum(axis=1) <= max(1, model.channels // 2)
     for c, sign in [(int(c), sign) for c in np.flatnonzero(span > 0) for sign in (-1.0, 1.0)]:
         end, near = float(np.max(sign * u[:, c])), 1e-9 * span[c]
         rows = np.flatnonzero((np.abs(sign * at[:, c] - end) <= near) & few)
@@ -355,15 +438,22 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
         step, free = sign * STEP * span[c], np.abs(sign * u[:, c] - end) > near
         on = STEP * _goes_on(model, run, left, visible, rows, c, step)[0]
         late = np.stack([np.ones(len(rows)), np.log1p(dwell[rows])], axis=1)
-        wave = np.minimum(_further(run.t, sign * u[:, c], free, run.t_seen[rows]) / span[c], on.max())
+        wave = np.minimum(
+            _further(run.t, sign * u[:, c], free, run.t_seen[rows]) / span[c], on.max()
+        )
         as_fast = np.std(on) > GOES_ON / 2 and np.var(on - wave) < AS_FAST * np.var(on)
         if not as_fast and not np.std(_unexplained(late, on)) > GOES_ON:
             continue
         others = np.flatnonzero(np.abs(at - at[rows[0]])[:, c] > near)
-        others = others[np.unique(np.linspace(0, len(others) - 1, min(len(others), FRAMES)).astype(int))]
+        others = others[
+            np.unique(np.linspace(0, len(others) - 1, min(len(others), FRAMES)).astype(int))
+        ]
         usual, strength = _goes_on(model, run, left, visible, others, c, step)
-        some = strength > SEEN * np.median(strength)  # a command that hardly moves anything would be off by anything
-        usual = STEP * _unexplained(np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some])
+        # a command that hardly moves anything would be off by anything
+        some = strength > SEEN * np.median(strength)
+        usual = STEP * _unexplained(
+            np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some]
+        )
         if np.std(on) > MORE * np.std(usual):
             found.append(f"{sign * end:.4g} {model.command_unit} on channel {c}")
             frames[rows], furthest = True, max(furthest, float(on.max() * span[c]))
@@ -371,15 +461,18 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
     if count < HELD * len(at):
         return []
     return [
-        f"commands are logged at exactly {', '.join(found)} in {count} of {len(at)} frames, in which the body moves as "
-        f"if they went on by up to {furthest:.2g} {model.command_unit}: the log may be clipped there; log what is sent"
+        f"commands are logged at exactly {', '.join(found)} in {count} of {len(at)} frames, in "
+        f"which the body moves as if they went on by up to {furthest:.2g} {model.command_unit}: "
+        "the log may be clipped there; log what is sent"
     ]
 
 
 def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
-    """Return how far a command (T,) gets beyond the end at which it is held, at the times `seen` (K,).
+    """Return how far a command (T,) gets beyond the end at which it is held, at the times `seen`
+    (K,).
 
-    At the speed at which it came early in the hold, at that at which it left late in it; where it turned is not known.
+    At the speed at which it came early in the hold, at that at which it left late in it; where it
+    turned is not known.
     """
     speed = np.abs(np.gradient(u, t))
     ones = np.flatnonzero(free)
@@ -391,12 +484,22 @@ def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
 
 
 def _goes_on(
-    model: Model, run: Run, left: Floats, visible: Mask, rows: NDArray[np.intp], channel: int, step: float
+    model: Model,
+    run: Run,
+    left: Floats,
+    visible: Mask,
+    rows: NDArray[np.intp],
+    channel: int,
+    step: float,
 ) -> tuple[Floats, Floats]:
-    """Return by how many steps a command must have gone on in frames for what is `left`, and what a step moves."""
+    """Return by how many steps a command must have gone on in frames for what is `left`, and what a
+    step moves.
+    """
     part, moved, shown = run.at(rows), np.zeros(model.channels), visible[rows][..., None]
     moved[channel] = step
-    back = {n: getattr(part, n) - moved for n in ("command", "present") if getattr(part, n) is not None}
+    back = {
+        n: getattr(part, n) - moved for n in ("command", "present") if getattr(part, n) is not None
+    }
     slope = np.where(shown, model.predict(part) - model.predict(replace(part, **back)), 0.0)
     square = np.sum(slope**2, axis=(1, 2))
     along = np.sum(slope * np.where(shown, left[rows], 0.0), axis=(1, 2))

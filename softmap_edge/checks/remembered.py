@@ -1,12 +1,14 @@
 """Check whether a strong memory explains an apparent fault of the measurement.
 
-A play makes plateaus, a smaller stroke and a late motion. So do a hanging camera, a command in another unit and a wrong
-clock. So before such a fault is claimed, a play of each width is tried in front of the model:
+A play makes plateaus, a smaller stroke and a late motion. So do a hanging camera, a command in
+another unit and a wrong clock. So before such a fault is claimed, a play of each width is tried in
+front of the model:
 
-    share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²          s seen, p predicted points behind a play
-    free  = (Σ s p)² / (Σ s² Σ p²)                           the same with the best scale, about the means
+    share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²  s seen, p predicted points behind a play
+    free  = (Σ s p)² / (Σ s² Σ p²)  the same with the best scale, about the means
 
-Limit: one gap for all channels, in half of their median range. Pinned by tests/checks/test_remembered.py.
+Limit: one gap for all channels, in half of their median range. Pinned by
+tests/checks/test_remembered.py.
 """
 
 from __future__ import annotations
@@ -27,19 +29,24 @@ Mask = NDArray[np.bool_]
 # Gaps in half ranges of the commands: at 2 nothing would move.
 GAPS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 1.45, 1.6, 1.7, 1.8, 1.85, 1.9, 1.95)
 PLAY = "backlash"
-CAUGHT = 0.25  # of the squares of a jump, relative to the last step alone: the complete way leaves less
+# of the squares of a jump, relative to the last step alone: the complete way leaves less
+CAUGHT = 0.25
 
 
 @dataclass(frozen=True)
 class MemoryShare:
-    """Share of the motion that a play in front of the model explains at best: at scale 1, and at any scale (`free`)."""
+    """Share of the motion that a play in front of the model explains at best: at scale 1, and at
+    any scale (`free`).
+    """
 
     share: float
     free: float
 
 
 def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryShare:
-    """Return the share of the motion of points (K, N, 3) that the model explains behind a play of the best width."""
+    """Return the share of the motion of points (K, N, 3) that the model explains behind a play of
+    the best width.
+    """
     spans = np.ptp(model.commands(run), axis=0)
     if PLAY in model.chain_names or not np.any(spans > 0):
         return MemoryShare(-np.inf, 0.0)
@@ -56,14 +63,19 @@ def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryS
 
 
 def centred(points: Floats, visible: Mask) -> Floats:
-    """Return points (K, N, 3) minus the mean of each over the frames that show it; 0 where one was not seen."""
+    """Return points (K, N, 3) minus the mean of each over the frames that show it; 0 where one was
+    not seen.
+    """
     shown = np.where(visible[..., None], points, 0.0)
     mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
     return np.where(visible[..., None], shown - mean, 0.0)
 
 
-def catches_up(begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, predicted: Floats) -> bool:
-    """Return whether points jump, after repeated pictures, by the complete motion that the model predicts meanwhile.
+def catches_up(
+    begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, predicted: Floats
+) -> bool:
+    """Return whether points jump, after repeated pictures, by the complete motion that the model
+    predicts meanwhile.
 
     After a plateau of a play they continue from where they stood, by the last step at most.
 

@@ -1,8 +1,9 @@
-"""Summarise what a run holds and what it cannot identify, as one dictionary: the content of `softmap check`.
+"""Summarise what a run holds and what it cannot identify, as one dictionary: the content of
+`softmap check`.
 
-Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its range
-(servo resolution is 10 times finer, so two visits of one command are always found and two commands of a
-usual grid never mixed).
+Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its
+range (servo resolution is 10 times finer, so two visits of one command are always found and two
+commands of a usual grid never mixed).
 """
 
 from __future__ import annotations
@@ -39,17 +40,21 @@ SAME_PLACE = 0.02  # of a channel's range
 def summary(recorded: Run, model: Model | None = None) -> Document:
     """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
-    `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
-    `home_known` is whether 0 can be home (`advice.home_unknown`).
-    `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they count as not visible.
-    `unanswered` is a sentence where commands and motion contradict each other, else None; such a run is not sound.
-    `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
-    calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
-    `frame_clock` is how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or None.
+    `collinear` are the conditions that cannot be separated from time or the commands
+    (`collinear.Collinear`, `text`). `home_known` is whether 0 can be home (`advice.home_unknown`).
+    `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they
+    count as not visible. `unanswered` is a sentence where commands and motion contradict each
+    other, else None; such a run is not sound. `can_tell` and `cannot_tell` are lists of `{about,
+    tells, text, remedy, minutes}` (`advice.Word`). A `model` with a calibration converts the ticks
+    of the run to commands. Raises CalibrationError if it belongs to other servos. `frame_clock` is
+    how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or
+    None.
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
     run, depthless = (run, "") if run.points is None else with_depth(run)
-    kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
+    kind = next(
+        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None
+    )
     seen = None if kind is None else getattr(run, kind)
     document: Document = {
         "robot": run.robot,
@@ -63,19 +68,25 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
-        "points_mm": None if run.output is not None else _extent(_shown(run, seen) if lost else seen),
+        "points_mm": None
+        if run.output is not None
+        else _extent(_shown(run, seen) if lost else seen),
         "output": _outputs(run),
         "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
         "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
-        "visible_share": 1.0 if run.visible is None or not run.visible.size else rounded(run.visible.mean()),
+        "visible_share": 1.0
+        if run.visible is None or not run.visible.size
+        else rounded(run.visible.mean()),
         "encoders": run.present is not None or run.present_ticks is not None,
         "gravity": _gravity(run),
         "load_g": None if run.load is None else [rounded(run.load.min()), rounded(run.load.max())],
         "temperature_c": None
         if run.temperature is None
         else [rounded(run.temperature.min()), rounded(run.temperature.max())],
-        "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
+        "blocks": []
+        if run.block is None
+        else [str(label) for label in dict.fromkeys(run.block.tolist())],
         **_visits(run),
         "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
@@ -92,7 +103,12 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     clock = frame_clock(run)
     document["frame_clock"] = None if clock is None else clock.to_dict()
     drift = str(clock) if clock is not None and clock.differs else ""
-    document["warnings"] = [*_damage(run), *filter(None, [depthless]), *_warnings(run), *filter(None, [drift])]
+    document["warnings"] = [
+        *_damage(run),
+        *filter(None, [depthless]),
+        *_warnings(run),
+        *filter(None, [drift]),
+    ]
     return document
 
 
@@ -118,20 +134,33 @@ def sentences(document: Document) -> list[str]:
     lines.append(f"seen      {d['frames']} frames{each}{rate}{part}{roll}")
     if output is not None:
         spans = zip(output["names"], output["range"])
-        lines += [f"          {name}: {low:.4g} to {high:.4g} {output['unit']}" for name, (low, high) in spans]
+        lines += [
+            f"          {name}: {low:.4g} to {high:.4g} {output['unit']}"
+            for name, (low, high) in spans
+        ]
     if d["points_mm"]:
-        ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
+        ranges = ", ".join(
+            f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"])
+        )
         lines.append(f"          {ranges} mm in the base frame")
     if d["base_markers"]:
-        lines.append(f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 b1 …`)")
+        lines.append(
+            f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 "
+            "b1 …`)"
+        )
     visits = d["home_visits"] if d.get("home_known", True) else "not known"
-    lines.append(f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}")
+    lines.append(
+        f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}"
+    )
     declared = [f"gravity {d['gravity']}"] if d["gravity"] else []
     declared += [f"{name} {_span(d[key])} {u}" for name, key, u in _DECLARED if d[key] is not None]
     declared += ["encoder positions"] if d["encoders"] else []
     lines.append(f"declared  {', '.join(declared) or 'nothing'}")
     if d["blocks"]:
-        lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
+        lines.append(
+            f"blocks    {len(d['blocks'])}: "
+            f"{', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}"
+        )
     if d["unknown_fields"]:
         lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
     lines += [line for text in d.get("not_seen", []) for line in _hung("look at", text)]
@@ -161,7 +190,8 @@ def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
     if len(t) < 2:
         return None
     step = np.diff(t)
-    usual = step[step <= 1.5 * np.median(step)]  # without gaps; the mean, for logged times are rounded
+    # without gaps; the mean, for logged times are rounded
+    usual = step[step <= 1.5 * np.median(step)]
     return rounded(1.0 / usual.mean())
 
 
@@ -184,7 +214,10 @@ def _outputs(run: Run) -> Document | None:
     if run.output is None:
         return None
     rows = run.outputs
-    ranges = [[rounded(np.nanmin(c)), rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0] for c in rows.T]
+    ranges = [
+        [rounded(np.nanmin(c)), rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0]
+        for c in rows.T
+    ]
     return {"names": list(run.output.names), "unit": run.output.unit, "range": ranges}
 
 
@@ -194,7 +227,11 @@ def _gravity(run: Run) -> str | None:
     rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0)
     if len(rows) > 4:
         count = orientations(run.gravity)
-        return f"one orientation, {len(rows)} readings" if count == 1 else f"{count} orientations, {len(rows)} readings"
+        return (
+            f"one orientation, {len(rows)} readings"
+            if count == 1
+            else f"{count} orientations, {len(rows)} readings"
+        )
     return " and ".join("(" + ", ".join(f"{x + 0.0:g}" for x in row) + ")" for row in rows)
 
 
@@ -216,12 +253,16 @@ def _visits(run: Run) -> dict[str, int]:
         frames = state.visit == visit
         place = np.median(state.command[frames], axis=0)
         if np.abs(place).max() > HOME * top:
-            places.append(tuple(np.rint(place / np.where(span > 0, SAME_PLACE * span, 1.0)).astype(int)))
+            places.append(
+                tuple(np.rint(place / np.where(span > 0, SAME_PLACE * span, 1.0)).astype(int))
+            )
             continue
         begins, ends = run.t_seen[frames][[0, -1]]
         home += since == -np.inf or bool(((away > since) & (away < begins)).any())
         since = ends
-    _, counts = np.unique(np.array(places), axis=0, return_counts=True) if places else (None, np.zeros(0))
+    _, counts = (
+        np.unique(np.array(places), axis=0, return_counts=True) if places else (None, np.zeros(0))
+    )
     return {"home_visits": int(home), "places_revisited": int((counts > 1).sum())}
 
 
@@ -231,8 +272,8 @@ def _missing(run: Run, document: Document) -> list[str]:
         gaps.append("points: there are times of frames but no vertices, markers or points")
     if run.command is None and run.ticks is not None:
         gaps.append(
-            "command: only ticks are given; `softmap learn` makes a model in ticks, and for a model in mm a bundle of "
-            "`softmap model calibrate` converts them"
+            "command: only ticks are given; `softmap learn` makes a model in ticks, and for a "
+            "model in mm a bundle of `softmap model calibrate` converts them"
         )
     if run.gravity is None and run.output is None:
         gaps.append("gravity: the orientation of the robot is taken to be that of its model")
@@ -240,7 +281,9 @@ def _missing(run: Run, document: Document) -> list[str]:
         gaps.append("marker_rest: the rest place of the markers has to come from the model")
     if run.sigma is None:
         what = "points" if run.output is None else "outputs"
-        gaps.append(f"sigma: the noise of the {what} comes from repeats alone, with nothing to check it by")
+        gaps.append(
+            f"sigma: the noise of the {what} comes from repeats alone, with nothing to check it by"
+        )
     return gaps
 
 
@@ -254,16 +297,24 @@ def _warnings(run: Run) -> list[str]:
     notes = []
     outside = int(((run.t_seen < run.t[0]) | (run.t_seen > run.t[-1])).sum())
     if outside:
-        notes.append(f"{outside} frames lie outside the time of the commands; the nearest command is taken as held")
+        notes.append(
+            f"{outside} frames lie outside the time of the commands; the nearest command is taken "
+            "as held"
+        )
     for name in ("t", "t_seen"):
         step = np.diff(getattr(run, name))
         if name == "t_seen" and run.gravity is not None and run.gravity.ndim == 2:
             # While a hand turns the robot, frames do not count.
-            lie = np.asarray(run.gravity)[np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)]
+            lie = np.asarray(run.gravity)[
+                np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
+            ]
             step = np.where((lie[1:] == lie[:-1]).all(axis=1), step, 0.0)
         if len(step) > 2 and step.max() > 10 * np.median(step):
             row = int(np.argmax(step))
-            notes.append(f"{name} has a gap of {step.max():.3g} s after row {row} (usual step {np.median(step):.3g} s)")
+            notes.append(
+                f"{name} has a gap of {step.max():.3g} s after row {row} (usual step "
+                f"{np.median(step):.3g} s)"
+            )
     if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
     notes += roll_overs_of(run)
@@ -272,7 +323,9 @@ def _warnings(run: Run) -> list[str]:
     if away is not None:
         notes.append(away)
     if run.command_unit != "mm" and run.output is None:
-        notes.append(f"commands are in {run.command_unit}: every figure about the drive carries that unit")
+        notes.append(
+            f"commands are in {run.command_unit}: every figure about the drive carries that unit"
+        )
     return notes
 
 
@@ -289,6 +342,6 @@ def _far_away(run: Run) -> str | None:
     if nearest <= FAR * extent:
         return None
     return (
-        f"the points come no nearer to the origin than {nearest:.0f} mm: if they are in the frame of the camera, "
-        "`softmap run align` brings them to the base"
+        f"the points come no nearer to the origin than {nearest:.0f} mm: if they are in the frame "
+        "of the camera, `softmap run align` brings them to the base"
     )

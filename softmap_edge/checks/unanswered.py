@@ -1,6 +1,8 @@
-"""Find runs whose points move although no command changes, or stay still although commands change; without a model.
+"""Find runs whose points move although no command changes, or stay still although commands change;
+without a model.
 
-A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by tests/checks/test_unanswered.py.
+A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by
+tests/checks/test_unanswered.py.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ CHANCE = 5.0  # times the share of the motion that the commands explain by chanc
 
 
 def unanswered(run: Run) -> str | None:
-    """Return a sentence if commands and motion contradict each other; None if not, or if it cannot be known."""
+    """Return a sentence if commands and motion contradict each other; None if not, or if it cannot
+    be known.
+    """
     points = run.markers if run.markers is not None else run.vertices
     u = commanded(run)
     if points is None or run.output is not None or run.frames < LEAST or u.shape[1] == 0:
@@ -38,14 +42,16 @@ def unanswered(run: Run) -> str | None:
         if _other_cause(run) or not moved > max(MOTION * _length(places), NOISE * noise):
             return None
         return (
-            f"the commands never change, but the points move by {moved:.3g} mm RMS: commands and frames are not of one "
-            "recording, or something else moves the robot; look at the columns of the commands"
+            f"the commands never change, but the points move by {moved:.3g} mm RMS: commands and "
+            "frames are not of one recording, or something else moves the robot; look at the "
+            "columns of the commands"
         )
     if moved > STILL * noise or _follows(run, u, places):
         return None
     return (
-        f"the commands change, but the points do not move: by {moved:.2g} mm RMS, which is their noise; check that the "
-        "drive is engaged (power, torque, tendons attached), and that the frames are of this recording"
+        f"the commands change, but the points do not move: by {moved:.2g} mm RMS, which is their "
+        "noise; check that the drive is engaged (power, torque, tendons attached), and that the "
+        "frames are of this recording"
     )
 
 
@@ -56,15 +62,26 @@ def _noise(places: Array) -> float:
 
 
 def _length(places: Array) -> float:
-    """Return the extent (mm) of the middle places of points (K, N, 3), with the base where there is one point."""
+    """Return the extent (mm) of the middle places of points (K, N, 3), with the base where there is
+    one point.
+    """
     middle = np.nanmedian(places, axis=0)
     return float(np.linalg.norm(np.ptp(middle, axis=0) if len(middle) > 1 else middle[0]))
 
 
 def _other_cause(run: Run) -> bool:
-    """Return whether something else that the run declares changes: load, orientation or temperature."""
-    given = [run.load, run.temperature, None if run.gravity is None or run.gravity.ndim < 2 else run.gravity]
-    return any(value is not None and bool(np.ptp(np.asarray(value, float), axis=0).any()) for value in given)
+    """Return whether something else that the run declares changes: load, orientation or
+    temperature.
+    """
+    given = [
+        run.load,
+        run.temperature,
+        None if run.gravity is None or run.gravity.ndim < 2 else run.gravity,
+    ]
+    return any(
+        value is not None and bool(np.ptp(np.asarray(value, float), axis=0).any())
+        for value in given
+    )
 
 
 def _follows(run: Run, u: Array, places: Array) -> bool:

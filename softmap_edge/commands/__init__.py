@@ -1,7 +1,7 @@
 """The commands of `softmap`: one table; the module of a command is imported only when it runs.
 
-Groups follow the questions of a user; `model`, `run` and `servo` hold actions, such as `softmap model adapt`. The page
-docs/reference/cli.md lists them. Pinned by tests/commands/test_cli_words.py.
+Groups follow the questions of a user; `model`, `run` and `servo` hold actions, such as `softmap
+model adapt`. The page docs/reference/cli.md lists them. Pinned by tests/commands/test_cli_words.py.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command: `module` holds `NAME_arguments(parser)`, `NAME(options) -> int` and the dataclass `NameOptions`.
+    """A command: `module` holds `NAME_arguments(parser)`, `NAME(options) -> int` and the dataclass
+    `NameOptions`.
 
     Attributes:
         name: one word, or two for an action of a group, such as `model adapt`
@@ -36,7 +37,9 @@ class Command:
 
     @property
     def options(self) -> str:
-        """The name of the frozen dataclass of its options in its module; commands with actions have one for each."""
+        """The name of the frozen dataclass of its options in its module; commands with actions have
+        one for each.
+        """
         return f"{self.function.title().replace('_', '')}Options"
 
 
@@ -46,111 +49,228 @@ LOOK, UNDERSTAND, ROBOT = "look at a file", "understand what is missing", "drive
 
 COMMANDS: list[Command] = [
     Command(
-        "demo", SEE, "the complete workflow on a simulated finger", f"{_HERE}.demo", "demo",
+        "demo",
+        SEE,
+        "the complete workflow on a simulated finger",
+        f"{_HERE}.demo",
+        "demo",
         ("demo --out demo", "demo --hide backlash,payload --seed 3"),
     ),
     Command(
-        "import", DATA, "logs + mapping file → run; --guess proposes one", f"{_HERE}.runs", "own_csv",
+        "import",
+        DATA,
+        "logs + mapping file → run; --guess proposes one",
+        f"{_HERE}.runs",
+        "own_csv",
         ("import log.csv --guess --out map.toml", "import log.csv --map map.toml --out run.npz"),
     ),
     Command(
-        "run", DATA, "cut runs, join them, show what they hold", f"{_HERE}.run", "runs",
+        "run",
+        DATA,
+        "cut runs, join them, show what they hold",
+        f"{_HERE}.run",
+        "runs",
         ("run show run.npz", "run cut run.npz --from 0 --to 60 --out piece.npz"),
     ),
     Command(
-        "run align", DATA, "camera or mocap frame → base frame", f"{_HERE}.align", "registration",
+        "run align",
+        DATA,
+        "camera or mocap frame → base frame",
+        f"{_HERE}.align",
+        "registration",
         ("run align run.npz --out aligned.npz",),
     ),
     Command(
-        "run register", DATA, "point clouds → vertices of the template", f"{_HERE}.register", "registration",
+        "run register",
+        DATA,
+        "point clouds → vertices of the template",
+        f"{_HERE}.register",
+        "registration",
         ("run register clouds.npz --out run.npz",),
     ),
     Command(
-        "build", MODEL, "finger.toml or sweep → bundle", f"{_HERE}.make", "finger_toml",
+        "build",
+        MODEL,
+        "finger.toml or sweep → bundle",
+        f"{_HERE}.make",
+        "finger_toml",
         ("build finger.toml --out model", "build sweep.npz --out model"),
     ),
     Command(
-        "learn", MODEL, "reference run → rod bundle", f"{_HERE}.make", "own_csv",
+        "learn",
+        MODEL,
+        "reference run → rod bundle",
+        f"{_HERE}.make",
+        "own_csv",
         ("learn run.npz --out model", "learn run.npz --robot robot.toml --out model"),
     ),
     Command(
-        "model adapt", MODEL, "calibrate, add physics, learn the rest", f"{_HERE}.adapt", "residual",
+        "model adapt",
+        MODEL,
+        "calibrate, add physics, learn the rest",
+        f"{_HERE}.adapt",
+        "residual",
         ("model adapt run.npz --held-out other.npz --out adapted",),
     ),
     Command(
-        "model calibrate", MODEL, "servo ticks → commands of a model", f"{_HERE}.calibrate", "registration",
+        "model calibrate",
+        MODEL,
+        "servo ticks → commands of a model",
+        f"{_HERE}.calibrate",
+        "registration",
         ("model calibrate run.npz --bundle model --out calibrated",),
     ),
     Command(
-        "model effects", MODEL, "the effects that the library knows; `new` begins one of yours", f"{_HERE}.look",
-        "effects", ("model effects", "model effects backlash", "model effects new mine"),
+        "model effects",
+        MODEL,
+        "the effects that the library knows; `new` begins one of yours",
+        f"{_HERE}.look",
+        "effects",
+        ("model effects", "model effects backlash", "model effects new mine"),
     ),
     Command(
-        "model predict", MODEL, "shapes for commands", f"{_HERE}.look", "cli",
+        "model predict",
+        MODEL,
+        "shapes for commands",
+        f"{_HERE}.look",
+        "cli",
         ("model predict 8,-4", "model predict run.npz --bundle model --out points.npz"),
     ),
     Command(
-        "model refit", MODEL, "fit the effects of a model, or the numbers of a finger, again",
-        f"{_HERE}.understand", "report", ("model refit run.npz --bundle model --out refitted",),
+        "model refit",
+        MODEL,
+        "fit the effects of a model, or the numbers of a finger, again",
+        f"{_HERE}.understand",
+        "report",
+        ("model refit run.npz --bundle model --out refitted",),
     ),
     Command(
-        "model remove", MODEL, "remove an effect from a model", f"{_HERE}.understand", "report",
+        "model remove",
+        MODEL,
+        "remove an effect from a model",
+        f"{_HERE}.understand",
+        "report",
         ("model remove backlash --bundle model --out plain",),
     ),
     Command(
-        "model sweep", MODEL, "simulate a grid of commands", f"{_HERE}.make", "import_sweep",
+        "model sweep",
+        MODEL,
+        "simulate a grid of commands",
+        f"{_HERE}.make",
+        "import_sweep",
         ("model sweep finger.toml --out sweep.npz",),
     ),
     Command(
-        "check", LOOK, "is this run or bundle sound", f"{_HERE}.runs", "own_csv",
+        "check",
+        LOOK,
+        "is this run or bundle sound",
+        f"{_HERE}.runs",
+        "own_csv",
         ("check run.npz", "check run.npz --bundle model", "check model"),
     ),
-    Command("show", LOOK, "what is in a run or bundle", f"{_HERE}.runs", "runs", ("show run.npz", "show model")),
     Command(
-        "compare", UNDERSTAND, "how far off is the model, and where", f"{_HERE}.understand", "report",
+        "show",
+        LOOK,
+        "what is in a run or bundle",
+        f"{_HERE}.runs",
+        "runs",
+        ("show run.npz", "show model"),
+    ),
+    Command(
+        "compare",
+        UNDERSTAND,
+        "how far off is the model, and where",
+        f"{_HERE}.understand",
+        "report",
         ("compare run.npz --bundle model", "compare run.npz --bundle model --html page.html"),
     ),
     Command(
-        "diagnose", UNDERSTAND, "which family of effects is missing, and its law", f"{_HERE}.understand", "diagnose",
-        ("diagnose run.npz --bundle model --out found.json", "diagnose run.npz --held-out other.npz"),
+        "diagnose",
+        UNDERSTAND,
+        "which family of effects is missing, and its law",
+        f"{_HERE}.understand",
+        "diagnose",
+        (
+            "diagnose run.npz --bundle model --out found.json",
+            "diagnose run.npz --held-out other.npz",
+        ),
     ),
     Command(
-        "add", UNDERSTAND, "add an effect to a bundle", f"{_HERE}.understand", "diagnose",
+        "add",
+        UNDERSTAND,
+        "add an effect to a bundle",
+        f"{_HERE}.understand",
+        "diagnose",
         ("add backlash --from found.json --bundle model --out better",),
     ),
     Command(
-        "next", UNDERSTAND, "which experiment settles what is open", f"{_HERE}.experiment", "record",
+        "next",
+        UNDERSTAND,
+        "which experiment settles what is open",
+        f"{_HERE}.experiment",
+        "record",
         ("next found.json --out next.csv", "next --standard --out standard.csv"),
     ),
     Command(
-        "record", ROBOT, "play a command file, on a robot or the simulated finger", f"{_HERE}.experiment", "record",
-        ("record next.csv --sim --out run.npz", "record next.csv --rig rig.toml --camera udp://:5005 --out run.npz"),
+        "record",
+        ROBOT,
+        "play a command file, on a robot or the simulated finger",
+        f"{_HERE}.experiment",
+        "record",
+        (
+            "record next.csv --sim --out run.npz",
+            "record next.csv --rig rig.toml --camera udp://:5005 --out run.npz",
+        ),
     ),
     Command(
-        "track", ROBOT, "lead the tip along a figure", f"{_HERE}.track", "track",
+        "track",
+        ROBOT,
+        "lead the tip along a figure",
+        f"{_HERE}.track",
+        "track",
         ("track S --plan --picture s.svg", "track S --sim --hide backlash --record s.mcap"),
     ),
     Command(
-        "teleop", ROBOT, "drive by hand: camera, keys or mouse", f"{_HERE}.teleop", "teleop",
+        "teleop",
+        ROBOT,
+        "drive by hand: camera, keys or mouse",
+        f"{_HERE}.teleop",
+        "teleop",
         ("teleop --sim", "teleop --rig rig.toml"),
     ),
     Command(
-        "servo", ROBOT, "find, read, set up, home, release or emulate servos", f"{_HERE}.servo.commands",
-        "commission", ("servo scan", "servo setup --rig rig.toml", "servo home --rig rig.toml"),
+        "servo",
+        ROBOT,
+        "find, read, set up, home, release or emulate servos",
+        f"{_HERE}.servo.commands",
+        "commission",
+        ("servo scan", "servo setup --rig rig.toml", "servo home --rig rig.toml"),
     ),
     Command(
-        "servo doctor", ROBOT, "is everything here that a robot needs", f"{_HERE}.doctor", "commission",
+        "servo doctor",
+        ROBOT,
+        "is everything here that a robot needs",
+        f"{_HERE}.doctor",
+        "commission",
         ("servo doctor", "servo doctor --rig rig.toml"),
     ),
     Command(
-        "servo move", ROBOT, "jog a servo, or go to one command", f"{_HERE}.move", "commission",
+        "servo move",
+        ROBOT,
+        "jog a servo, or go to one command",
+        f"{_HERE}.move",
+        "commission",
         ("servo move --rig rig.toml --servo 1",),
     ),
     Command(
-        "servo replay", ROBOT, "a recording of the loop, decided again", f"{_HERE}.servo.commands", "safety",
+        "servo replay",
+        ROBOT,
+        "a recording of the loop, decided again",
+        f"{_HERE}.servo.commands",
+        "safety",
         ("servo replay session.mcap",),
     ),
-]  # fmt: skip
+]
 
 # Names before 0.1.0; they are gone after it. Each prints a line on stderr and runs.
 RENAMED: dict[str, str] = {

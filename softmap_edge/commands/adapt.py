@@ -1,4 +1,6 @@
-"""The verb adapt: from recordings to a bundle that is calibrated, has the physics it lacked, and a residual."""
+"""The verb adapt: from recordings to a bundle that is calibrated, has the physics it lacked, and a
+residual.
+"""
 
 from __future__ import annotations
 
@@ -41,17 +43,25 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
         help="a run (.npz or .mcap) of points or clouds; several teach together",
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    parser.add_argument("--held-out", metavar="RUN", help="a recording for validation only, not for learning")
     parser.add_argument(
-        "--residual-only", action="store_true", help="look for no physics: the residual stands in for it"
+        "--held-out", metavar="RUN", help="a recording for validation only, not for learning"
+    )
+    parser.add_argument(
+        "--residual-only",
+        action="store_true",
+        help="look for no physics: the residual stands in for it",
     )
     effects_argument(parser)
     bundle_arguments(parser)
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
+    parser.add_argument(
+        "--html", metavar="FILE", help="write one self-contained page with pictures"
+    )
 
 
 def adapt(args: AdaptOptions) -> int:
-    """Calibrate, diagnose, add, learn a residual and judge; 1 if the held-out error does not fall."""
+    """Calibrate, diagnose, add, learn a residual and judge; 1 if the held-out error does not
+    fall.
+    """
     check_bundle(args.out, args.force)
     check_file("--html", args.html, ".html")
     load_own(args)
@@ -62,10 +72,18 @@ def adapt(args: AdaptOptions) -> int:
     for run in found.runs:
         warn_outside("model adapt", found.before, run)
     folder = save_bundle(found.model, args.out)
-    print(json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1) if args.json else f"{folder}\n{found}")
+    print(
+        json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1)
+        if args.json
+        else f"{folder}\n{found}"
+    )
     if args.html:
         kind = "fitted" if held_out is None else "held out"
-        left_out = "" if found.model.residual is not None else "; the residual is left out of the bundle"
+        left_out = (
+            "" if found.model.residual is not None else "; the residual is left out of the bundle"
+        )
         ways = found.error, found.error_on + left_out
-        write_page(args.html, found.validation, found.before, found.model, found.diagnosis, kind, ways)
+        write_page(
+            args.html, found.validation, found.before, found.model, found.diagnosis, kind, ways
+        )
     return 0 if found.fall > 0.0 else WORSE

@@ -1,4 +1,6 @@
-"""The verb align: bring what was seen from the camera's or mocap's frame to the robot's base frame, once."""
+"""The verb align: bring what was seen from the camera's or mocap's frame to the robot's base frame,
+once.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,9 @@ from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 
 _HOW = (
-    "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base 0:X,Y,Z 1:X,Y,Z … or, of "
-    "the run's `base_markers`, --base b0:X,Y,Z b1:X,Y,Z … (b0 alone: where it is seen on average)"
+    "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base "
+    "0:X,Y,Z 1:X,Y,Z … or, of the run's `base_markers`, --base b0:X,Y,Z b1:X,Y,Z … (b0 alone: "
+    "where it is seen on average)"
 )
 
 
@@ -46,25 +49,39 @@ class AlignOptions:
 def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
-    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+    )
     effects_argument(parser)
-    parser.add_argument("--out", required=True, metavar="RUN", help="the run in the base frame (.npz)")
+    parser.add_argument(
+        "--out", required=True, metavar="RUN", help="the run in the base frame (.npz)"
+    )
     parser.add_argument(
         "--base",
         nargs="+",
         metavar="POINT",
-        help="points fixed to the base instead of home frames: clamped, or numbers of markers, each with its place in "
-        "the base frame in mm unless `marker_rest` has it: 0:30,0,0 1:0,30,0 2:-30,0,0; b0 is the first of the run's "
-        "`base_markers`",
+        help=(
+            "points fixed to the base instead of home frames: clamped, or numbers of markers, "
+            "each with its place in the base frame in mm unless `marker_rest` has it: 0:30,0,0 "
+            "1:0,30,0 2:-30,0,0; b0 is the first of the run's `base_markers`"
+        ),
     )
-    parser.add_argument("--follow-base", action="store_true", help="hold a base that moves still, frame by frame")
-    parser.add_argument("--drop-base", action="store_true", help="leave the base markers out of the run afterwards")
+    parser.add_argument(
+        "--follow-base", action="store_true", help="hold a base that moves still, frame by frame"
+    )
+    parser.add_argument(
+        "--drop-base", action="store_true", help="leave the base markers out of the run afterwards"
+    )
     parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
-    parser.add_argument("--like", metavar="RUN", help="take the transform of a run that was aligned already")
+    parser.add_argument(
+        "--like", metavar="RUN", help="take the transform of a run that was aligned already"
+    )
 
 
 def align(args: AlignOptions) -> int:
-    """Find the transform from the frame of the measurement to the base, and write the run in the base frame."""
+    """Find the transform from the frame of the measurement to the base, and write the run in the
+    base frame.
+    """
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     run = open_run(args.run)
@@ -76,13 +93,19 @@ def align(args: AlignOptions) -> int:
     if run.points is not None:
         found = _of_clouds(args, run)
     else:
-        found = align_base(run, places, args.follow_base) if args.base else align_home(run, _bundle(args))
+        found = (
+            align_base(run, places, args.follow_base)
+            if args.base
+            else align_home(run, _bundle(args))
+        )
     aligned = found.apply(run)
     if args.drop_base:
         aligned = without(aligned, list(places))
     aligned.save(args.out)
     if args.json:
-        print(json.dumps(found.to_dict() | {"run": args.run, "out": args.out, "hash": aligned.hash()}))
+        print(
+            json.dumps(found.to_dict() | {"run": args.run, "out": args.out, "hash": aligned.hash()})
+        )
     else:
         print(f"{found}\nwritten to {args.out}")
     return 0
@@ -97,7 +120,8 @@ def _of_clouds(args: AlignOptions, run: Run) -> Alignment:
     """Find the frame of clouds by the body near the clamp."""
     if args.base != ["clamped"] or args.follow_base or args.drop_base:
         raise AlignError(
-            f"{args.run}: holds clouds, whose base is found from the body near the clamp: give --base clamped"
+            f"{args.run}: holds clouds, whose base is found from the body near the clamp: give "
+            "--base clamped"
         )
     return align_clouds(run, _bundle(args))
 
@@ -108,14 +132,23 @@ def _like(args: AlignOptions, like: str, run: Run) -> int:
         raise AlignError("--like takes a transform that is known; it goes with no --base")
     other = open_run(like)
     if other.frame is None or other.frame_sigma is None:
-        raise AlignError(f"{like}: was not aligned; `softmap run align` it first and give its output")
+        raise AlignError(
+            f"{like}: was not aligned; `softmap run align` it first and give its output"
+        )
     if run.frame is not None:
         raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
     aligned = in_frame(run, RigidPose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)
     aligned.save(args.out)
-    document = {"schema": "softmap.align/1", "method": "like", "like": args.like, "run": args.run, "out": args.out}
+    document = {
+        "schema": "softmap.align/1",
+        "method": "like",
+        "like": args.like,
+        "run": args.run,
+        "out": args.out,
+    }
     text = (
-        f"{args.out}: in the base frame by the transform of {args.like}; cameras and base must stand as they did then"
+        f"{args.out}: in the base frame by the transform of {args.like}; cameras and base must "
+        "stand as they did then"
     )
     print(json.dumps(document) if args.json else text)
     return 0
@@ -140,14 +173,20 @@ def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Any]:
             except ValueError:
                 raise AlignError(f"--base {part}: no number of a marker; {_HOW}") from None
             if at.shape != (3,) or index in places:
-                raise AlignError(f"--base {part}: expected one place of three numbers in mm for each marker; {_HOW}")
+                raise AlignError(
+                    f"--base {part}: expected one place of three numbers in mm for each marker; "
+                    f"{_HOW}"
+                )
             places[index] = at
     return places
 
 
 def _rest(run: Run, index: int) -> Any:
     if run.marker_rest is None:
-        raise AlignError(f"--base {index}: the run has no `marker_rest`, so its place is not known; give {index}:X,Y,Z")
+        raise AlignError(
+            f"--base {index}: the run has no `marker_rest`, so its place is not known; give "
+            f"{index}:X,Y,Z"
+        )
     if not 0 <= index < len(run.marker_rest):
         raise AlignError(f"--base {index}: the run has markers 0 to {len(run.marker_rest) - 1}")
     return run.marker_rest[index]
@@ -168,7 +207,8 @@ def _mean(run: Run, index: int) -> Any:
 
 def without(run: Run, names: list[int]) -> Run:
     """Return the run without some of its markers."""
-    names = [n for n in names if n < _markers(run)]  # base markers of their own stand beside the run's
+    # base markers of their own stand beside the run's
+    names = [n for n in names if n < _markers(run)]
     if run.markers is None:
         raise AlignError("--drop-base leaves markers out; vertices belong to the template and stay")
     keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)

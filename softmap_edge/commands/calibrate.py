@@ -1,4 +1,6 @@
-"""The verb calibrate: from a run with ticks and shapes to a bundle that knows what its servos' ticks are."""
+"""The verb calibrate: from a run with ticks and shapes to a bundle that knows what its servos'
+ticks are.
+"""
 
 from __future__ import annotations
 
@@ -37,30 +39,51 @@ class CalibrateOptions:
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `calibrate`."""
-    parser.add_argument("run", help="a run (.npz or .mcap) with ticks and what was seen, in the base frame")
-    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    parser.add_argument(
+        "run", help="a run (.npz or .mcap) with ticks and what was seen, in the base frame"
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+    )
     effects_argument(parser)
     bundle_arguments(parser)
     parser.add_argument(
-        "--home", nargs="+", type=float, metavar="TICKS",
-        help="the ticks that the bench calls home, one a servo; the run's rest (dwelt at most often) without it",
-    )  # fmt: skip
-    parser.add_argument(
-        "--window", nargs=2, type=float, metavar=("LOW", "HIGH"), help="ticks about home that each servo may take"
+        "--home",
+        nargs="+",
+        type=float,
+        metavar="TICKS",
+        help=(
+            "the ticks that the bench calls home, one a servo; the run's rest (dwelt at most "
+            "often) without it"
+        ),
     )
     parser.add_argument(
-        "--grid", action="store_true", help="match to the nearest shape of a grid and no further, as the paper"
+        "--window",
+        nargs=2,
+        type=float,
+        metavar=("LOW", "HIGH"),
+        help="ticks about home that each servo may take",
     )
-    parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and what is left of them")
+    parser.add_argument(
+        "--grid",
+        action="store_true",
+        help="match to the nearest shape of a grid and no further, as the paper",
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE.svg", help="draw matched pairs and what is left of them"
+    )
 
 
 def calibrate(args: CalibrateOptions) -> int:
-    """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not affine."""
+    """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not
+    affine.
+    """
     check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)
     if args.window is not None and not args.window[0] < 0.0 < args.window[1]:
         raise CalibrationError(
-            f"--window {args.window[0]:g} {args.window[1]:g}: expected LOW < 0 < HIGH, ticks about home"
+            f"--window {args.window[0]:g} {args.window[1]:g}: expected LOW < 0 < HIGH, ticks "
+            "about home"
         )
     load_own(args)
     window = None if args.window is None else (args.window[0], args.window[1])

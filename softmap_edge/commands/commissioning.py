@@ -1,6 +1,8 @@
-"""What the verbs of commissioning share: what has to be held while anything moves, and questions at the terminal.
+"""What the verbs of commissioning share: what has to be held while anything moves, and questions at
+the terminal.
 
-Pinned by tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_bench.py.
+Pinned by tests/robot/test_move.py, tests/robot/test_home.py and
+tests/robot/test_calibrate_bench.py.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 @contextlib.contextmanager
 def deadman(held: bool) -> Iterator[Deadman]:
-    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a key of it."""
+    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a
+    key of it.
+    """
     if held and terminal() is None:
         yield Held()
     else:
@@ -43,10 +47,11 @@ def announce(args: JsonOption, what: str, hand: Deadman) -> None:
 
 
 def confirm(question: str, instead: str) -> bool:
-    """Ask a question on the terminal, until it is answered by yes or no, or not at all, which is no.
+    """Ask a question on the terminal, until it is answered by yes or no, or not at all, which is
+    no.
 
-    A key that is still held is no answer: it is waited for. `instead` is the option that says it where there is no
-    terminal.
+    A key that is still held is no answer: it is waited for. `instead` is the option that says it
+    where there is no terminal.
 
     Raises:
         ServoError: there is no terminal.

@@ -1,4 +1,5 @@
-"""The verb demo: measure a second finger that hides something, find out what is missing, add it, and judge the result.
+"""The verb demo: measure a second finger that hides something, find out what is missing, add it,
+and judge the result.
 
 A `Trial` is that story without words; the hidden-effect tests run the same one.
 """
@@ -36,7 +37,9 @@ FLOOR_KIND = "the same finger with nothing hidden"
 
 @dataclass(frozen=True)
 class Trial:
-    """One hidden case from end to end. Errors are held out: RMS mm over all vertices of a run that was never fitted."""
+    """One hidden case from end to end. Errors are held out: RMS mm over all vertices of a run that
+    was never fitted.
+    """
 
     truth: Truth
     model: Model
@@ -82,7 +85,10 @@ class Trial:
 
 
 def trial(
-    model: Model, truth: Truth, say: Callable[[str], None] = lambda text: None, judge: Protocol | None = None
+    model: Model,
+    truth: Truth,
+    say: Callable[[str], None] = lambda text: None,
+    judge: Protocol | None = None,
 ) -> Trial:
     """Measure `truth` by the standard protocol, diagnose, and validate on a run of another kind.
 
@@ -96,18 +102,22 @@ def trial(
         Trial: the runs, and what was found.
     """
     protocol, judge = standard_protocol(model.channels), judge or other_protocol(model.channels)
-    say(f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} minutes of finger time …")
+    say(
+        f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} "
+        "minutes of finger time …"
+    )
     run = truth.measure(protocol)
     fitted = compare(model, run)
     say(
-        f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS (nothing fitted), at the tip by "
-        f"{fitted.error['tip_rms_mm']:.2f} mm RMS."
+        f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS (nothing fitted), at the tip "
+        f"by {fitted.error['tip_rms_mm']:.2f} mm RMS."
     )
     say("Looking for what the model lacks …")
     diagnosis = diagnose(model, run, progress=lambda line: say(f"  {line}"))
     say(f"  {diagnosis.to_dict()['sentence']}")
     say(
-        f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random moves) for validation …"
+        f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random "
+        "moves) for validation …"
     )
     other = truth.measure(judge, seed=1)
     floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
@@ -134,8 +144,12 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,NAME",
         help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
     )
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})")
-    parser.add_argument("--out", default="demo", help="folder for the runs, the bundle and the report (demo)")
+    parser.add_argument(
+        "--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})"
+    )
+    parser.add_argument(
+        "--out", default="demo", help="folder for the runs, the bundle and the report (demo)"
+    )
 
 
 def demo(args: DemoOptions) -> int:
@@ -177,7 +191,9 @@ def _hidden_names(words: Sequence[str], seed: int) -> list[str]:
 
 
 def _write(story: Trial, folder: Path) -> dict[str, str]:
-    """Write runs, diagnosis, the bundle with what was found, and the report; return what is where."""
+    """Write runs, diagnosis, the bundle with what was found, and the report; return what is
+    where.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     files = {
         "run": folder / "run.npz",
@@ -205,25 +221,47 @@ def _table(story: Trial) -> str:
     rows.append(("tip", story.before.error["tip_rms_mm"], story.after.error["tip_rms_mm"]))
     for name in ("direction", "orientation"):
         known = {row.label: row.rms_mm for row in story.after.where.get(name, [])}
-        rows += [(row.label, row.rms_mm, known.get(row.label, row.rms_mm)) for row in story.before.where.get(name, [])]
+        rows += [
+            (row.label, row.rms_mm, known.get(row.label, row.rms_mm))
+            for row in story.before.where.get(name, [])
+        ]
     lines = [f"  {'mm RMS, held out':<32} before   after"]
-    return "\n".join(["", *lines, *(f"  {label:<32} {old:6.2f}  {new:6.2f}" for label, old, new in rows)])
+    return "\n".join(
+        ["", *lines, *(f"  {label:<32} {old:6.2f}  {new:6.2f}" for label, old, new in rows)]
+    )
 
 
 def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str]:
-    lines = ["", f"Held-out error {story.before_mm:.2f} → {story.after_mm:.2f} mm RMS (floor {story.floor_mm:.2f} mm:"]
+    lines = [
+        "",
+        f"Held-out error {story.before_mm:.2f} → {story.after_mm:.2f} mm RMS (floor "
+        f"{story.floor_mm:.2f} mm:",
+    ]
     lines[-1] += f" {FLOOR_KIND})."
     if story.truth.hidden and story.fall is not None:
-        lines.append(f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never fitted.")
+        lines.append(
+            f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never "
+            "fitted."
+        )
     found = story.diagnosis.to_dict()["effects"]
-    lines += [f"Found:  {effect['name']} ({_values(effect)})" for effect in found] or ["Found:  nothing"]
+    lines += [f"Found:  {effect['name']} ({_values(effect)})" for effect in found] or [
+        "Found:  nothing"
+    ]
     if not story.truth.hidden:
         lines.append("Hidden: nothing (another mesh, another modulus and camera noise only)")
     for secret in story.truth.hidden:
-        numbers = ", ".join(f"{key} {_plain(value)}" for key, value in secret.law.params().items() if key != "seed")
-        lines.append(f"Hidden: {secret.name} ({numbers}); it moves the finger by {secret.displacement_mm:.1f} mm RMS")
+        numbers = ", ".join(
+            f"{key} {_plain(value)}" for key, value in secret.law.params().items() if key != "seed"
+        )
+        lines.append(
+            f"Hidden: {secret.name} ({numbers}); it moves the finger by "
+            f"{secret.displacement_mm:.1f} mm RMS"
+        )
     install = pictures_missing()
-    lines.append(f"Open {files['report']}" + (f" (for pictures in it: {install}, then again)" if install else ""))
+    lines.append(
+        f"Open {files['report']}"
+        + (f" (for pictures in it: {install}, then again)" if install else "")
+    )
     lines.append(f"({seconds:.0f} s)")
     return lines
 

@@ -1,4 +1,6 @@
-"""Verbs about the next experiment: next (which block to record, as a command file), record (play a command file)."""
+"""Verbs about the next experiment: next (which block to record, as a command file), record (play a
+command file).
+"""
 
 from __future__ import annotations
 
@@ -48,32 +50,68 @@ class NextOptions:
 
 def next_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap next`."""
-    parser.add_argument("diagnosis", nargs="?", metavar="FILE", help="the diagnosis, JSON, of `softmap diagnose --out`")
+    parser.add_argument(
+        "diagnosis",
+        nargs="?",
+        metavar="FILE",
+        help="the diagnosis, JSON, of `softmap diagnose --out`",
+    )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     effects_argument(parser)
     parser.add_argument(
-        "--run", action="append", default=[], metavar="RUN",
-        help="a run that the diagnosis was made from (repeat for each); without it, blocks are ranked less reliably",
-    )  # fmt: skip
-    parser.add_argument(
-        "--reference", action="append", default=[], metavar="RUN",
-        help="the reference run of a diagnosis that was made with one (repeat for each)",
-    )  # fmt: skip
-    parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
-    parser.add_argument("--standard", action="store_true", help="the standard protocol for this robot, no diagnosis")
-    parser.add_argument(
-        "--protocol", choices=["grid", "validation", "paths"],
-        help="commands to learn a robot from, without a diagnosis: a grid of held commands, each reached from a "
-        "neighbour; held commands for validation; paths with reversals for tests",
-    )  # fmt: skip
-    parser.add_argument(
-        "--block", action="append", default=[], metavar="NAME", help="write this block instead of the best one"
+        "--run",
+        action="append",
+        default=[],
+        metavar="RUN",
+        help=(
+            "a run that the diagnosis was made from (repeat for each); without it, blocks are "
+            "ranked less reliably"
+        ),
     )
-    parser.add_argument("--minutes", type=float, default=6.0, help="total length of the blocks to write (6)")
-    parser.add_argument("--fastest", type=float, metavar="SPEED", help="highest speed, in mm/s or the robot's unit/s")
-    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
     parser.add_argument(
-        "--seed", type=int, default=0, help="random seed of the irregular frame times and of --protocol (0)"
+        "--reference",
+        action="append",
+        default=[],
+        metavar="RUN",
+        help="the reference run of a diagnosis that was made with one (repeat for each)",
+    )
+    parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
+    parser.add_argument(
+        "--standard", action="store_true", help="the standard protocol for this robot, no diagnosis"
+    )
+    parser.add_argument(
+        "--protocol",
+        choices=["grid", "validation", "paths"],
+        help=(
+            "commands to learn a robot from, without a diagnosis: a grid of held commands, each "
+            "reached from a neighbour; held commands for validation; paths with reversals for "
+            "tests"
+        ),
+    )
+    parser.add_argument(
+        "--block",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="write this block instead of the best one",
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=6.0, help="total length of the blocks to write (6)"
+    )
+    parser.add_argument(
+        "--fastest",
+        type=float,
+        metavar="SPEED",
+        help="highest speed, in mm/s or the robot's unit/s",
+    )
+    parser.add_argument(
+        "--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of the irregular frame times and of --protocol (0)",
     )
 
 
@@ -90,7 +128,9 @@ def next(args: NextOptions) -> int:
     load_own(args)
     model = open_model(args.bundle)
     made, found, lines, times = (
-        (*_standard(args, model), 1) if args.diagnosis is None else _answered(args, args.diagnosis, model)
+        (*_standard(args, model), 1)
+        if args.diagnosis is None
+        else _answered(args, args.diagnosis, model)
     )
     names = [] if made is None else made.name.split(" + ")
     settles = list(dict.fromkeys(name for e in found if e.block in names for name in e.settles))
@@ -105,7 +145,9 @@ def next(args: NextOptions) -> int:
         "times": times,
         "frames": None if made is None else made.frames,
         "commands": args.out if made is not None else None,
-        "by_hand": [] if made is None else [{"t_s": round(t, 2), "do": text} for t, text in made.notes],
+        "by_hand": []
+        if made is None
+        else [{"t_s": round(t, 2), "do": text} for t, text in made.notes],
         "progress": lines,
     }
     if args.json:
@@ -127,7 +169,9 @@ def next(args: NextOptions) -> int:
 
 
 def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]:
-    """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
+    """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by
+    name.
+    """
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.run.protocol import standard_protocol
     from softmap_edge.synthetic.virtual_protocol import virtual_protocol
@@ -139,19 +183,32 @@ def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]
     if len(given) > 1:
         raise SoftmapError(f"{' and '.join(given)} are two protocols; leave one of them out")
     if args.protocol:
-        return virtual_protocol(args.protocol, args.seed, _limits(args, model), setting.gravity), [], []
+        return (
+            virtual_protocol(args.protocol, args.seed, _limits(args, model), setting.gravity),
+            [],
+            [],
+        )
     if args.block:
         return plan(chosen(args.block), _limits(args, model), setting, args.seed), [], []
     if not args.standard:
         raise SoftmapError(
-            "no diagnosis is given; name the file of `softmap diagnose --out`, or ask for --standard or a --protocol"
+            "no diagnosis is given; name the file of `softmap diagnose --out`, or ask for "
+            "--standard or a --protocol"
         )
     both = (setting.gravity, setting.leaning())
-    return standard_protocol(seed=args.seed, limits=_limits(args, model), back=True, orientations=both), [], []
+    return (
+        standard_protocol(
+            seed=args.seed, limits=_limits(args, model), back=True, orientations=both
+        ),
+        [],
+        [],
+    )
 
 
 def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any], list[str], int]:
-    """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how often to play."""
+    """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how
+    often to play.
+    """
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.separate import REFIT
     from softmap_edge.experiment.blocks import Setting, chosen, plan
@@ -162,18 +219,24 @@ def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any],
         name = "--standard" if args.standard else "--protocol"
         raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(file), args.since and Diagnosis.load(args.since).to_dict()
-    asked = {e.name for e in diagnosis.effects} | {name for a in diagnosis.alternatives for name in a.effects}
+    asked = {e.name for e in diagnosis.effects} | {
+        name for a in diagnosis.alternatives for name in a.effects
+    }
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
     references = [open_run(path, model) for path in args.reference]
     with Bar(args.json) as bar:
-        found = next_experiment(model, diagnosis, runs, limits, lambda share: bar("simulating", share), references)
+        found = next_experiment(
+            model, diagnosis, runs, limits, lambda share: bar("simulating", share), references
+        )
     names = args.block or [e.block for e in program(found, args.minutes)]
     setting = Setting.after(runs, model.gravity_reference)
     made = plan(chosen(names), limits, setting, args.seed) if names else None
     times = 1 if diagnosis.made_from.get("reference") is None else 2
     lines = progress_lines(before or None, diagnosis.to_dict())
-    lines += [f"First, without a recording: {REFIT}" for block in diagnosis.next if block.block == REFIT]
+    lines += [
+        f"First, without a recording: {REFIT}" for block in diagnosis.next if block.block == REFIT
+    ]
     return made, found, lines, times
 
 
@@ -187,10 +250,14 @@ def _played(args: NextOptions, model: Any) -> str:
     if args.protocol:
         line = f"softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz"
         return (
-            f"; on the virtual finger: `{line}` (its --seed draws the finger, not the commands: one for all its runs)"
+            f"; on the virtual finger: `{line}` (its --seed draws the finger, not the commands: "
+            "one for all its runs)"
         )
     line = f"softmap record {args.out} --sim{bundle} --out new.npz"
-    return f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the runs before)"
+    return (
+        f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the "
+        "runs before)"
+    )
 
 
 def _limits(args: NextOptions, model: Any) -> Any:
@@ -233,36 +300,73 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap record`."""
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--sim", action="store_true", help="on a simulated finger: frames are solved, not watched")
-    where.add_argument("--emulated", action="store_true", help="on emulated servos with a finger on them, in real time")
-    where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera")
-    where.add_argument("--recover", metavar="FILE.seen", help="make the run of what a recording left that was cut")
+    where.add_argument(
+        "--sim", action="store_true", help="on a simulated finger: frames are solved, not watched"
+    )
+    where.add_argument(
+        "--emulated",
+        action="store_true",
+        help="on emulated servos with a finger on them, in real time",
+    )
+    where.add_argument(
+        "--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera"
+    )
+    where.add_argument(
+        "--recover", metavar="FILE.seen", help="make the run of what a recording left that was cut"
+    )
     camera_arguments(parser)
-    parser.add_argument("--yes", action="store_true", help="--rig: do not ask before a condition changes")
-    parser.add_argument("--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded")
-    parser.add_argument("--calibrated", metavar="DIR", help="--emulated: write its bundle, with the true map")
     parser.add_argument(
-        "--virtual", action="store_true",
-        help="on the virtual finger, a simulated stand-in for hardware: other elements and material, turned tendons, "
-        "friction, a lean; the run holds servo ticks and noisy clouds of two views, no command in mm and no vertices",
-    )  # fmt: skip
-    parser.add_argument(
-        "--truth", metavar="FILE", help="with --virtual: write its true vertices and commands next to the run, .npz"
+        "--yes", action="store_true", help="--rig: do not ask before a condition changes"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model that the commands are for; the built-in finger without it"
+        "--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded"
+    )
+    parser.add_argument(
+        "--calibrated", metavar="DIR", help="--emulated: write its bundle, with the true map"
+    )
+    parser.add_argument(
+        "--virtual",
+        action="store_true",
+        help=(
+            "on the virtual finger, a simulated stand-in for hardware: other elements and "
+            "material, turned tendons, friction, a lean; the run holds servo ticks and noisy "
+            "clouds of two views, no command in mm and no vertices"
+        ),
+    )
+    parser.add_argument(
+        "--truth",
+        metavar="FILE",
+        help="with --virtual: write its true vertices and commands next to the run, .npz",
+    )
+    parser.add_argument(
+        "--bundle",
+        metavar="DIR",
+        help="the model that the commands are for; the built-in finger without it",
     )
     effects_argument(parser)
-    parser.add_argument("--finger", metavar="TOML", help="the simulated finger; the built-in one without it")
+    parser.add_argument(
+        "--finger", metavar="TOML", help="the simulated finger; the built-in one without it"
+    )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(
-        "--hide", "--hidden", nargs="+", default=[], metavar="NAME,NAME", help="effects that the simulated finger has"
+        "--hide",
+        "--hidden",
+        nargs="+",
+        default=[],
+        metavar="NAME,NAME",
+        help="effects that the simulated finger has",
     )
     hidden.add_argument(
-        "--truth-from", metavar="FILE", help="the same hidden effects as in a demo (its --json document)"
+        "--truth-from",
+        metavar="FILE",
+        help="the same hidden effects as in a demo (its --json document)",
     )
-    parser.add_argument("--seed", type=int, help="draws the finger and the strengths of its hidden effects (1)")
-    parser.add_argument("--noise-seed", type=int, default=0, help="draws the noise of the camera (0)")
+    parser.add_argument(
+        "--seed", type=int, help="draws the finger and the strengths of its hidden effects (1)"
+    )
+    parser.add_argument(
+        "--noise-seed", type=int, default=0, help="draws the noise of the camera (0)"
+    )
     parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
 
 
@@ -278,7 +382,10 @@ def record(args: RecordOptions) -> int:
 
         return recover(args, Path(args.recover))
     if not (args.sim or args.emulated or args.rig):
-        raise SoftmapError("where is it played? give --sim (simulated), --emulated (real packets) or --rig FILE.toml")
+        raise SoftmapError(
+            "where is it played? give --sim (simulated), --emulated (real packets) or --rig "
+            "FILE.toml"
+        )
     if not args.sim:
         from softmap_edge.commands.record_robot import record_on_robot
 
@@ -296,12 +403,18 @@ def record(args: RecordOptions) -> int:
         model = open_model(args.bundle)
         if finger.name != model.robot:
             raise SoftmapError(
-                f"the model is of '{model.robot}', the simulated finger is '{finger.name}'; give its own with --finger"
+                f"the model is of '{model.robot}', the simulated finger is '{finger.name}'; give "
+                "its own with --finger"
             )
-    if robot != finger.name or made.unit != finger.command_unit or made.command.shape[1] != len(finger.pairs):
+    if (
+        robot != finger.name
+        or made.unit != finger.command_unit
+        or made.command.shape[1] != len(finger.pairs)
+    ):
         raise SoftmapError(
-            f"{args.commands}: {made.command.shape[1]} commands in {made.unit} for '{robot}', '{finger.name}' takes "
-            f"{len(finger.pairs)} in {finger.command_unit}; write them for this one with `softmap next --bundle`"
+            f"{args.commands}: {made.command.shape[1]} commands in {made.unit} for '{robot}', "
+            f"'{finger.name}' takes {len(finger.pairs)} in {finger.command_unit}; write them for "
+            "this one with `softmap next --bundle`"
         )
     if args.noise_seed < 0:
         raise SoftmapError(f"--noise-seed {args.noise_seed} is negative; give 0 or more")
@@ -321,10 +434,17 @@ def record(args: RecordOptions) -> int:
     if args.truth is not None:
         write_npz(Path(args.truth), truth)
     document = {
-        "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
-        "frames": run.frames, "minutes": round(made.minutes, 2), "simulated": True, "virtual": args.virtual,
-        "truth": args.truth, "hash": run.hash(),
-    }  # fmt: skip
+        "schema": "softmap.record/1",
+        "out": args.out,
+        "rows": len(run.t),
+        "channels": run.channels,
+        "frames": run.frames,
+        "minutes": round(made.minutes, 2),
+        "simulated": True,
+        "virtual": args.virtual,
+        "truth": args.truth,
+        "hash": run.hash(),
+    }
     apart = "" if args.truth is None else f"; its truth in {args.truth}"
     said = f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}"
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
@@ -332,12 +452,19 @@ def record(args: RecordOptions) -> int:
 
 
 def _ahead(made: Any, hidden: bool) -> str:
-    """Say how long the recording would be, and what is solved for it; the bar tells how long that takes."""
+    """Say how long the recording would be, and what is solved for it; the bar tells how long that
+    takes.
+    """
     first = "finding how strong the hidden effects are, then " if hidden else ""
-    return f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one by one"
+    return (
+        f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one "
+        "by one"
+    )
 
 
-def _measured(args: RecordOptions, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
+def _measured(
+    args: RecordOptions, made: Any, finger: Any, names: list[str], seed: int
+) -> tuple[Any, Any]:
     """Return the run of a protocol, and of the virtual finger what is true."""
     from softmap_edge.synthetic.finger import hide
     from softmap_edge.synthetic.virtual_finger import virtual_finger
@@ -353,7 +480,9 @@ def _secrets(path: str) -> tuple[list[str], int]:
         document = json.loads(read_document(path, RunError))
         names, seed = [str(row["name"]) for row in document["hidden"]], document["seed"]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise RunError(f"{path}: not the document of a demo; make it with `softmap demo --json`") from None
+        raise RunError(
+            f"{path}: not the document of a demo; make it with `softmap demo --json`"
+        ) from None
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
         raise RunError(f"{path}: seed {str(seed)[:40]}, expected a whole number from 0 on")
     return names, seed

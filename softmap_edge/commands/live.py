@@ -1,4 +1,6 @@
-"""`softmap compare --live`: how far the model is from a robot that runs, as its loop records and a camera sees."""
+"""`softmap compare --live`: how far the model is from a robot that runs, as its loop records and a
+camera sees.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,14 @@ def compare_live(args: CompareOptions) -> int:
     if args.camera is None:
         raise SoftmapError("--live needs eyes: give --camera udp://:PORT (docs/do/camera.md)")
     if args.run is None or Path(args.run).suffix != ".mcap":
-        raise SoftmapError("--live follows what a loop records: give its .mcap file, as of `softmap track --record`")
+        raise SoftmapError(
+            "--live follows what a loop records: give its .mcap file, as of `softmap track "
+            "--record`"
+        )
     if args.html or len(args.bundle or []) > 1:
-        raise SoftmapError("--live compares one bundle and writes no page; record a run and compare that")
+        raise SoftmapError(
+            "--live compares one bundle and writes no page; record a run and compare that"
+        )
     load_own(args)
     model = open_model(args.bundle[0] if args.bundle else None)
     live = Live(model, late(args))
@@ -57,10 +64,16 @@ def compare_live(args: CompareOptions) -> int:
                     break
                 time.sleep(LOOK)
         document = now.to_dict() | {
-            "whole": True, "robot": model.robot, "effects": list(model.chain_names), "came": camera.taken,
-            "refused": dict(camera.refused), "lost": camera.lost,
-        }  # fmt: skip
-        print(json.dumps(document) if args.json else _summary(now, effects, camera.said()), flush=True)
+            "whole": True,
+            "robot": model.robot,
+            "effects": list(model.chain_names),
+            "came": camera.taken,
+            "refused": dict(camera.refused),
+            "lost": camera.lost,
+        }
+        print(
+            json.dumps(document) if args.json else _summary(now, effects, camera.said()), flush=True
+        )
     return 0 if now.frames else 1
 
 
@@ -75,15 +88,25 @@ def _begun(path: str) -> Following:
         print(f"waiting up to {BEGINS:g} s for {path} to be begun", file=sys.stderr, flush=True)
     while not Path(path).exists():
         if time.monotonic() > end:
-            raise RunError(f"{path}: no recording began within {BEGINS:g} s; start what is recorded with --record")
+            raise RunError(
+                f"{path}: no recording began within {BEGINS:g} s; start what is recorded with "
+                "--record"
+            )
         time.sleep(LOOK)
     return Following(path)
 
 
 def _summary(now: LiveError, effects: str, said: str) -> str:
-    lines = ["", f"{now}", f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {said}"]
+    lines = [
+        "",
+        f"{now}",
+        f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {said}",
+    ]
     if not now.frames:
         lines.append("nothing was compared: no frame came while the servos were heard")
     if now.left_out:
-        lines.append(f"{now.left_out} frames were left out: before the first position, or more than could be followed")
+        lines.append(
+            f"{now.left_out} frames were left out: before the first position, or more than could "
+            "be followed"
+        )
     return "\n".join(lines)

@@ -39,7 +39,10 @@ class PredictOptions:
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
     parser.add_argument(
-        "input", help="a run (.npz or .mcap), or one command in the unit of the model, comma-separated: 8,-3"
+        "input",
+        help=(
+            "a run (.npz or .mcap), or one command in the unit of the model, comma-separated: 8,-3"
+        ),
     )
     parser.add_argument("--bundle", help="bundle folder (default: the built-in finger)")
     effects_argument(parser)
@@ -74,7 +77,9 @@ def predict(args: PredictOptions) -> int:
         return 0
     shown = "\n".join(f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm" for x, y, z in tip[:10])
     more = f"\n… {len(tip) - 10} more frames" if len(tip) > 10 else ""
-    print(f"{len(points)} shape{'s' * (len(points) != 1)} of {points.shape[1]} points\n{shown}{more}")
+    print(
+        f"{len(points)} shape{'s' * (len(points) != 1)} of {points.shape[1]} points\n{shown}{more}"
+    )
     return 0
 
 
@@ -91,8 +96,14 @@ class EffectsOptions:
 
 def effects_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `effects`."""
-    parser.add_argument("name", nargs="?", help="show this one in full; 'new' writes a file for an effect of your own")
-    parser.add_argument("new_name", nargs="?", metavar="NAME", help="after 'new': its name; NAME.py is written here")
+    parser.add_argument(
+        "name",
+        nargs="?",
+        help="show this one in full; 'new' writes a file for an effect of your own",
+    )
+    parser.add_argument(
+        "new_name", nargs="?", metavar="NAME", help="after 'new': its name; NAME.py is written here"
+    )
     effects_argument(parser)
 
 
@@ -110,7 +121,12 @@ def effects(args: EffectsOptions) -> int:
         return 0
     for effect in chosen:
         print(
-            "\n".join(_hung(f"{effect['name']:<20} {effect['stage']:<13} {effect['family']:<20} ", effect["signature"]))
+            "\n".join(
+                _hung(
+                    f"{effect['name']:<20} {effect['stage']:<13} {effect['family']:<20} ",
+                    effect["signature"],
+                )
+            )
         )
         if args.name:
             paragraphs = [
@@ -120,14 +136,19 @@ def effects(args: EffectsOptions) -> int:
             ]
             print("\n".join(["", *(line for part in paragraphs for line in part), ""]))
             for p in effect["parameters"]:
-                head = f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … {p['high']:g}   "
+                head = (
+                    f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … "
+                    f"{p['high']:g}   "
+                )
                 print("\n".join(_hung(head, p["doc"])))
     return 0
 
 
 def _new(args: EffectsOptions) -> int:
     if args.new_name is None:
-        raise SoftmapError("give the new effect a name: `softmap model effects new wobble` writes wobble.py")
+        raise SoftmapError(
+            "give the new effect a name: `softmap model effects new wobble` writes wobble.py"
+        )
     text, file = template(args.new_name), Path(f"{args.new_name}.py")
     check_file("effects new", str(file))
     if file.exists():
@@ -136,7 +157,10 @@ def _new(args: EffectsOptions) -> int:
     if args.json:
         print(json.dumps({"schema": "softmap.effects/1", "written": str(file)}))
     else:
-        print(f"{file}: runs as it is; write your law into it, then look for it: softmap diagnose RUN --effects {file}")
+        print(
+            f"{file}: runs as it is; write your law into it, then look for it: softmap diagnose "
+            f"RUN --effects {file}"
+        )
     return 0
 
 
@@ -150,10 +174,17 @@ def _held(text: str, model: Model) -> Run:
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        raise SoftmapError(f"'{text}' is neither a run (.npz, .mcap) nor a command such as 8,-3") from None
+        raise SoftmapError(
+            f"'{text}' is neither a run (.npz, .mcap) nor a command such as 8,-3"
+        ) from None
     if len(numbers) != model.channels or not np.all(np.isfinite(numbers)):
         raise SoftmapError(
-            f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands in "
-            f"{model.command_unit}"
+            f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands "
+            f"in {model.command_unit}"
         )
-    return Run(t=np.zeros(1), command=np.array([numbers]), t_seen=np.zeros(1), command_unit=model.command_unit)
+    return Run(
+        t=np.zeros(1),
+        command=np.array([numbers]),
+        t_seen=np.zeros(1),
+        command_unit=model.command_unit,
+    )

@@ -46,7 +46,9 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
         "(docs/do/import_sweep.md); without it the built-in finger",
     )
     bundle_arguments(parser)
-    parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")
+    parser.add_argument(
+        "--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)"
+    )
 
 
 def build(args: BuildOptions) -> int:
@@ -54,7 +56,9 @@ def build(args: BuildOptions) -> int:
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
     if args.finger is not None and Path(args.finger).suffix in (".mcap", ".db3", ".bag"):
-        raise SoftmapError(f"{args.finger}: a recording; a model is learned from recordings with `softmap learn`")
+        raise SoftmapError(
+            f"{args.finger}: a recording; a model is learned from recordings with `softmap learn`"
+        )
     made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
         if args.finger is not None and Path(args.finger).suffix == ".npz":
@@ -82,12 +86,16 @@ def build(args: BuildOptions) -> int:
     }
     handles = "" if model.handles is None else f" ({len(model.handles)} handles)"
     text = (
-        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices{handles}, {commands} "
-        f"command{'s' if commands != 1 else ''}, own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), "
-        f"{size / 1000:.0f} kB"
+        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices{handles}, "
+        f"{commands} command{'s' if commands != 1 else ''}, own held-out error "
+        f"{model.vertex_error_mm:.2f} mm RMS ({how}), {size / 1000:.0f} kB"
     )
     notes, mark = model.made_from.get("notes", []), "look at: " if made is None else ""
-    print(json.dumps(result | {"notes": notes}) if args.json else "\n".join([text, *(f"  {mark}{n}" for n in notes)]))
+    print(
+        json.dumps(result | {"notes": notes})
+        if args.json
+        else "\n".join([text, *(f"  {mark}{n}" for n in notes)])
+    )
     return 0
 
 
@@ -108,18 +116,30 @@ class LearnOptions:
 def learn_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
     parser.add_argument(
-        "run", nargs="+", help="reference run (.npz or .mcap); give several of one robot to learn from all of them"
+        "run",
+        nargs="+",
+        help="reference run (.npz or .mcap); give several of one robot to learn from all of them",
     )
     bundle_arguments(parser)
     parser.add_argument(
-        "--static", action="store_true", help="learn the static map alone, and leave all memory to `softmap diagnose`"
-    )
-    parser.add_argument("--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them")
-    parser.add_argument(
-        "--input", choices=["goal", "present"], help="what moves the model (default: present if recorded)"
+        "--static",
+        action="store_true",
+        help="learn the static map alone, and leave all memory to `softmap diagnose`",
     )
     parser.add_argument(
-        "--hold-out", action="append", default=[], metavar="T0:T1", help="seconds to keep from the fit; may be repeated"
+        "--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them"
+    )
+    parser.add_argument(
+        "--input",
+        choices=["goal", "present"],
+        help="what moves the model (default: present if recorded)",
+    )
+    parser.add_argument(
+        "--hold-out",
+        action="append",
+        default=[],
+        metavar="T0:T1",
+        help="seconds to keep from the fit; may be repeated",
     )
 
 
@@ -159,8 +179,9 @@ def learn(args: LearnOptions) -> int:
     }
     seen = f"{len(model.rest)} markers" if output is None else f"outputs {', '.join(output.names)}"
     lines = [
-        f"{args.out}: rod model of '{model.robot}', {model.channels} channels in {model.command_unit}, {seen}, "
-        f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
+        f"{args.out}: rod model of '{model.robot}', {model.channels} channels in "
+        f"{model.command_unit}, {seen}, own blocked cross-validation error "
+        f"{model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
     lines += _memory(learned, args.static)
     lines += [f"  {number}" for number in learned.numbers]
@@ -197,14 +218,20 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         required=True,
-        help="sweep to write: a file (.npz), or a Zarr store (.zarr), which the same command goes on with after it was "
-        f"stopped, at most a chunk lost (a .zarr needs {TRAINING})",
+        help=(
+            "sweep to write: a file (.npz), or a Zarr store (.zarr), which the same command goes "
+            f"on with after it was stopped, at most a chunk lost (a .zarr needs {TRAINING})"
+        ),
     )
     parser.add_argument("--steps", type=int, help="commands a channel (41, of three channels 13)")
     parser.add_argument(
-        "--dask", metavar="ADDRESS", help="of a Dask cluster's scheduler, tcp://HOST:8786, that solves the chunks"
+        "--dask",
+        metavar="ADDRESS",
+        help="of a Dask cluster's scheduler, tcp://HOST:8786, that solves the chunks",
     )
-    parser.add_argument("--chunk", type=int, metavar="ROWS", help="commands solved and stored together (256)")
+    parser.add_argument(
+        "--chunk", type=int, metavar="ROWS", help="commands solved and stored together (256)"
+    )
 
 
 def sweep(args: SweepOptions) -> int:
@@ -216,7 +243,9 @@ def sweep(args: SweepOptions) -> int:
     if Path(args.out).suffix == ".zarr":
         return _stored(args)
     if args.dask is not None or args.chunk is not None:
-        raise SoftmapError(f"--out {args.out}: --dask and --chunk are for a store; give a name that ends in .zarr")
+        raise SoftmapError(
+            f"--out {args.out}: --dask and --chunk are for a store; give a name that ends in .zarr"
+        )
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     finger = _finger(args.finger)
@@ -226,15 +255,27 @@ def sweep(args: SweepOptions) -> int:
     with Bar(args.json) as bar:
         result = simulator.sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
-    document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
+    document = {
+        "schema": "softmap.sweep/1",
+        "sweep": str(args.out),
+        "commands": len(result.command),
+        "failed": 0,
+    }
     notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, result.command, result.pull)])]
-    text = "\n".join([f"{args.out}: {len(result.command)} commands, none failed", *(f"  look at: {n}" for n in notes)])
+    text = "\n".join(
+        [
+            f"{args.out}: {len(result.command)} commands, none failed",
+            *(f"  look at: {n}" for n in notes),
+        ]
+    )
     print(json.dumps(document | {"notes": notes}) if args.json else text)
     return 0
 
 
 def _stored(args: SweepOptions) -> int:
-    """Simulate a grid of commands into a Zarr store, or go on with one: the work of another distribution."""
+    """Simulate a grid of commands into a Zarr store, or go on with one: the work of another
+    distribution.
+    """
     from softmap_edge.fem.build import grid_axes
 
     out = Path(args.out)
@@ -256,11 +297,17 @@ def _stored(args: SweepOptions) -> int:
         )
     count = len(store.command)
     document = {
-        "schema": "softmap.sweep/1", "sweep": args.out, "commands": count, "failed": 0, "solved": solved,
+        "schema": "softmap.sweep/1",
+        "sweep": args.out,
+        "commands": count,
+        "failed": 0,
+        "solved": solved,
         "chunks": len(store.done),
-    }  # fmt: skip
+    }
     there = f", {count - solved} of them were there" if solved < count else ""
-    print(json.dumps(document) if args.json else f"{args.out}: {count} commands, none failed{there}")
+    print(
+        json.dumps(document) if args.json else f"{args.out}: {count} commands, none failed{there}"
+    )
     return 0
 
 
@@ -279,7 +326,9 @@ def _interval(text: str) -> tuple[float, float]:
     except ValueError:
         raise SoftmapError(f"--hold-out '{text}': expected T0:T1 in seconds, as 60:120") from None
     if not low < high:
-        raise SoftmapError(f"--hold-out '{text}': it ends before it begins; give T0:T1 in seconds, as 60:120")
+        raise SoftmapError(
+            f"--hold-out '{text}': it ends before it begins; give T0:T1 in seconds, as 60:120"
+        )
     return low, high
 
 

@@ -40,14 +40,14 @@ NEAR = 25.0  # ticks from a command at which a servo is there
 LAGS = 1.0  # s after its goal came there, when it is as near as it gets
 CAME_SHORT = 1  # exit code
 HELD = (
-    "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap servo pull` measures the "
-    "current that the stroke needs"
+    "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
+    "servo pull` measures the current that the stroke needs"
 )
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
-    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
-    f"{STEP:.0f} ticks, a held key goes on from its first repetition; space, escape and q stop, {EMERGENCY} is the "
-    "emergency stop"
+    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a "
+    f"tap is one step of {STEP:.0f} ticks, a held key goes on from its first repetition; space, "
+    f"escape and q stop, {EMERGENCY} is the emergency stop"
 )
 
 
@@ -70,16 +70,30 @@ class MoveOptions:
 
 def move_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `move`."""
-    parser.add_argument("command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it")
+    parser.add_argument(
+        "command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it"
+    )
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--sim", action="store_true", help="an emulated robot: real packets, simulated finger")
+    where.add_argument(
+        "--sim", action="store_true", help="an emulated robot: real packets, simulated finger"
+    )
     where.add_argument("--rig", metavar="rig.toml", help="the servos of this bench")
-    parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
+    parser.add_argument(
+        "--bundle",
+        metavar="DIR",
+        help="whose calibration maps mm to ticks (default: built-in finger)",
+    )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
-    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way")
     parser.add_argument(
-        "--seconds", type=float, default=3.0, metavar="S", help="stay so long where U1,U2 is reached (3)"
+        "--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=3.0,
+        metavar="S",
+        help="stay so long where U1,U2 is reached (3)",
     )
     hold_argument(parser, "; with U1,U2 nothing is asked first")
 
@@ -87,7 +101,9 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
 def move(args: MoveOptions) -> int:
     """Jog, or go to one command; return 0 if it arrived, 1 if it ended short of its goal."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
-        raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
+        raise SoftmapError(
+            "give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys"
+        )
     _check_by(args.by, JOG_TRAVEL)
     if args.command:
         return _go(args, args.command)
@@ -98,7 +114,11 @@ def move(args: MoveOptions) -> int:
         with deadman(args.hold and args.by is not None) as hand, Jog(rig, tell=to_stderr) as jog:
             begin = jog.position
             if args.by is not None and servo is not None:
-                announce(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
+                announce(
+                    args,
+                    f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s",
+                    hand,
+                )
                 jog.by(servo, args.by, hand)
             else:
                 print(HELP, file=sys.stderr)
@@ -111,9 +131,15 @@ def move(args: MoveOptions) -> int:
             jog.stop()
         stood = _stood(rig, begin, end, begin + _turns(rig, args)) if asked else ""
     servos = [
-        {"id": one.id, "from": float(a), "to": float(b)} for one, a, b in zip(rig.servos, begin, end, strict=True)
+        {"id": one.id, "from": float(a), "to": float(b)}
+        for one, a, b in zip(rig.servos, begin, end, strict=True)
     ]
-    document = {"schema": "softmap.move/1", "servos": servos, "stopped": bool(hand.stopped), "short": short or None}
+    document = {
+        "schema": "softmap.move/1",
+        "servos": servos,
+        "stopped": bool(hand.stopped),
+        "short": short or None,
+    }
     lines = [f"servo {one['id']}: {one['from']:.0f} → {one['to']:.0f} ticks" for one in servos]
     print(json.dumps(document) if args.json else "\n".join([*lines, "torque is off"]))
     return _reported(args, short, stood)
@@ -149,7 +175,9 @@ def _numbered(rig: Rig, id: int) -> int:
 
 
 def _by_keys(jog: Jog, hand: Any) -> None:
-    """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held, then on."""
+    """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held,
+    then on.
+    """
     chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
@@ -167,7 +195,12 @@ def _by_keys(jog: Jog, hand: Any) -> None:
                 ended = jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
         end = ENDS[ended] if jog.robot.state == "commissioning" else ""
-        print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=raw(sys.stderr), flush=True)
+        print(
+            f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K",
+            end="",
+            file=raw(sys.stderr),
+            flush=True,
+        )
         time.sleep(EVERY)
     jog.robot.time.there(driving=False)
     print(file=sys.stderr)
@@ -179,17 +212,24 @@ def _go(args: MoveOptions, command: str) -> int:
     try:
         u = np.array([float(word) for word in command.split(",")])
     except ValueError:
-        raise SoftmapError(f"'{command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
+        raise SoftmapError(
+            f"'{command:.40}' is no command; expected mm, one a servo: 2.5,-1"
+        ) from None
     if not (np.abs(u) <= WIDEST).all() or not 0.0 <= args.seconds <= 600.0:
         raise SoftmapError(
-            f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to 600 s are allowed"
+            f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to "
+            "600 s are allowed"
         )
     load_own(args)
     model = open_model(args.bundle)
     with bench_of(args.rig, model) as there:
         if len(u) != len(there.rig.servos):
-            raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
-        if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"):
+            raise SoftmapError(
+                f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo"
+            )
+        if not args.hold and not confirm(
+            f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"
+        ):
             raise ServoError("nothing moved: it was not confirmed that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
@@ -199,18 +239,30 @@ def _go(args: MoveOptions, command: str) -> int:
                 done, now = robot.target(u), robot.time.now()
                 off = _off(robot, done, "goal")
                 sent = now if sent is None and off < ARRIVED else sent
-                if arrived is None and sent is not None and (_off(robot, done, "position") < NEAR or now - sent > LAGS):
+                if (
+                    arrived is None
+                    and sent is not None
+                    and (_off(robot, done, "position") < NEAR or now - sent > LAGS)
+                ):
                     arrived = now
                 robot.time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
             short, end = _short(robot, done), robot.position
         stood = _stood(there.rig, begin, end, robot.calibration.ticks(done))
     short = "; ".join(filter(None, [_cut(u, done), short]))
-    document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
+    document = {
+        "schema": "softmap.move/1",
+        "command_mm": u.tolist(),
+        "done_mm": done.tolist(),
+        "at_mm": at.tolist(),
+    }
     document |= {"short": short or None}
     cut = f" (nearest to {_mm(u)} within its window)" if _cut(u, done) else ""
     came = "came only to" if short and not cut else "came to"
-    said = f"sent to {_mm(done)} mm{cut}, {came} {_mm(at)} mm by the servos; slack again, torque is off"
+    said = (
+        f"sent to {_mm(done)} mm{cut}, {came} {_mm(at)} mm by the servos; slack again, torque is "
+        "off"
+    )
     print(json.dumps(document) if args.json else said)
     return _reported(args, short, stood)
 
@@ -223,66 +275,90 @@ def _reported(args: MoveOptions, short: str, stood: str) -> int:
 
 
 def _cut(u: Any, done: Any) -> str:
-    """Return a line on a command `u` outside the window, of which `done` is the nearest; "" if it is inside."""
+    """Return a line on a command `u` outside the window, of which `done` is the nearest; "" if it
+    is inside.
+    """
     if np.allclose(done, u, atol=0.01):
         return ""
     return (
-        f"{_mm(u)} mm is outside the window, the nearest is {_mm(done)} mm; give a smaller command, or see who sets "
-        "the window: `softmap servo limits`"
+        f"{_mm(u)} mm is outside the window, the nearest is {_mm(done)} mm; give a smaller "
+        "command, or see who sets the window: `softmap servo limits`"
     )
 
 
 def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
-    """Take away the mark of home from servos that did not turn where they had to; return a line on them, or ""."""
+    """Take away the mark of home from servos that did not turn where they had to; return a line on
+    them, or "".
+    """
     still = (np.abs(end - begin) < ARRIVED) & (np.abs(target - begin) > LEAST_SHORT)
     if not (ids := [servo.id for servo, stood in zip(rig.servos, still) if stood]):
         return ""
     forget(rig.port, rig.baud, ids)
     return (
-        f"servo {', '.join(map(str, ids))} did not turn at all: it is blocked, or its encoder stands, so that its home "
-        "is lost; free it, then home the robot again (`softmap servo home --rig FILE`)"
+        f"servo {', '.join(map(str, ids))} did not turn at all: it is blocked, or its encoder "
+        "stands, so that its home is lost; free it, then home the robot again (`softmap servo "
+        "home --rig FILE`)"
     )
 
 
 def _short(robot: Controller, done: Any) -> str:
-    """Return a line on servos that are short of the command `done`, by the limits of the pull test; else ""."""
+    """Return a line on servos that are short of the command `done`, by the limits of the pull test;
+    else "".
+    """
     home, target = robot.calibration.home, robot.calibration.ticks(done)
     limits = robot.limits["servos"]
-    return _far(robot.rig, target, robot.position, target - home, [one["current"] for one in limits])
+    return _far(
+        robot.rig, target, robot.position, target - home, [one["current"] for one in limits]
+    )
 
 
 def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
-    """Return a line on a jogged servo that is short of where it was asked to go; "" if it is not."""
+    """Return a line on a jogged servo that is short of where it was asked to go; "" if it is
+    not.
+    """
     target, asked = jog.goal.copy(), begin[servo] + by
     if abs(target[servo] - asked) > max(LEAST_SHORT, SHORT * abs(by)):
         limits = jog.robot.limits["servos"][servo]
         return (
-            f"servo {jog.rig.servos[servo].id} was asked to go to {asked:.0f} ticks, outside its window of "
-            f"{limits['low']:.0f} to {limits['high']:.0f}; give a smaller --by, or see who sets the window: "
-            "`softmap servo limits`"
+            f"servo {jog.rig.servos[servo].id} was asked to go to {asked:.0f} ticks, outside its "
+            f"window of {limits['low']:.0f} to {limits['high']:.0f}; give a smaller --by, or see "
+            "who sets the window: `softmap servo limits`"
         )
     away = np.zeros(len(target))
     away[servo] = by
-    most = min(jog.robot.limits["jog_current"], jog.robot.limits["servos"][servo]["current"] or np.inf)
+    most = min(
+        jog.robot.limits["jog_current"], jog.robot.limits["servos"][servo]["current"] or np.inf
+    )
     return _far(jog.rig, target, jog.position, away, [most] * len(target))
 
 
 def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
-    """Return a line on servos that are farther from their targets than a move by `away` ticks allows; else ""."""
+    """Return a line on servos that are farther from their targets than a move by `away` ticks
+    allows; else "".
+    """
     said = []
     for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
         allowed = max(LEAST_SHORT, SHORT * abs(way))
         if not abs(at - to) <= allowed:
-            said.append(f"servo {servo.id} stands {at - to:+.0f} ticks from its goal, allowed are {allowed:.0f}")
+            said.append(
+                f"servo {servo.id} stands {at - to:+.0f} ticks from its goal, allowed are "
+                f"{allowed:.0f}"
+            )
             said[-1] += "" if mA is None else f", under at most {mA:.0f} mA"
     return "; ".join([*said, HELD]) if said else ""
 
 
 def _off(robot: Controller, command: Any, what: str) -> float:
-    """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞ where it says none."""
+    """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞
+    where it says none.
+    """
     report = robot.report
     ticks = (report.get("goal") if what == "goal" else report.get("position")) or [None]
-    return np.inf if None in ticks else float(np.abs(np.array(ticks) - robot.calibration.ticks(command)).max())
+    return (
+        np.inf
+        if None in ticks
+        else float(np.abs(np.array(ticks) - robot.calibration.ticks(command)).max())
+    )
 
 
 def _mm(numbers: Any) -> str:

@@ -21,7 +21,8 @@ class JsonOption(Protocol):
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
-    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in `suffix`.
+    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in
+    `suffix`.
 
     `new`: nothing may stand there either, since it would be lost.
     """
@@ -46,17 +47,24 @@ def check_picture(option: str, path: str | None) -> None:
 
     check_file(option, path, ".svg")
     if install := pictures_missing():
-        raise SoftmapError(f"{option} {path}: pictures need matplotlib; {install}, or leave {option} out")
+        raise SoftmapError(
+            f"{option} {path}: pictures need matplotlib; {install}, or leave {option} out"
+        )
 
 
 def with_files(text: str, args: object) -> str:
-    """Return a message with the rig and the bundle that the options of a command hold, if it has such options."""
+    """Return a message with the rig and the bundle that the options of a command hold, if it has
+    such options.
+    """
     rig, bundle = (vars(args).get(name) for name in ("rig", "bundle"))
-    return filled(text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None)
+    return filled(
+        text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None
+    )
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
-    """Raise SoftmapError when a run stands where `option` would write something else, or another recording.
+    """Raise SoftmapError when a run stands where `option` would write something else, or another
+    recording.
 
     `force` is that of the verb, None where it has none.
     """
@@ -65,15 +73,17 @@ def check_no_run(option: str, path: str | None, force: bool | None = None) -> No
     names = archive_names(Path(path))
     if "t.npy" in names and "t_seen.npy" in names:
         way = "remove it" if force is None else "--force to replace it"
-        raise SoftmapError(f"{option} {path}: a run stands there and would be lost; give another name or {way}")
+        raise SoftmapError(
+            f"{option} {path}: a run stands there and would be lost; give another name or {way}"
+        )
 
 
 def check_kept(path: str, what: str, force: bool) -> None:
     """Raise SoftmapError when a file that people write into stands at `path`, and no `force`."""
     if Path(path).exists() and not force:
         raise SoftmapError(
-            f"--out {path}: {what} stands there already, perhaps with notes of yours; give another name, or --force "
-            "to replace it"
+            f"--out {path}: {what} stands there already, perhaps with notes of yours; give "
+            "another name, or --force to replace it"
         )
 
 
@@ -84,7 +94,8 @@ def bundle_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
-    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no `force`.
+    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no
+    `force`.
 
     `force` is that of the verb, None where it has none.
     """
@@ -92,7 +103,9 @@ def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
     check_folder(folder)
     if not force and (folder / "manifest.json").exists():
         way = "remove it" if force is None else "--force to replace it"
-        raise BundleError(f"{option} {path}: a bundle stands there already; give another name, or {way}")
+        raise BundleError(
+            f"{option} {path}: a bundle stands there already; give another name, or {way}"
+        )
 
 
 def to_stderr(line: str) -> None:

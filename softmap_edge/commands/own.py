@@ -1,4 +1,6 @@
-"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`, and questions on a terminal about a bundle."""
+"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`, and questions on a terminal
+about a bundle.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.model.user_effect import load_effect
 
-_trust_onnx: list[bool] = []  # the value of --trust-onnx, for this process like the effects of --effects
+# the value of --trust-onnx, for this process like the effects of --effects
+_trust_onnx: list[bool] = []
 
 
 class OwnOptions(Protocol):
@@ -42,7 +45,10 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--trust-onnx",
         action="store_true",
-        help="let onnxruntime run a network of the bundle that the core does not read, in a child process with limits",
+        help=(
+            "let onnxruntime run a network of the bundle that the core does not read, in a child "
+            "process with limits"
+        ),
     )
 
 
@@ -51,12 +57,16 @@ def load_own(args: OwnOptions) -> list[str]:
     _trust_onnx[:] = [args.trust_onnx]
     for path in args.effects:
         if not path.endswith(".py"):
-            raise SoftmapError(f"--effects {path}: no Python file; `softmap model effects new NAME` writes one")
+            raise SoftmapError(
+                f"--effects {path}: no Python file; `softmap model effects new NAME` writes one"
+            )
     return [load_effect(path).name for path in args.effects]
 
 
 def open_model(path: str | None) -> Model:
-    """Return the model of a bundle, the built-in finger without one; its own code runs if the user says so."""
+    """Return the model of a bundle, the built-in finger without one; its own code runs if the user
+    says so.
+    """
     return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
 
 
@@ -64,7 +74,8 @@ def ask_onnx(file: Path, sha256: str) -> bool:
     """Return whether onnxruntime may run a graph: `--trust-onnx`, or the answer on a terminal."""
     return any(_trust_onnx) or _yes(
         f"This bundle brings a graph that only onnxruntime runs: {file}\n  sha256 {sha256}\n"
-        "onnxruntime is not made for files that you do not trust. Run it, in a child process with limits? [y/N] "
+        "onnxruntime is not made for files that you do not trust. Run it, in a child process "
+        "with limits? [y/N] "
     )
 
 

@@ -58,23 +58,34 @@ class Parser(argparse.ArgumentParser):
         given = [word.split("=")[0] for word in self.asked if re.match(r"--[^\d=]", word)]
         wrong = [word for word in given if not any(option.startswith(word) for option in known)]
         found = [(word, nearest(word, known, 2)) for word in wrong]
-        return [f"there is no option {word}: did you mean {' or '.join(near)}?" for word, near in found if near]
+        return [
+            f"there is no option {word}: did you mean {' or '.join(near)}?"
+            for word, near in found
+            if near
+        ]
 
 
 def add_actions(parser: argparse.ArgumentParser, actions: Mapping[str, Action]) -> None:
-    """Declare the actions of a command, such as `servo scan`: `args.what` is the name of the one that is given."""
+    """Declare the actions of a command, such as `servo scan`: `args.what` is the name of the one
+    that is given.
+    """
     what = parser.add_subparsers(dest="what", required=True, metavar="|".join(actions))
     for name, action in actions.items():
         one = what.add_parser(name, help=action.help)
         action.declare(one)
-        # The command has --json too; a default of the action would overrule one that stands before the action.
-        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+        # The command has --json too; a default of the action would overrule one that stands before
+        # the action.
+        one.add_argument(
+            "--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document"
+        )
 
 
 def run_action(actions: Mapping[str, Action], args: argparse.Namespace) -> int:
     """Run the action that is given, with the options of its own; return its exit code."""
     action = actions[args.what]
-    return action.run(action.options(**{name: value for name, value in vars(args).items() if name != "what"}))
+    return action.run(
+        action.options(**{name: value for name, value in vars(args).items() if name != "what"})
+    )
 
 
 def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:

@@ -16,9 +16,13 @@ QUIET = 8.0  # s without a word after which long work says that it goes on
 
 
 class Ticker:
-    """Says lines, and between them a sign of life: call it with the share done of what was said last."""
+    """Says lines, and between them a sign of life: call it with the share done of what was said
+    last.
+    """
 
-    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._say, self._clock, self._last = say, clock, clock()
 
     def say(self, text: str) -> None:
@@ -33,9 +37,11 @@ class Ticker:
 
 
 class Bar:
-    """Call it with (what, share in 0…1); it redraws one line on a terminal and clears it at the end.
+    """Call it with (what, share in 0…1); it redraws one line on a terminal and clears it at the
+    end.
 
-    Once `what` has taken a while it says how long the rest takes at that pace, what was done before not counted.
+    Once `what` has taken a while it says how long the rest takes at that pace, what was done before
+    not counted.
     """
 
     def __init__(self, silent: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
@@ -53,7 +59,12 @@ class Bar:
             return
         full = round(_WIDTH * min(max(share, 0.0), 1.0))
         bar, left = f"[{'█' * full}{'·' * (_WIDTH - full)}]", self._left(what, share)
-        print(f"\r{printable(what):<16} {bar} {share:4.0%}{left:<{_LEFT}}", end="", file=raw(sys.stderr), flush=True)
+        print(
+            f"\r{printable(what):<16} {bar} {share:4.0%}{left:<{_LEFT}}",
+            end="",
+            file=raw(sys.stderr),
+            flush=True,
+        )
         self._drawn = True
 
     def _left(self, what: str, share: float) -> str:
@@ -64,11 +75,18 @@ class Bar:
         if done <= 0.0 or seconds < PACE or share >= 1.0:
             return ""
         rest = seconds * (1.0 - share) / done
-        unit, length = next(((u, n) for u, n in (("h", 3600.0), ("min", 60.0)) if rest >= 1.5 * n), ("s", 1.0))
+        unit, length = next(
+            ((u, n) for u, n in (("h", 3600.0), ("min", 60.0)) if rest >= 1.5 * n), ("s", 1.0)
+        )
         return f", {rest / length:.0f} {unit} left"
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._drawn:
-            print("\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=raw(sys.stderr), flush=True)
+            print(
+                "\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=raw(sys.stderr), flush=True
+            )

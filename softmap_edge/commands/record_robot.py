@@ -1,4 +1,6 @@
-"""`softmap record` on a robot: a command file played on its servos, or on emulated ones, watched by a camera."""
+"""`softmap record` on a robot: a command file played on its servos, or on emulated ones, watched by
+a camera.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +47,11 @@ SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
 def record_on_robot(args: RecordOptions) -> int:
-    """Play a command file on a robot and write the run; what there is of it also when it is cut short.
+    """Play a command file on a robot and write the run; what there is of it also when it is cut
+    short.
 
-    Until the run is written, what the loop did and what was seen are in files beside it, as they come.
+    Until the run is written, what the loop did and what was seen are in files beside it, as they
+    come.
     """
     _checked(args)
     model = open_model(args.bundle)
@@ -66,7 +70,9 @@ def record_on_robot(args: RecordOptions) -> int:
             if args.calibrated:
                 save_bundle(model, args.calibrated)
             with Bar(args.json) as bar, Keeper(seen_file, behind, model) as keeper:
-                robot = Controller(bench.rig, bench.calibration, bench.limits, record=file, tell=to_stderr)
+                robot = Controller(
+                    bench.rig, bench.calibration, bench.limits, record=file, tell=to_stderr
+                )
                 robot.at_terminal = True
                 key = EmergencyKey(robot, to_stderr)
                 player = Player(
@@ -95,15 +101,21 @@ def record_on_robot(args: RecordOptions) -> int:
         if seen_file.exists() and file.exists():
             to_stderr(f"kept: {file} and {seen_file}; they become the run by: {_again(args)}")
         if isinstance(fault, OSError):
-            raise SoftmapError(f"{args.out}: {(fault.strerror or str(fault)).lower()}; see to the disk") from None
+            raise SoftmapError(
+                f"{args.out}: {(fault.strerror or str(fault)).lower()}; see to the disk"
+            ) from None
         raise
     seen_file.unlink()
     if not args.record:
         file.unlink()
     document = _document(args, run, made) | {
-        "emulated": args.emulated, "whole": player.played.whole, "unsettled": player.played.unsettled,
-        "settling_s": round(player.played.waited, 1), "record": args.record, "bundle": args.calibrated,
-    }  # fmt: skip
+        "emulated": args.emulated,
+        "whole": player.played.whole,
+        "unsettled": player.played.unsettled,
+        "settling_s": round(player.played.waited, 1),
+        "record": args.record,
+        "bundle": args.calibrated,
+    }
     print(json.dumps(document, ensure_ascii=False) if args.json else _said(args, run, document))
     if isinstance(ended, SoftmapError):
         raise SoftmapError(f"{ended}; what was recorded before is in {args.out}")
@@ -126,10 +138,19 @@ def recover(args: RecordOptions, seen_file: Path) -> int:
         raise SoftmapError(f"{seen_file}: no frame was taken before it was cut; record again")
     run = merged(file, model, pace(made, recorded.calibration, recorded.limits["servos"]), played)
     run.save(args.out)
-    document = _document(args, run, made) | {"emulated": None, "whole": False, "recovered": args.recover}
+    document = _document(args, run, made) | {
+        "emulated": None,
+        "whole": False,
+        "recovered": args.recover,
+    }
     document |= {"lacks": played.lacks}
     said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
-    said = "\n".join([said, *filter(None, [recorded.incomplete if recorded.short == CUT else None, played.lacks])])
+    said = "\n".join(
+        [
+            said,
+            *filter(None, [recorded.incomplete if recorded.short == CUT else None, played.lacks]),
+        ]
+    )
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
 
@@ -143,10 +164,16 @@ def _commands(args: RecordOptions, model: Model) -> Protocol:
 
 def _document(args: RecordOptions, run: Run, made: Protocol) -> dict[str, Any]:
     return {
-        "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
-        "frames": run.frames, "wanted": made.frames, "minutes": round(float(run.t[-1] - run.t[0]) / 60.0, 2),
-        "simulated": False, "hash": run.hash(),
-    }  # fmt: skip
+        "schema": "softmap.record/1",
+        "out": args.out,
+        "rows": len(run.t),
+        "channels": run.channels,
+        "frames": run.frames,
+        "wanted": made.frames,
+        "minutes": round(float(run.t[-1] - run.t[0]) / 60.0, 2),
+        "simulated": False,
+        "hash": run.hash(),
+    }
 
 
 def _left(args: RecordOptions) -> tuple[Path, Path]:
@@ -160,7 +187,8 @@ def _left(args: RecordOptions) -> tuple[Path, Path]:
     for there in (file, seen):
         if there.exists():
             raise SoftmapError(
-                f"{there} is what a recording left that was cut; make its run by: {_again(args)}, or give another --out"
+                f"{there} is what a recording left that was cut; make its run by: {_again(args)}, "
+                "or give another --out"
             )
     return file, seen
 
@@ -174,7 +202,9 @@ def _again(args: RecordOptions) -> str:
     return shlex.join([*words, "--out", args.out])
 
 
-def _watch(bar: Callable[[str, float], None], share: float, robot: Controller, keeper: Keeper) -> None:
+def _watch(
+    bar: Callable[[str, float], None], share: float, robot: Controller, keeper: Keeper
+) -> None:
     """Show how far it is; end it where it is recorded no more."""
     bar("recording", share)
     if fault := _broken(robot, keeper):
@@ -185,12 +215,18 @@ def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
     """Return what ended the writing of either file, a full disk perhaps."""
     if robot.unrecorded is not None:
         return SoftmapError(robot.unrecorded)
-    return None if keeper.fault is None else SoftmapError(f"what is seen is kept no more: {keeper.fault}")
+    return (
+        None
+        if keeper.fault is None
+        else SoftmapError(f"what is seen is kept no more: {keeper.fault}")
+    )
 
 
 @contextlib.contextmanager
 def _cut_in_order() -> Iterator[None]:
-    """Take SIGTERM and SIGHUP (a closed terminal, a dropped ssh) as Ctrl-C: slacken, and write what there is."""
+    """Take SIGTERM and SIGHUP (a closed terminal, a dropped ssh) as Ctrl-C: slacken, and write what
+    there is.
+    """
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -219,7 +255,8 @@ def _checked(args: RecordOptions) -> None:
         raise SoftmapError("--emulated has a camera of its own; leave --camera out")
     if args.calibrated and not args.emulated:
         raise SoftmapError(
-            "--calibrated: only an emulated robot knows its true map; `softmap model calibrate` finds one"
+            "--calibrated: only an emulated robot knows its true map; `softmap model calibrate` "
+            "finds one"
         )
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
@@ -266,12 +303,16 @@ def _ahead(args: RecordOptions, paced: Pace) -> str:
     """Say how long it will take."""
     minutes = paced.t[-1] / 60.0
     slowed = minutes / max(paced.made.minutes, 1e-9)
-    slower = f", {slowed:.1f} times as slow as written, by the limits of the servos" if slowed > 1.05 else ""
+    slower = (
+        f", {slowed:.1f} times as slow as written, by the limits of the servos"
+        if slowed > 1.05
+        else ""
+    )
     rests = int(paced.rests.sum())
     return (
-        f"a recording of {minutes:.1f} minutes{slower}; in addition up to {rests * 3} s for {rests} rests to settle; "
-        "Ctrl-C ends it and keeps what there is; should the computer fail, this makes the run of what is there: "
-        f"{_again(args)}"
+        f"a recording of {minutes:.1f} minutes{slower}; in addition up to {rests * 3} s for "
+        f"{rests} rests to settle; Ctrl-C ends it and keeps what there is; should the computer "
+        f"fail, this makes the run of what is there: {_again(args)}"
     )
 
 
@@ -283,9 +324,14 @@ def _said(args: RecordOptions, run: object, summary: dict[str, Any]) -> str:
         + ("" if summary["whole"] else "; it was cut short"),
     ]
     if summary["unsettled"]:
-        lines.append(f"{summary['unsettled']} rests went on before all was still: the body creeps, or the servos hum")
+        lines.append(
+            f"{summary['unsettled']} rests went on before all was still: the body creeps, or the "
+            "servos hum"
+        )
     lines += [f"{summary[name]}: written" for name in ("record", "bundle") if summary[name]]
     bundle = args.calibrated or args.bundle
     if bundle:
-        lines.append(f"next: softmap diagnose {shlex.quote(args.out)} --bundle {shlex.quote(bundle)}")
+        lines.append(
+            f"next: softmap diagnose {shlex.quote(args.out)} --bundle {shlex.quote(bundle)}"
+        )
     return "\n".join(lines)

@@ -36,13 +36,20 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "clouds",
         nargs="+",
-        help="a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm",
+        help=(
+            "a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
+        ),
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it")
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it"
+    )
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")
     parser.add_argument(
-        "--mode", choices=("robust", "paper"), default="robust", help="robust, or the published objective"
+        "--mode",
+        choices=("robust", "paper"),
+        default="robust",
+        help="robust, or the published objective",
     )
     parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
 
@@ -61,9 +68,15 @@ def register(args: RegisterOptions) -> int:
     vertices = found.run(run)
     vertices.save(args.out)
     if args.json:
-        print(json.dumps(found.to_dict() | {"notes": notes, "out": args.out, "hash": vertices.hash()}))
+        print(
+            json.dumps(found.to_dict() | {"notes": notes, "out": args.out, "hash": vertices.hash()})
+        )
     else:
         lines = [f"  look at: {note}" for note in notes[:PRINTED]]
-        lines += [f"  and {len(notes) - PRINTED} more such files (--json)"] if len(notes) > PRINTED else []
+        lines += (
+            [f"  and {len(notes) - PRINTED} more such files (--json)"]
+            if len(notes) > PRINTED
+            else []
+        )
         print("\n".join([str(found), *lines, f"written to {args.out}"]))
     return POOR if any(row["warnings"] for row in found.frames) else 0

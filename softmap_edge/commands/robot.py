@@ -1,4 +1,6 @@
-"""The robot that a verb drives: the bench of `--rig` with the limits in force there, or an emulated one."""
+"""The robot that a verb drives: the bench of `--rig` with the limits in force there, or an emulated
+one.
+"""
 
 from __future__ import annotations
 
@@ -43,16 +45,23 @@ class DrivenOptions(Protocol):
 def announce_edited_limits(model: Model) -> None:
     """Say that the limits of a finger are not those that its bundle was written with."""
     if model.safety is not None and model.safety.edited:
-        to_stderr("safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it")
+        to_stderr(
+            "safety.toml of the bundle was edited since that was written; `softmap servo limits` "
+            "prints it"
+        )
 
 
 def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     """Declare what verbs share that drive a model on a robot; `seed` is what else it is of."""
     parser.add_argument(
-        "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
+        "--bundle",
+        metavar="DIR",
+        help="whose model and effects are used (default: the built-in finger)",
     )
     effects_argument(parser)
-    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
+    parser.add_argument(
+        "--no-effects", action="store_true", help="leave the effects of the bundle out, to compare"
+    )
     parser.add_argument(
         "--hide",
         "--hidden",
@@ -69,7 +78,8 @@ def check_driven(args: DrivenOptions) -> None:
     check_file("--record", args.record, ".mcap", new=True)
     if args.record and (seen := seen_file(args.record)).exists():
         raise SoftmapError(
-            f"--record {args.record}: {seen} exists, and would be taken for what it saw; give another name"
+            f"--record {args.record}: {seen} exists, and would be taken for what it saw; give "
+            "another name"
         )
     if args.hide and not args.sim:
         raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
@@ -81,27 +91,41 @@ def driven_model(args: DrivenOptions, model: Model) -> Model:
 
 
 @contextlib.contextmanager
-def emulated(model: Model, hidden: str = "", seed: int = 0, *, person: bool = False) -> Iterator[Bench]:
+def emulated(
+    model: Model, hidden: str = "", seed: int = 0, *, person: bool = False
+) -> Iterator[Bench]:
     """Yield an emulated robot with the finger of `model` and injected effects.
 
     Args:
         model: the model of the finger.
         hidden: names of the injected effects.
         seed: of noise and clock.
-        person: whether a person drives. Then its time keeps real time; else it is stepped, independent of load.
+        person: whether a person drives. Then its time keeps real time; else it is stepped,
+            independent of load.
     """
     calibration = model.calibration or plain_map(model)
     laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
     pace: Literal["paced", "stepped"] = "paced" if person else "stepped"
-    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed, time=pace) as (_, rig, limits, finger):
+    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed, time=pace) as (
+        _,
+        rig,
+        limits,
+        finger,
+    ):
         yield Bench(rig, limits, calibration, model, finger)
 
 
 @contextlib.contextmanager
 def bench_of(
-    rig: str | None, model: Model, hidden: str = "", seed: int | None = None, *, person: bool = False
+    rig: str | None,
+    model: Model,
+    hidden: str = "",
+    seed: int | None = None,
+    *,
+    person: bool = False,
 ) -> Iterator[Bench]:
-    """Yield the robot of `--rig`, or an emulated one with the effects of `--hide` and the seed of `--seed`.
+    """Yield the robot of `--rig`, or an emulated one with the effects of `--hide` and the seed of
+    `--seed`.
 
     Args:
         rig: file of the rig; None for an emulated robot.
@@ -119,16 +143,22 @@ def bench_of(
 
 
 def own_map(model: Model) -> Calibration:
-    """Return the true map of an emulated robot: its bundle's, or a plain one; a window it has always."""
+    """Return the true map of an emulated robot: its bundle's, or a plain one; a window it has
+    always.
+    """
     known = model.calibration or plain_map(model)
     return replace(known, window=known.window or known.holding(model.command_range))
 
 
 def plain_map(model: Model) -> Calibration:
-    """Return the map of an emulated robot whose bundle holds none; commands in ticks are its servos' own."""
+    """Return the map of an emulated robot whose bundle holds none; commands in ticks are its
+    servos' own.
+    """
     if model.command_unit == TICKS:
         middle = np.rint(np.asarray(model.command_range, float).mean(axis=1))
-        return Calibration.stated(np.eye(model.channels), middle, middle, "the servos' own ticks", unit=TICKS)
+        return Calibration.stated(
+            np.eye(model.channels), middle, middle, "the servos' own ticks", unit=TICKS
+        )
     zero = np.zeros(model.channels)
     scale = np.eye(model.channels) / TICKS_PER_MM
     return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")
@@ -136,7 +166,9 @@ def plain_map(model: Model) -> Calibration:
 
 @contextlib.contextmanager
 def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
-    """Enter `robot`, with the key of a terminal as its emergency stop; once Ctrl-C has ended it, say what is left."""
+    """Enter `robot`, with the key of a terminal as its emergency stop; once Ctrl-C has ended it,
+    say what is left.
+    """
     try:
         robot.tell, robot.at_terminal = to_stderr, True
         with EmergencyKey(robot, to_stderr), robot:

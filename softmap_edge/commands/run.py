@@ -38,16 +38,35 @@ class CutOptions:
 def _cut_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", help="the run (.npz or .mcap)")
     parser.add_argument(
-        "--from", dest="start", action="append", type=float, metavar="S",
+        "--from",
+        dest="start",
+        action="append",
+        type=float,
+        metavar="S",
         help="begin of a piece, s; repeat --from and --to for several pieces",
-    )  # fmt: skip
-    parser.add_argument("--to", dest="end", action="append", type=float, metavar="S", help="end of a piece, s")
-    parser.add_argument("--block", action="append", metavar="LABEL", help="a piece is this block; repeat for several")
+    )
     parser.add_argument(
-        "--lead", type=float, default=0.0, metavar="S",
-        help="keep the commands of this many seconds before each piece, so that memory is still right (0)",
-    )  # fmt: skip
-    _out_arguments(parser, "the piece to write (.npz); several pieces are NAME_1.npz, NAME_2.npz, …")
+        "--to", dest="end", action="append", type=float, metavar="S", help="end of a piece, s"
+    )
+    parser.add_argument(
+        "--block",
+        action="append",
+        metavar="LABEL",
+        help="a piece is this block; repeat for several",
+    )
+    parser.add_argument(
+        "--lead",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help=(
+            "keep the commands of this many seconds before each piece, so that memory is still "
+            "right (0)"
+        ),
+    )
+    _out_arguments(
+        parser, "the piece to write (.npz); several pieces are NAME_1.npz, NAME_2.npz, …"
+    )
 
 
 @dataclass(frozen=True)
@@ -63,13 +82,22 @@ class JoinOptions:
 
 
 def _join_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("runs", nargs="+", metavar="run", help="the runs of one robot (.npz or .mcap), in order")
     parser.add_argument(
-        "--gap", type=float, default=GAP_S, metavar="S",
+        "runs", nargs="+", metavar="run", help="the runs of one robot (.npz or .mcap), in order"
+    )
+    parser.add_argument(
+        "--gap",
+        type=float,
+        default=GAP_S,
+        metavar="S",
         help=f"time between runs that are not pieces of one recording, s ({GAP_S:g})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--drop", action="append", default=[], metavar="FIELD", help="leave out a field that not all runs share"
+        "--drop",
+        action="append",
+        default=[],
+        metavar="FIELD",
+        help="leave out a field that not all runs share",
     )
     _out_arguments(parser, "the run to write (.npz)")
 
@@ -95,19 +123,31 @@ def _cut(args: CutOptions) -> int:
     check_file("--out", args.out, ".npz")
     run = open_run(args.run)
     found = _pieces(run, args)
-    names = [args.out] if len(found) == 1 else [_numbered(args.out, k) for k in range(1, len(found) + 1)]
+    names = (
+        [args.out]
+        if len(found) == 1
+        else [_numbered(args.out, k) for k in range(1, len(found) + 1)]
+    )
     for name in names:
         check_no_run("--out", name, args.force)
     for name, (_, piece) in zip(names, found):
         piece.save(name)
     documents = [contents(piece) | {"out": name} for name, (_, piece) in zip(names, found)]
     if args.json:
-        print(json.dumps({"schema": "softmap.cut/1", "run": run.hash(), "pieces": documents}, ensure_ascii=False))
+        print(
+            json.dumps(
+                {"schema": "softmap.cut/1", "run": run.hash(), "pieces": documents},
+                ensure_ascii=False,
+            )
+        )
         return 0
     for name, (what, piece) in zip(names, found):
         print(f"{name}: {what}, {len(piece.t)} rows, {piece.frames} frames")
     if any(piece.t[0] > run.t[0] for _, piece in found) and not args.lead:
-        print("  prediction begins in equilibrium at the first row; --lead S keeps the commands before a piece")
+        print(
+            "  prediction begins in equilibrium at the first row; --lead S keeps the commands "
+            "before a piece"
+        )
     return 0
 
 
@@ -119,14 +159,18 @@ def _pieces(run: Run, args: CutOptions) -> list[Piece]:
     """
     if args.block:
         if args.start or args.end:
-            raise RunError("--block and --from/--to: give one of the two; a piece of a block takes two cuts")
+            raise RunError(
+                "--block and --from/--to: give one of the two; a piece of a block takes two cuts"
+            )
         return [(f"block {label}", cut(run, block=label, lead_s=args.lead)) for label in args.block]
     pairs = _pairs(args.start or [], args.end or [])
     found = [cut(run, low, high, lead_s=args.lead) for low, high in pairs]
     return [(_span(piece), piece) for piece in found]
 
 
-def _pairs(starts: Sequence[float], ends: Sequence[float]) -> list[tuple[float | None, float | None]]:
+def _pairs(
+    starts: Sequence[float], ends: Sequence[float]
+) -> list[tuple[float | None, float | None]]:
     """Return begin and end (s) of each piece; None stands for the begin or end of the run."""
     if not starts and not ends:
         raise RunError("no piece is named; give --from and --to in seconds, or --block LABEL")
@@ -134,14 +178,16 @@ def _pairs(starts: Sequence[float], ends: Sequence[float]) -> list[tuple[float |
         return [(starts[0] if starts else None, ends[0] if ends else None)]
     if len(starts) != len(ends):
         raise RunError(
-            f"{len(starts)} --from and {len(ends)} --to: for several pieces give both of each, as --from 0 --to 30 "
-            "--from 60 --to 90"
+            f"{len(starts)} --from and {len(ends)} --to: for several pieces give both of each, as "
+            "--from 0 --to 30 --from 60 --to 90"
         )
     return list(zip(starts, ends))
 
 
 def _span(run: Run) -> str:
-    """Return the time span of the frames of a piece as text, or of its commands if it has no frames."""
+    """Return the time span of the frames of a piece as text, or of its commands if it has no
+    frames.
+    """
     times = run.t_seen if run.frames else run.t
     return f"{times[0]:g} to {times[-1]:g} s"
 
@@ -159,7 +205,9 @@ def _join(args: JoinOptions) -> int:
     whole.save(args.out)
     document = contents(whole) | {"doubts": join_doubts(runs, args.gap)}
     if args.json:
-        print(json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False))
+        print(
+            json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False)
+        )
     else:
         print("\n".join([f"{args.out}: {len(args.runs)} runs joined", *lines(document)]))
         print("".join(f"look at   {doubt}\n" for doubt in document["doubts"]), end="")
@@ -169,7 +217,11 @@ def _join(args: JoinOptions) -> int:
 def _show(args: ShowOptions) -> int:
     document = contents(open_run(args.run))
     if args.json:
-        print(json.dumps({"schema": "softmap.contents/1", "path": args.run} | document, ensure_ascii=False))
+        print(
+            json.dumps(
+                {"schema": "softmap.contents/1", "path": args.run} | document, ensure_ascii=False
+            )
+        )
     else:
         print("\n".join(lines(document)))
     return 0

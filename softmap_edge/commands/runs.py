@@ -53,14 +53,26 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet), or its folder",
+        help=(
+            "the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet), or its "
+            "folder"
+        ),
     )
     how = parser.add_mutually_exclusive_group(required=True)
-    how.add_argument("--map", help="mapping file (docs/reference/mapping.md; examples/trunk.toml is one)")
-    how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")
-    parser.add_argument("--out", help="the run to write (.npz); with --guess the mapping (.toml), else it is printed")
+    how.add_argument(
+        "--map", help="mapping file (docs/reference/mapping.md; examples/trunk.toml is one)"
+    )
+    how.add_argument(
+        "--guess", action="store_true", help="propose a mapping from the header and the ranges"
+    )
     parser.add_argument(
-        "--force", action="store_true", help="replace the run (with --guess the mapping) that stands there"
+        "--out",
+        help="the run to write (.npz); with --guess the mapping (.toml), else it is printed",
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace the run (with --guess the mapping) that stands there",
     )
 
 
@@ -89,7 +101,10 @@ def import_(args: ImportOptions) -> int:
     if args.json:
         print(json.dumps(document, ensure_ascii=False))
     else:
-        lines = [*(f"  {note}" for note in imported.notes), *(f"  look at: {doubt}" for doubt in imported.doubts)]
+        lines = [
+            *(f"  {note}" for note in imported.notes),
+            *(f"  look at: {doubt}" for doubt in imported.doubts),
+        ]
         print("\n".join([str(run), *lines, f"written to {args.out}"]))
     return DONE
 
@@ -109,11 +124,18 @@ def _guess(args: ImportOptions) -> int:
     if args.out is None:
         print("\n".join([found.text, *(f"# the import says: {line}" for line in found.said)]))
         return DONE
-    lines = [*(f"assumed   {line}" for line in found.assumed), *(f"unknown   {line}" for line in found.unknown)]
+    lines = [
+        *(f"assumed   {line}" for line in found.assumed),
+        *(f"unknown   {line}" for line in found.unknown),
+    ]
     lines += [f"tried     {line}" for line in found.said]
     print(
         "\n".join(
-            [*lines, f"written to {args.out}: read it, put right what is wrong, then import with --map {args.out}"]
+            [
+                *lines,
+                f"written to {args.out}: read it, put right what is wrong, then import with --map "
+                f"{args.out}",
+            ]
         )
     )
     return DONE
@@ -133,7 +155,11 @@ class CheckOptions:
 def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
     parser.add_argument("path", help="a run (.npz or .mcap), a sweep (.npz) or a bundle folder")
-    parser.add_argument("--bundle", metavar="DIR", help="of a run: say which effects would show against this model's")
+    parser.add_argument(
+        "--bundle",
+        metavar="DIR",
+        help="of a run: say which effects would show against this model's",
+    )
     effects_argument(parser)
 
 
@@ -149,7 +175,10 @@ def check(args: CheckOptions) -> int:
             found = _bundle(path) | _compared_networks(path)
         else:
             found = _run(path, args.bundle) if kind == "run" else read_summary(path)
-        faults = [*found.get("not_seen", []), *(found[key] for key in ("unanswered", "fault") if found.get(key))]
+        faults = [
+            *found.get("not_seen", []),
+            *(found[key] for key in ("unanswered", "fault") if found.get(key)),
+        ]
         document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}
@@ -161,7 +190,9 @@ def check(args: CheckOptions) -> int:
     if found:  # the readable part, also of a damaged or cut recording
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
-        lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
+        lines += (
+            effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
+        )
         state = "sound" if document["sound"] else "damaged" if found.get("fault") else "not sound"
         print("\n".join([f"{state:<10}{path}", *lines]))
     return DONE if document["sound"] else FAULT
@@ -184,12 +215,23 @@ def show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def show(args: ShowOptions) -> int:
-    """Print what is in a run (its fields and traces) or a bundle (its manifest); code in a bundle is not run."""
+    """Print what is in a run (its fields and traces) or a bundle (its manifest); code in a bundle
+    is not run.
+    """
     path = _existing(args.path)
     load_own(args)
     if path.is_dir():
-        document = {"schema": "softmap.show/1", "path": str(path), "kind": "bundle", **_bundle(path, asking=False)}
-        print(json.dumps(document, ensure_ascii=False) if args.json else "\n".join(_bundle_lines(document)))
+        document = {
+            "schema": "softmap.show/1",
+            "path": str(path),
+            "kind": "bundle",
+            **_bundle(path, asking=False),
+        }
+        print(
+            json.dumps(document, ensure_ascii=False)
+            if args.json
+            else "\n".join(_bundle_lines(document))
+        )
         return DONE
     sweep = is_shape_sweep(path)
     run = None if sweep else open_run(path)
@@ -200,12 +242,19 @@ def show(args: ShowOptions) -> int:
     fields = [_field(name, array) for name, array in arrays.items()]
     if args.json:
         kind = "sweep" if sweep else "run"
-        print(json.dumps({"schema": "softmap.show/1", "path": str(path), "kind": kind, "fields": fields}))
+        print(
+            json.dumps(
+                {"schema": "softmap.show/1", "path": str(path), "kind": kind, "fields": fields}
+            )
+        )
         return DONE
     print("\n".join(sweep_sentences(read_summary(path))) if run is None else run)
     for field in fields:
         span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
-        print(f"  {field['name']:<14} {field['shape']!s:<16} {field['type']:<8} {span or field['text'] or ''}")
+        print(
+            f"  {field['name']:<14} {field['shape']!s:<16} {field['type']:<8} "
+            f"{span or field['text'] or ''}"
+        )
     for label, values in [] if run is None else _traces(run):
         print(f"  {label:<14} {_trace(values)}")
     return DONE
@@ -229,7 +278,9 @@ def _run(path: Path, bundle: str | None) -> dict[str, Any]:
 
 
 def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
-    """Return manifest and chain; with code that is not loaded and not `asking`, the chain as it is written."""
+    """Return manifest and chain; with code that is not loaded and not `asking`, the chain as it is
+    written.
+    """
     manifest = load_manifest(path)
     if not asking and set(manifest.get("own_effects", {})) - set(loaded()):
         names, params = load_chain(path)
@@ -237,12 +288,16 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
     model = open_model(str(path))
     chain = {"effects": list(model.chain_names), "params": model.params}
     calibration = {} if model.calibration is None else {"calibration": model.calibration.to_dict()}
-    tables = {key: model.made_from[key] for key in ("through_onnxruntime",) if key in model.made_from}
+    tables = {
+        key: model.made_from[key] for key in ("through_onnxruntime",) if key in model.made_from
+    }
     return {"manifest": manifest, **chain, **calibration, **tables}
 
 
 def _compared_networks(path: Path) -> dict[str, Any]:
-    """Compare the networks of a bundle that the core runs with onnxruntime; nothing where it has none."""
+    """Compare the networks of a bundle that the core runs with onnxruntime; nothing where it has
+    none.
+    """
     manifest = load_manifest(path)
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     apart = {}
@@ -259,7 +314,9 @@ def _compared_networks(path: Path) -> dict[str, Any]:
 
 def _bundle_lines(document: dict[str, Any]) -> list[str]:
     manifest = document["manifest"]
-    shown = {k: v for k, v in manifest.items() if k != "sha256"} | {"effects": document["effects"] or "none"}
+    shown = {k: v for k, v in manifest.items() if k != "sha256"} | {
+        "effects": document["effects"] or "none"
+    }
     if found := document.get("calibration"):
         shown["calibration"] = {key: found[key] for key in ("A", "b", "home", "condition")}
     lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
@@ -269,12 +326,17 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
             f"{found['table_off_mm']:.2g} mm off between the nodes (RMS): {found['why']}"
         )
     for name, apart in document.get("differs_from_onnxruntime_mm", {}).items():
-        compared = "not compared, onnxruntime is not installed" if apart is None else f"differs by {apart:.1g} mm"
+        compared = (
+            "not compared, onnxruntime is not installed"
+            if apart is None
+            else f"differs by {apart:.1g} mm"
+        )
         lines.append(f"{'onnxruntime':<18} the {name} network: {compared}")
     for name in manifest.get("own_effects", {}):
         file = Path(document["path"]) / f"{name}.py"
         lines.append(
-            f"{'code':<18} the effect {name} is Python code, {file}: read it, then allow it with --effects {file}"
+            f"{'code':<18} the effect {name} is Python code, {file}: read it, then allow it with "
+            f"--effects {file}"
         )
     return lines
 
@@ -298,10 +360,18 @@ def _field(name: str, array: np.ndarray[Any, Any]) -> dict[str, Any]:
 
 def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]:
     rows = run.command if run.command is not None else run.ticks
-    traces = [] if rows is None else [(f"command {c}", np.asarray(rows[:, c], float)) for c in range(run.channels)]
+    traces = (
+        []
+        if rows is None
+        else [(f"command {c}", np.asarray(rows[:, c], float)) for c in range(run.channels)]
+    )
     if run.output is not None:
         return [*traces, *zip(run.output.names, run.outputs.T)]
-    if run.frames and (run.vertices is not None or run.markers is not None) and run.seen_points.shape[1]:
+    if (
+        run.frames
+        and (run.vertices is not None or run.markers is not None)
+        and run.seen_points.shape[1]
+    ):
         last = run.seen_points[:, -1]
         name = "last vertex" if run.vertices is not None else "last marker"
         traces += [(f"{name} {axis}", last[:, k]) for k, axis in enumerate("xyz")]
@@ -309,9 +379,13 @@ def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]
 
 
 def _trace(values: np.ndarray[Any, np.dtype[np.float64]]) -> str:
-    """A line of bars: the mean of each part of the record, scaled to its range; a blank where nothing was seen."""
+    """A line of bars: the mean of each part of the record, scaled to its range; a blank where
+    nothing was seen.
+    """
     parts = np.array_split(values, min(_WIDTH, len(values)))
-    means = np.array([part[np.isfinite(part)].mean() if np.isfinite(part).any() else np.nan for part in parts])
+    means = np.array(
+        [part[np.isfinite(part)].mean() if np.isfinite(part).any() else np.nan for part in parts]
+    )
     if not np.isfinite(means).any():
         return ""
     low, span = np.nanmin(means), max(float(np.nanmax(means) - np.nanmin(means)), 1e-12)

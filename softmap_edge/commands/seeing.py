@@ -28,16 +28,25 @@ class CameraOptions(Protocol):
 def camera_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare where points come from."""
     parser.add_argument(
-        "--camera", metavar="udp://:PORT", help="where the camera's program sends points (docs/do/camera.md)"
+        "--camera",
+        metavar="udp://:PORT",
+        help="where the camera's program sends points (docs/do/camera.md)",
     )
     parser.add_argument(
-        "--key", metavar="FILE", help="the key that is shared with that program; needed across computers"
+        "--key",
+        metavar="FILE",
+        help="the key that is shared with that program; needed across computers",
     )
     parser.add_argument(
-        "--like", metavar="RUN", help="points are in the camera's frame: bring them to the base as in this aligned run"
+        "--like",
+        metavar="RUN",
+        help="points are in the camera's frame: bring them to the base as in this aligned run",
     )
     parser.add_argument(
-        "--late", type=float, metavar="S", help="how long the quickest frame takes from its light to here (0)"
+        "--late",
+        type=float,
+        metavar="S",
+        help="how long the quickest frame takes from its light to here (0)",
     )
 
 
@@ -51,7 +60,9 @@ def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
     if args.like is not None:
         frame = open_run(args.like).frame
         if frame is None:
-            raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base")
+            raise SoftmapError(
+                f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base"
+            )
     key = None if args.key is None else read_key(args.key)
     if args.camera is None:
         raise SoftmapError("no camera is given; give --camera udp://:PORT (docs/do/camera.md)")

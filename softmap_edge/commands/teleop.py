@@ -1,4 +1,6 @@
-"""The verb that lets a hand drive, and what it needs: a model of hands, a key, landmarks sent to another computer."""
+"""The verb that lets a hand drive, and what it needs: a model of hands, a key, landmarks sent to
+another computer.
+"""
 
 from __future__ import annotations
 
@@ -79,40 +81,78 @@ class TeleopOptions:
 def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `teleop`."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--sim", action="store_true", help="an emulated robot: real packets, simulated finger")
+    what.add_argument(
+        "--sim", action="store_true", help="an emulated robot: real packets, simulated finger"
+    )
     what.add_argument("--rig", metavar="FILE.toml", help="the servos of this rig")
-    what.add_argument("--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there")
-    what.add_argument("--fetch-model", metavar="FROM", help="make the model of hands of mediapipe's wheel, or a copy")
+    what.add_argument(
+        "--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there"
+    )
+    what.add_argument(
+        "--fetch-model",
+        metavar="FROM",
+        help="make the model of hands of mediapipe's wheel, or a copy",
+    )
     what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
     cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
-    parser.add_argument("--camera", default="none", metavar="N|/dev/…|FILE|udp://:PORT|none", help=cameras)
-    parser.add_argument("--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)")
-    parser.add_argument("--key", metavar="FILE", help="the key of --send or --camera udp://")
-    parser.add_argument("--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})")
-    parser.add_argument("--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)")
-    parser.add_argument("--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics")
-    parser.add_argument("--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)")
-    parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
-    parser.add_argument("--flip", default="", metavar="x,y", help="turn the hand's sideways (x) or forward (y) round")
-    reach = "hand scales for the end of the range ({:g},{:g})".format(*HandMap.reach)
-    parser.add_argument("--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach)
     parser.add_argument(
-        "--gesture", default="fist-releases", choices=RULES, help="in addition to the key (fist-releases)"
+        "--camera", default="none", metavar="N|/dev/…|FILE|udp://:PORT|none", help=cameras
+    )
+    parser.add_argument(
+        "--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)"
+    )
+    parser.add_argument("--key", metavar="FILE", help="the key of --send or --camera udp://")
+    parser.add_argument(
+        "--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})"
+    )
+    parser.add_argument(
+        "--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)"
+    )
+    parser.add_argument(
+        "--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics"
+    )
+    parser.add_argument(
+        "--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)"
+    )
+    parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
+    parser.add_argument(
+        "--flip",
+        default="",
+        metavar="x,y",
+        help="turn the hand's sideways (x) or forward (y) round",
+    )
+    reach = "hand scales for the end of the range ({:g},{:g})".format(*HandMap.reach)
+    parser.add_argument(
+        "--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach
+    )
+    parser.add_argument(
+        "--gesture",
+        default="fist-releases",
+        choices=RULES,
+        help="in addition to the key (fist-releases)",
     )
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
     driven_arguments(parser)
-    parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
+    parser.add_argument(
+        "--force", action="store_true", help="--fetch-model: replace the file that is there"
+    )
 
 
 def teleop(args: TeleopOptions) -> int:
     """Drive by hand until the file, Ctrl-C, q or the loop ends it."""
     if args.fetch_model:
         made = fetch_model(args.fetch_model, args.model, force=args.force)
-        _print(args, {"model": str(made.path), "sha256": made.sha256, "known_as": made.known_as or None}, str(made))
+        _print(
+            args,
+            {"model": str(made.path), "sha256": made.sha256, "known_as": made.known_as or None},
+            str(made),
+        )
         return DONE
     if args.new_key:
         new_key(args.new_key)
-        said = f"{args.new_key}: a new key; copy it to the other computer, where only you can read it"
+        said = (
+            f"{args.new_key}: a new key; copy it to the other computer, where only you can read it"
+        )
         _print(args, {"key": args.new_key}, said)
         return DONE
     if args.seconds is not None and not 0 < args.seconds <= 1e6:
@@ -131,7 +171,9 @@ def _drive(args: TeleopOptions) -> int:
         inputs: list[Input] = []
         page = None
         if args.page != "none":
-            page = stack.enter_context(Page(_port(args.page), args.page_host, "hand" if by_hand else "knob"))
+            page = stack.enter_context(
+                Page(_port(args.page), args.page_host, "hand" if by_hand else "knob")
+            )
             inputs.append(page)
         if isinstance(eyes, RemoteHandSource):
             inputs.append(eyes)
@@ -139,15 +181,23 @@ def _drive(args: TeleopOptions) -> int:
             inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob", typed)))
             to_stderr(HELP)
         if not inputs and args.seconds is None and not by_hand:
-            raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
+            raise TeleopError(
+                "nothing can drive: no page, no terminal, no camera; leave --page none away"
+            )
         bench = stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed, person=True))
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
-        stack.enter_context(contextlib.suppress(RecordingBroken))  # reported below, after the account
+        # reported below, after the account
+        stack.enter_context(contextlib.suppress(RecordingBroken))
         robot = stack.enter_context(
             Controller(
-                bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record, tell=to_stderr
+                bench.rig,
+                bench.calibration,
+                bench.limits,
+                kinematics=kinematics,
+                record=args.record,
+                tell=to_stderr,
             )
         )
         robot.at_terminal = True
@@ -159,9 +209,18 @@ def _drive(args: TeleopOptions) -> int:
             show = shown.take
             to_stderr(f"open {page.url}")
         drive = Drive(
-            robot, kinematics, aim, eyes, inputs, reach=args.reach, flip=flips, rule=RULES[args.gesture],
-            stays=page is not None, show=show, say=to_stderr,
-        )  # fmt: skip
+            robot,
+            kinematics,
+            aim,
+            eyes,
+            inputs,
+            reach=args.reach,
+            flip=flips,
+            rule=RULES[args.gesture],
+            stays=page is not None,
+            show=show,
+            say=to_stderr,
+        )
         account = drive.run(args.seconds)
     summary = {
         "robot": model.robot,
@@ -186,7 +245,9 @@ def _eyes(args: TeleopOptions, stack: contextlib.ExitStack) -> HandSource:
         return NullHandSource()
     what = source(args.camera)
     if isinstance(what, UdpAddress):
-        receiver = stack.enter_context(Receiver(what.host, what.port, _key(args, "--camera udp://")))
+        receiver = stack.enter_context(
+            Receiver(what.host, what.port, _key(args, "--camera udp://"))
+        )
         return RemoteHandSource(receiver, view)
     return camera_hand_source(what, args.model, view)
 
@@ -197,7 +258,9 @@ def _send(args: TeleopOptions, target: str) -> int:
         raise TeleopError(f"--send {target}: give udp://HOST:PORT")
     what = source(args.camera) if args.camera != "none" else None
     if what is None or isinstance(what, UdpAddress):
-        raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give a camera, or a video")
+        raise TeleopError(
+            f"--send: --camera {args.camera} gives no pictures; give a camera, or a video"
+        )
     key = _key(args, "--send")
     with contextlib.ExitStack() as stack:
         eyes: CameraHandSource = stack.enter_context(
@@ -210,13 +273,19 @@ def _send(args: TeleopOptions, target: str) -> int:
             to_stderr("hold Space to drive, q ends")
         sent = send(eyes, sender, keys, args.seconds, to_stderr)
     summary = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
-    _print(args, summary, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
+    _print(
+        args,
+        summary,
+        f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}",
+    )
     return FAULT if sent.failed else DONE
 
 
 def _key(args: TeleopOptions, what: str) -> bytes:
     if args.key is None:
-        raise TeleopError(f"{what} needs --key FILE, the same on both computers; --new-key FILE makes one")
+        raise TeleopError(
+            f"{what} needs --key FILE, the same on both computers; --new-key FILE makes one"
+        )
     return read_key(args.key)
 
 
@@ -230,7 +299,9 @@ def _two(text: str) -> tuple[float, float]:
     try:
         side, forward = (float(part) for part in text.split(","))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r:.30}: give two numbers, SIDE,FORWARD, as 0.35,0.8") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r:.30}: give two numbers, SIDE,FORWARD, as 0.35,0.8"
+        ) from None
     return side, forward
 
 
@@ -247,18 +318,31 @@ def _print(args: TeleopOptions, summary: dict[str, Any], text: str) -> None:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    lines = [f"driven for {summary['driving_s']:.1f} s in {summary['presses']} presses; ended: {summary['ended']}"]
+    lines = [
+        f"driven for {summary['driving_s']:.1f} s in {summary['presses']} presses; ended: "
+        f"{summary['ended']}"
+    ]
     if summary["pictures"]:
         late = summary["latency_ms"]
-        lines.append(f"{summary['pictures']} pictures, {summary['hands']} with a hand" + (
-            ", {median:.0f} ms from picture to command (median; 95 %: {p95:.0f})".format(**late) if late else ""
-        ))  # fmt: skip
+        lines.append(
+            f"{summary['pictures']} pictures, {summary['hands']} with a hand"
+            + (
+                ", {median:.0f} ms from picture to command (median; 95 %: {p95:.0f})".format(**late)
+                if late
+                else ""
+            )
+        )
     if summary["refused"]:
         lines.append(dropped_words(summary["refused"]))
     if summary["busy_s"] > LONG:
-        lines.append(f"{BUSY}: the simulated robot stood still for {summary['busy_s']:.1f} s in all")
+        lines.append(
+            f"{BUSY}: the simulated robot stood still for {summary['busy_s']:.1f} s in all"
+        )
     lines += [f"driving ended {count} times: {why}" for why, count in summary["lost"].items()]
-    lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in summary["states_s"].items()))
+    lines.append(
+        "states: "
+        + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in summary["states_s"].items())
+    )
     if summary["record"]:
         lines.append(f"{summary['record']}: written")
     return "\n".join(lines)

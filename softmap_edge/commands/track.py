@@ -76,23 +76,49 @@ class TrackOptions:
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
-    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y)")
+    parser.add_argument(
+        "figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y)"
+    )
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
+    where.add_argument(
+        "--sim", action="store_true", help="on an emulated robot: real packets, simulated finger"
+    )
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
     where.add_argument("--plan", action="store_true", help="plan only, nothing moves")
-    where.add_argument("--table", action="store_true", help="the paper's Table II: letters on simulator and stand-in")
-    where.add_argument("--workspace", action="store_true", help="what the tip can reach")
-    parser.add_argument("--rival", metavar="DIR", help="--table: another bundle to compare with (train prior)")
-    parser.add_argument(
-        "--reach", nargs=3, type=float, metavar=("X", "Y", "Z"), help="--workspace: is this point (mm) in it"
+    where.add_argument(
+        "--table",
+        action="store_true",
+        help="the paper's Table II: letters on simulator and stand-in",
     )
-    parser.add_argument("--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)")
-    parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)")
-    parser.add_argument("--axes", help="the plane of the figure, and what of the tip counts (xy; --workspace: xyz)")
-    parser.add_argument("--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)")
-    parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip")
+    where.add_argument("--workspace", action="store_true", help="what the tip can reach")
+    parser.add_argument(
+        "--rival", metavar="DIR", help="--table: another bundle to compare with (train prior)"
+    )
+    parser.add_argument(
+        "--reach",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="--workspace: is this point (mm) in it",
+    )
+    parser.add_argument(
+        "--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)"
+    )
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)"
+    )
+    parser.add_argument(
+        "--axes", help="the plane of the figure, and what of the tip counts (xy; --workspace: xyz)"
+    )
+    parser.add_argument(
+        "--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)"
+    )
+    parser.add_argument(
+        "--observe", action="store_true", help="feed back what the camera sees of the tip"
+    )
     camera_arguments(parser)
     driven_arguments(parser, "; --table: of the stand-in (1)")
     parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
@@ -103,16 +129,27 @@ def track(args: TrackOptions) -> int:
     check_driven(args)
     check_picture("--picture", args.picture)
     if args.camera and not args.rig:
-        raise SoftmapError("--camera watches a robot; give --rig with it (an emulated finger has a camera of its own)")
+        raise SoftmapError(
+            "--camera watches a robot; give --rig with it (an emulated finger has a camera of its "
+            "own)"
+        )
     if args.observe and not (args.sim or args.camera):
-        raise SoftmapError("--observe needs eyes: give --camera udp://:PORT (docs/do/camera.md), or --sim")
+        raise SoftmapError(
+            "--observe needs eyes: give --camera udp://:PORT (docs/do/camera.md), or --sim"
+        )
     if (args.figure is None) == (not (args.table or args.workspace)):
         raise SoftmapError("name a figure, or give --table or --workspace without one")
     if (args.rival and not args.table) or (args.reach and not args.workspace):
         raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
-    idle = [f"--{name}" for name in ("record", "seed", "key", "like", "late") if getattr(args, name) is not None]
+    idle = [
+        f"--{name}"
+        for name in ("record", "seed", "key", "like", "late")
+        if getattr(args, name) is not None
+    ]
     if args.plan and idle:
-        raise SoftmapError(f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out")
+        raise SoftmapError(
+            f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
+        )
     behind = late(args, LATE[0] if args.sim else 0.0)
     load_own(args)
     whole = open_model(args.bundle)
@@ -122,11 +159,21 @@ def track(args: TrackOptions) -> int:
         return workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
-        bench = None if args.plan else stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed))
+        bench = (
+            None
+            if args.plan
+            else stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed))
+        )
         seen = None if bench is None else stack.enter_context(_eyes(args, bench))
         calibration = bench.calibration if bench else whole.calibration or plain_map(whole)
-        kinematics = Kinematics(driven_model(args, bench.model if bench else whole), axes=args.axes or "xy")
-        limits = bench.limits["servos"] if bench else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
+        kinematics = Kinematics(
+            driven_model(args, bench.model if bench else whole), axes=args.axes or "xy"
+        )
+        limits = (
+            bench.limits["servos"]
+            if bench
+            else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
+        )
         planned = course(
             kinematics,
             str(args.figure),
@@ -139,19 +186,34 @@ def track(args: TrackOptions) -> int:
             method=args.method or "exact",
         )
         if bench is not None:
-            record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
-            robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
+            record = Path(
+                args.record
+                or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap"
+            )
+            robot = Controller(
+                bench.rig, calibration, bench.limits, kinematics=kinematics, record=record
+            )
             with (
                 _shown_first(lambda: tracked),
                 driving(robot, args.record),
                 _kept(args, seen, behind, bench) as kept,
                 Bar(args.json) as bar,
             ):
-                tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
+                tracked = follow(
+                    robot,
+                    kinematics,
+                    planned,
+                    seen,
+                    observe=args.observe,
+                    late=behind,
+                    progress=bar,
+                )
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     sound = bench is not None and robot.unrecorded is None
-    document = _document(args, kinematics, planned, tracked) | {"record": args.record if sound else None}
+    document = _document(args, kinematics, planned, tracked) | {
+        "record": args.record if sound else None
+    }
     seen_in = None if args.record is None else seen_file(args.record)
     document["seen"] = str(seen_in) if sound and kept is not None and kept.fault is None else None
     print(json.dumps(document) if args.json else _text(document))
@@ -185,7 +247,9 @@ def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
 
 
 @contextlib.contextmanager
-def _kept(args: TrackOptions, seen: Seen | None, behind: float, bench: Bench) -> Iterator[Keeper | None]:
+def _kept(
+    args: TrackOptions, seen: Seen | None, behind: float, bench: Bench
+) -> Iterator[Keeper | None]:
     """Keep what is seen beside the recording, where there is one."""
     if seen is None or args.record is None:
         yield None
@@ -200,7 +264,9 @@ def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked |
     write_atomically(path, track_figure(kinematics, planned, tracked))
 
 
-def _document(args: TrackOptions, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> dict[str, Any]:
+def _document(
+    args: TrackOptions, kinematics: Kinematics, planned: Course, tracked: Tracked | None
+) -> dict[str, Any]:
     plan, counts = planned.plan, planned.counts
     seen = tracked is not None and len(tracked.error) > 0
     return {
@@ -210,7 +276,9 @@ def _document(args: TrackOptions, kinematics: Kinematics, planned: Course, track
         "axes": kinematics.axes,
         "method": args.method or "exact",
         "effects": kinematics.compensated,
-        "left": [name for name in kinematics.model.chain_names if name not in kinematics.compensated],
+        "left": [
+            name for name in kinematics.model.chain_names if name not in kinematics.compensated
+        ],
         "hidden": [name for name in args.hide.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "asked_s": args.duration,
@@ -220,7 +288,9 @@ def _document(args: TrackOptions, kinematics: Kinematics, planned: Course, track
         "expected_mm": spread(plan.distance[counts]),
         "seen_mm": spread(tracked.error) if seen and tracked is not None else None,
         "driven": tracked is not None,
-        "servos_s": None if not (tracked and tracked.response) else dict(zip(("delay", "lag"), tracked.response)),
+        "servos_s": None
+        if not (tracked and tracked.response)
+        else dict(zip(("delay", "lag"), tracked.response)),
         "observed": args.observe,
         "unseen_s": None if tracked is None else tracked.unseen,
         "picture": args.picture,
@@ -234,40 +304,55 @@ def _text(summary: dict[str, Any]) -> str:
 
     lines = [
         f"{summary['figure']}: {summary['waypoints']} waypoints in {summary['seconds']:.1f} s, "
-        f"{summary['quickest_s']:.1f} s at least; effects compensated: {', '.join(summary['effects']) or 'none'}"
+        f"{summary['quickest_s']:.1f} s at least; effects compensated: "
+        f"{', '.join(summary['effects']) or 'none'}"
         + (f"; not compensated: {', '.join(summary['left'])}" if summary["left"] else "")
     ]
     if summary["quickest_s"] > summary["asked_s"]:
-        lines.append(f"{summary['asked_s']:g} s were asked for: slew and acceleration of the servos take longer")
+        lines.append(
+            f"{summary['asked_s']:g} s were asked for: slew and acceleration of the servos take "
+            "longer"
+        )
     if summary["unreachable_mm"] > 0.01:
         lines.append(
-            f"part of it is out of reach, by up to {summary['unreachable_mm']:.2f} mm: the nearest points are taken"
+            f"part of it is out of reach, by up to {summary['unreachable_mm']:.2f} mm: the "
+            "nearest points are taken"
         )
     lines.append(f"the model expects the tip off by {numbers('expected_mm')}")
     if summary["servos_s"]:
         lines.append(
-            "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**summary["servos_s"])
+            "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(
+                **summary["servos_s"]
+            )
         )
     elif summary["driven"]:
-        lines.append("how late the servos answer could not be measured: nothing of it was previewed")
+        lines.append(
+            "how late the servos answer could not be measured: nothing of it was previewed"
+        )
     if summary["seen_mm"]:
         lines.append(f"the camera saw it off by {numbers('seen_mm')}")
         if summary["hidden"] == [] and summary["effects"]:
             lines.append(
-                f"the emulated finger has no hidden effect, so compensating {', '.join(summary['effects'])} makes "
-                "tracking worse; --hide NAMES injects effects, --no-effects compensates none"
+                "the emulated finger has no hidden effect, so compensating "
+                f"{', '.join(summary['effects'])} makes tracking worse; --hide NAMES injects "
+                "effects, --no-effects compensates none"
             )
         if summary["unseen_s"]:
             fed = ", and nothing was fed back then" if summary["observed"] else ""
             lines.append(f"the tip was not seen for {summary['unseen_s']:.1f} s of it{fed}")
     elif summary["driven"]:
         lines.append("no camera: how far off it really was is not known")
-    lines += [f"{summary[name]}: written" for name in ("record", "seen", "picture") if summary[name]]
+    lines += [
+        f"{summary[name]}: written" for name in ("record", "seen", "picture") if summary[name]
+    ]
     if summary["seen"]:
         bundle = f" --bundle {shlex.quote(summary['bundle'])}" if summary["bundle"] else ""
         frames = summary["seen_mm"]["n"] if summary["seen_mm"] else 0
         if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
-            lines.append(f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or more")
+            lines.append(
+                f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or "
+                "more"
+            )
             lines.append(f"next: softmap next --standard{bundle} --out next.csv")
         else:
             lines.append(f"next: softmap diagnose {shlex.quote(summary['record'])}{bundle}")

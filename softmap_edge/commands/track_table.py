@@ -1,4 +1,6 @@
-"""What `softmap track` prints without moving anything: Table II (`--table`), what a tip can reach (`--workspace`)."""
+"""What `softmap track` prints without moving anything: Table II (`--table`), what a tip can reach
+(`--workspace`).
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,15 @@ def table(args: TrackOptions, model: Model) -> int:
     seed = 1 if args.seed is None else args.seed
     with Bar(args.json) as bar:
         rows = table_two(
-            model, rival, seed=seed, amplitude=args.amplitude, duration=args.duration,
-            rate=3.0 if args.rate is None else args.rate, method=args.method or "paper", progress=bar,
-        )  # fmt: skip
+            model,
+            rival,
+            seed=seed,
+            amplitude=args.amplitude,
+            duration=args.duration,
+            rate=3.0 if args.rate is None else args.rate,
+            method=args.method or "paper",
+            progress=bar,
+        )
     document = {
         "schema": "softmap.table2/1",
         "bundle": args.bundle,
@@ -78,7 +86,8 @@ def workspace(args: TrackOptions, kinematics: Kinematics) -> int:
         from softmap_edge.report.track_figure import workspace_figure
 
         write_atomically(
-            args.picture, workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0])
+            args.picture,
+            workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0]),
         )
     print(json.dumps(document) if args.json else _text(document))
     return 0
@@ -88,16 +97,21 @@ def _text(summary: dict[str, Any]) -> str:
     def point(numbers: list[float]) -> str:
         return "(" + ", ".join(f"{v:.2f}" for v in numbers) + ")"
 
-    reach = ", ".join(f"{axis} {low:.1f} to {high:.1f}" for axis, (low, high) in summary["range_mm"].items())
+    reach = ", ".join(
+        f"{axis} {low:.1f} to {high:.1f}" for axis, (low, high) in summary["range_mm"].items()
+    )
     lines = [f"the tip rests at {point(summary['rest_mm'])} mm and reaches {reach} mm"]
     if target := summary["target"]:
         where = f"{point(target['target_mm'])} mm, along {summary['axes']}"
         if target["reached"]:
             unit = summary["command_unit"]
-            lines.append(f"{where}: within reach, where {point(target[f'acting_{unit}'])} {unit} acts")
+            lines.append(
+                f"{where}: within reach, where {point(target[f'acting_{unit}'])} {unit} acts"
+            )
         else:
             lines.append(
-                f"{where}: out of reach by {target['distance_mm']:.2f} mm; nearest is {point(target['nearest_mm'])} mm"
+                f"{where}: out of reach by {target['distance_mm']:.2f} mm; nearest is "
+                f"{point(target['nearest_mm'])} mm"
             )
     lines += [f"{summary['picture']}: written"] if summary["picture"] else []
     return "\n".join(lines)

@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import JsonOption, bundle_arguments, check_bundle, check_file, check_kept
+from softmap_edge.commands.output import (
+    JsonOption,
+    bundle_arguments,
+    check_bundle,
+    check_file,
+    check_kept,
+)
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
@@ -22,8 +28,10 @@ from softmap_edge.robot.drive.recorded import open_run
 RESIDUAL = "residual"
 NUMBERS = {
     "restored": "the rod's own numbers are again what they were before the effect was added",
-    "kept": "the rod's own numbers stay as they were fitted with the effect, since this bundle does not hold those of "
-    "before; `softmap learn` fits them again",
+    "kept": (
+        "the rod's own numbers stay as they were fitted with the effect, since this bundle does "
+        "not hold those of before; `softmap learn` fits them again"
+    ),
 }
 
 
@@ -47,10 +55,14 @@ class CompareOptions:
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
-    parser.add_argument("run", help="the measured run, .npz, or a recording, .mcap; with --live while it grows")
+    parser.add_argument(
+        "run", help="the measured run, .npz, or a recording, .mcap; with --live while it grows"
+    )
     parser.add_argument("--live", action="store_true", help="while a robot runs, seen by --camera")
     camera_arguments(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)"
+    )
     parser.add_argument(
         "--bundle",
         action="append",
@@ -58,11 +70,15 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
         help="the model; the built-in finger without it; give two to see both",
     )
     effects_argument(parser)
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
+    parser.add_argument(
+        "--html", metavar="FILE", help="write one self-contained page with pictures"
+    )
 
 
 def compare(args: CompareOptions) -> int:
-    """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
+    """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than
+    the first.
+    """
     if args.live:
         from softmap_edge.commands.live import compare_live
 
@@ -110,7 +126,10 @@ class DiagnoseOptions:
 def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap diagnose`."""
     parser.add_argument(
-        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several runs are fitted together"
+        "runs",
+        nargs="+",
+        metavar="run",
+        help="the measured run, .npz or .mcap; several runs are fitted together",
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument(
@@ -119,13 +138,24 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         help="an independent run, never fitted; effects that do not lower its error are dropped",
     )
     parser.add_argument(
-        "--reference", action="append", metavar="RUN",
-        help="a run of the same commands before the change; errors are relative to it; repeat for each run",
-    )  # fmt: skip
+        "--reference",
+        action="append",
+        metavar="RUN",
+        help=(
+            "a run of the same commands before the change; errors are relative to it; repeat for "
+            "each run"
+        ),
+    )
     effects_argument(parser, "; NAME,NAME: test only these effects and those of the files")
-    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
-    parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
-    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
+    parser.add_argument(
+        "--html", metavar="FILE", help="write one self-contained page with pictures"
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`"
+    )
+    parser.add_argument(
+        "--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then"
+    )
 
 
 def diagnose(args: DiagnoseOptions) -> int:
@@ -137,14 +167,18 @@ def diagnose(args: DiagnoseOptions) -> int:
     check_file("--html", args.html, ".html")
     check_file("--out", args.out, ".json")
     if args.since and args.out and Path(args.since).resolve() == Path(args.out).resolve():
-        raise SoftmapError(f"--out {args.out} would replace the diagnosis of --since; give another name")
+        raise SoftmapError(
+            f"--out {args.out} would replace the diagnosis of --since; give another name"
+        )
     before = None if args.since is None else Diagnosis.load(args.since).to_dict()
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     files = [path for path in args.effects if path.endswith(".py")]
     own = load_own(replace(args, effects=files))
     wanted = [*dict.fromkeys([*names, *own])] if names else None
     model = open_model(args.bundle)
-    runs, references = ([open_run(path, model) for path in paths] for paths in (args.runs, args.reference or []))
+    runs, references = (
+        [open_run(path, model) for path in paths] for paths in (args.runs, args.reference or [])
+    )
     held_out = None if args.held_out is None else open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
@@ -182,7 +216,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[,NAME]",
         help="the effects to add; without it all effects that the diagnosis names",
     )
-    parser.add_argument("--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON")
+    parser.add_argument(
+        "--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON"
+    )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     effects_argument(parser)
     bundle_arguments(parser)
@@ -195,16 +231,28 @@ def add(args: AddOptions) -> int:
     check_bundle(args.out, args.force)
     load_own(args)
     model, diagnosis = open_model(args.bundle), Diagnosis.load(args.source)
-    names = [effect.name for effect in diagnosis.effects] if args.name is None else _names(args.name)
+    names = (
+        [effect.name for effect in diagnosis.effects] if args.name is None else _names(args.name)
+    )
     if not names:
-        raise SoftmapError(f"the diagnosis names no effect (verdict {diagnosis.verdict}), so there is none to add")
+        raise SoftmapError(
+            f"the diagnosis names no effect (verdict {diagnosis.verdict}), so there is none to add"
+        )
     check_hashes(names, diagnosis.made_from.get("python_effects"))
     twice = [n for n in names if n in model.chain_names]
     if twice:
-        raise SoftmapError(f"the model has '{twice[0]}' already; `softmap model refit` fits it again")
+        raise SoftmapError(
+            f"the model has '{twice[0]}' already; `softmap model refit` fits it again"
+        )
     replay = diagnosis.made_from.get("reference")
-    relative = {} if replay is None else {"relative_to": replay.get("run") if isinstance(replay, dict) else replay}
-    return _write(args, diagnosis.added(model, names), {"added": names} | relative | _dropped(model))
+    relative = (
+        {}
+        if replay is None
+        else {"relative_to": replay.get("run") if isinstance(replay, dict) else replay}
+    )
+    return _write(
+        args, diagnosis.added(model, names), {"added": names} | relative | _dropped(model)
+    )
 
 
 @dataclass(frozen=True)
@@ -265,17 +313,26 @@ class RefitOptions:
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap model refit`."""
     parser.add_argument(
-        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several share their effects"
+        "runs",
+        nargs="+",
+        metavar="run",
+        help="the measured run, .npz or .mcap; several share their effects",
     )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
-    what.add_argument("--finger", metavar="TOML", help="a finger.toml: fit the finger's own numbers ([fit] says which)")
+    what.add_argument(
+        "--finger",
+        metavar="TOML",
+        help="a finger.toml: fit the finger's own numbers ([fit] says which)",
+    )
     effects_argument(parser)
     bundle_arguments(parser)
 
 
 def refit(args: RefitOptions) -> int:
-    """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does not fall."""
+    """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does
+    not fall.
+    """
     if args.finger is not None:
         return _refit_finger(args, args.finger)
     from softmap_edge.diagnosis.diagnose import refit as fit_again
@@ -302,7 +359,10 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
     else:
-        print(f"{found}\n{args.out}: build its model with `softmap build {args.out}`, then diagnose what is left")
+        print(
+            f"{found}\n{args.out}: build its model with `softmap build {args.out}`, then diagnose "
+            "what is left"
+        )
     before, after = found.frame_fitted_mm, found.finger_fitted_mm
     return int(before is not None and after is not None and after > before)
 
@@ -311,7 +371,9 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
 
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
+    """Tell on stderr, beside any document, where a run leaves the commands or the frame of the
+    model.
+    """
     from softmap_edge.model.training_range import command_extrapolation, out_of_reach
     from softmap_edge.run.plane import plane_of
 
@@ -322,13 +384,17 @@ def warn_outside(verb: str, model: Any, run: Any) -> None:
 
 
 def _doubt(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as it is."""
+    """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as
+    it is.
+    """
     from softmap_edge.diagnosis.clean import clean_run
 
     commands = model.commands(run)
     if (commands == commands[:1]).all():
         print(
-            f"softmap {verb}: the commands never change in this run, so it does not show their effect", file=sys.stderr
+            f"softmap {verb}: the commands never change in this run, so it does not show their "
+            "effect",
+            file=sys.stderr,
         )
     try:
         remarks: tuple[str, ...] = tuple(clean_run(model, run).remarks)
@@ -345,7 +411,9 @@ def _names(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str, ways: Any = None) -> None:
+def write_page(
+    path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str, ways: Any = None
+) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.comparison.comparison import compare as measure
     from softmap_edge.comparison.series import series
@@ -361,7 +429,9 @@ def _dropped(model: Any) -> dict[str, Any]:
     return {} if model.residual is None else {"residual": "dropped"}
 
 
-def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: dict[str, Any]) -> int:
+def _write(
+    args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: dict[str, Any]
+) -> int:
     from softmap_edge.model.bundle import save_bundle
 
     folder = save_bundle(model, args.out)
@@ -369,7 +439,13 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: 
     if args.json:
         print(
             json.dumps(
-                {"schema": "softmap.bundle-change/1", "bundle": str(folder), **report, "effects": params}, indent=1
+                {
+                    "schema": "softmap.bundle-change/1",
+                    "bundle": str(folder),
+                    **report,
+                    "effects": params,
+                },
+                indent=1,
             )
         )
         return 0
@@ -379,9 +455,15 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: 
     if "numbers" in report:
         print(NUMBERS[report["numbers"]])
     if "relative_to" in report:
-        print("what was added is relative to a reference run: what the model misses on that run it misses still")
+        print(
+            "what was added is relative to a reference run: what the model misses on that run it "
+            "misses still"
+        )
     if "residual" in report:
-        print("the residual was learned with other effects and is dropped; `softmap model adapt` learns it again")
+        print(
+            "the residual was learned with other effects and is dropped; `softmap model adapt` "
+            "learns it again"
+        )
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")

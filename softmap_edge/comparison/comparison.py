@@ -1,10 +1,11 @@
-"""How far a model is from a measured run, and where: by section, direction, speed, dwell, history, command and time.
+"""How far a model is from a measured run, and where: by section, direction, speed, dwell, history,
+command and time.
 
-    d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only
-    rms = sqrt(mean d²); tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
+    d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only rms = sqrt(mean d²);
+    tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
 
-Nothing is fitted here. Whether the error is held out depends on whether the run took part in making the model.
-Units: mm, s. Pinned by tests/comparison/test_compare.py.
+Nothing is fitted here. Whether the error is held out depends on whether the run took part in making
+the model. Units: mm, s. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ class MemorylessFloor:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The error of one model on one run; prints itself, and `to_dict()` is the document softmap.comparison/1."""
+    """The error of one model on one run; prints itself, and `to_dict()` is the document
+    softmap.comparison/1.
+    """
 
     run: Document
     bundle: Document
@@ -88,7 +91,9 @@ class Comparison:
             "run": self.run,
             "bundle": self.bundle,
             "frames": self.frames,
-            "error": {key: value if math.isfinite(value) else None for key, value in self.error.items()},
+            "error": {
+                key: value if math.isfinite(value) else None for key, value in self.error.items()
+            },
             "noise_floor_mm": self.noise_floor_mm,
             "memoryless_floor": None if self.memoryless is None else self.memoryless.to_dict(),
             "where": {name: [asdict(row) for row in rows] for name, rows in self.where.items()},
@@ -112,10 +117,13 @@ class Comparison:
         schema = document.get("schema") if isinstance(document, dict) else None
         if schema != SCHEMA:
             raise ComparisonError(
-                f"this is no comparison: schema {schema!r}, expected {SCHEMA!r}; make one with `softmap compare --json`"
+                f"this is no comparison: schema {schema!r}, expected {SCHEMA!r}; make one with "
+                "`softmap compare --json`"
             )
         try:
-            where = {str(name): [_bin(row) for row in rows] for name, rows in document["where"].items()}
+            where = {
+                str(name): [_bin(row) for row in rows] for name, rows in document["where"].items()
+            }
             floor = document["noise_floor_mm"]
             return cls(
                 run=dict(document["run"]),
@@ -130,7 +138,8 @@ class Comparison:
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ComparisonError(
-                f"damaged comparison ({type(error).__name__}: {error}); make it again with `softmap compare --json`"
+                f"damaged comparison ({type(error).__name__}: {error}); make it again with "
+                "`softmap compare --json`"
             ) from None
 
 
@@ -146,7 +155,8 @@ def compare(model: Model, run: Run) -> Comparison:
         run: a run with points that keep their identity (vertices or markers) in at least one frame.
 
     Returns:
-        Comparison: error figures, noise floor and the map of the error over the conditions of the run.
+        Comparison: error figures, noise floor and the map of the error over the conditions of the
+        run.
 
     Raises:
         ComparisonError: nothing is seen, or what is predicted cannot be compared with it.
@@ -177,7 +187,11 @@ def compare(model: Model, run: Run) -> Comparison:
     repeats = memoryless_floor(run, state, seen, visible)
     return Comparison(
         run={"robot": run.robot or "not named", "sha256": run.hash()},
-        bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
+        bundle={
+            "robot": model.robot,
+            "effects": list(model.chain_names),
+            "sha256": _model_digest(model),
+        },
         frames=len(seen),
         error=error,
         noise_floor_mm=floor,
@@ -191,29 +205,39 @@ def compare(model: Model, run: Run) -> Comparison:
 
 
 def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
-    """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error that says why not."""
+    """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error
+    that says why not.
+    """
     if len(run.t_seen) == 0:
         raise ComparisonError(
-            "the run has no seen frames (K = 0), so there is nothing to compare with; record one that is seen"
+            "the run has no seen frames (K = 0), so there is nothing to compare with; record one "
+            "that is seen"
         )
     seen = np.asarray(model.points_in_mm(run), float)
     predicted = np.asarray(model.predict(run), float)
     if predicted.shape != seen.shape:
         raise ComparisonError(
-            f"the model predicts {predicted.shape} (frames, points, xyz), the run has {seen.shape}; "
-            "take the bundle of this robot and template"
+            f"the model predicts {predicted.shape} (frames, points, xyz), the run has "
+            f"{seen.shape}; take the bundle of this robot and template"
         )
     visible = known(run, seen)
     if not visible.any():
-        raise ComparisonError("no point is visible in any frame of the run; check its field `visible`")
+        raise ComparisonError(
+            "no point is visible in any frame of the run; check its field `visible`"
+        )
     if not np.isfinite(predicted[visible]).all():
         raise ComparisonError(
-            "the model predicts values that are not finite for this run; look at it with `softmap check`"
+            "the model predicts values that are not finite for this run; look at it with `softmap "
+            "check`"
         )
     seen = np.where(visible[..., None], seen, 0.0)
-    if not roll_seen(model, run):  # a turn about the body's axis was not measured, and counts nowhere
+    # a turn about the body's axis was not measured, and counts nowhere
+    if not roll_seen(model, run):
         off = np.where(visible[..., None], seen - predicted, 0.0)[..., None]
-        predicted = seen - without_roll(members(model.sections), off, predicted, visible.astype(float))[..., 0]
+        predicted = (
+            seen
+            - without_roll(members(model.sections), off, predicted, visible.astype(float))[..., 0]
+        )
     return predicted, seen, visible
 
 
@@ -221,7 +245,9 @@ def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
     """RMS along an axis over what is visible; NaN where nothing is."""
     count = visible.sum(axis=axis)
     total = squared.sum(axis=axis)
-    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    return np.asarray(
+        np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0))
+    )
 
 
 def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
@@ -235,12 +261,16 @@ def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[
     weight = visible[:, index].astype(float)  # (K, n)
     count = weight.sum(axis=1)
     scale = np.divide(1.0, count, out=np.full(len(count), np.nan), where=count > 0)[:, None]
-    both = [np.einsum("kn,knc->kc", weight, points[:, index]) * scale for points in (seen, predicted)]
+    both = [
+        np.einsum("kn,knc->kc", weight, points[:, index]) * scale for points in (seen, predicted)
+    ]
     return both[0], both[1]
 
 
 def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) -> list[Bin]:
-    """One bin per section of the template, base first, with its height range; one per marker for markers."""
+    """One bin per section of the template, base first, with its height range; one per marker for
+    markers.
+    """
     count = squared.shape[1]
     markers = model.markers or len(model.rest) != count
     sections = np.arange(count) if markers else np.asarray(model.sections)
@@ -263,7 +293,9 @@ def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) 
 def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
     inside = visible[cell.frames]
     count = int(inside.any(axis=1).sum())
-    return Bin(cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0)
+    return Bin(
+        cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0
+    )
 
 
 def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> Document:
@@ -290,7 +322,9 @@ def template(model: Model, seen: Floats) -> Floats | None:
 
 
 def _model_digest(model: Model) -> str:
-    """A hash of what predicts: the prior's and the fields' arrays, template, chain, parameters and calibration."""
+    """A hash of what predicts: the prior's and the fields' arrays, template, chain, parameters and
+    calibration.
+    """
     sha = hashlib.sha256()
     for room, arrays in sorted(model.arrays.items()):
         for name in sorted(arrays):
@@ -319,7 +353,9 @@ def _memoryless(entry: Any) -> MemorylessFloor | None:
     """Read the floor of models without memory; earlier documents have none."""
     if entry is None:
         return None
-    return MemorylessFloor(float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames")))
+    return MemorylessFloor(
+        float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames"))
+    )
 
 
 def _bin(row: Any) -> Bin:

@@ -1,4 +1,5 @@
-"""Comparisons and series of outputs other than places, with their figures in the output's own unit for a report.
+"""Comparisons and series of outputs other than places, with their figures in the output's own unit
+for a report.
 
 Pinned by tests/run/test_output.py.
 """
@@ -22,7 +23,10 @@ def comparison_in_unit(comparison: Comparison) -> Comparison:
     if output is None:
         return comparison
     floor, worst = comparison.noise_floor_mm, lengths_in_unit(comparison.worst, output)
-    bins = [row | {"where": next(iter(renamed_maps({row["where"]: 0})))} for row in worst.get("bins") or []]
+    bins = [
+        row | {"where": next(iter(renamed_maps({row["where"]: 0})))}
+        for row in worst.get("bins") or []
+    ]
 
     def bin_of(row: Bin) -> Bin:
         return replace(row, rms_mm=output.value(row.rms_mm))
@@ -31,7 +35,9 @@ def comparison_in_unit(comparison: Comparison) -> Comparison:
         comparison,
         error={key: output.value(value) for key, value in comparison.error.items()},
         noise_floor_mm=None if floor is None else output.value(floor),
-        where=renamed_maps({name: [bin_of(row) for row in rows] for name, rows in comparison.where.items()}),
+        where=renamed_maps(
+            {name: [bin_of(row) for row in rows] for name, rows in comparison.where.items()}
+        ),
         worst=worst | {"bins": bins},
     )
 

@@ -1,11 +1,12 @@
-"""A model's error while a robot runs: of the newest frames, over the last seconds, and since the beginning.
+"""A model's error while a robot runs: of the newest frames, over the last seconds, and since the
+beginning.
 
-Positions of the servos arrive period by period, frames when they are ready. The chain of effects is advanced by the new
-periods alone and keeps its memory. A frame waits for the positions of its time, and is then compared with the shape at
-the effective commands, so the error is that of the complete run. Effective commands are kept for `KEPT` s; a shape with
-memory uses no more of them.
-Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
-Pinned by tests/robot/test_live.py.
+Positions of the servos arrive period by period, frames when they are ready. The chain of effects is
+advanced by the new periods alone and keeps its memory. A frame waits for the positions of its time,
+and is then compared with the shape at the effective commands, so the error is that of the complete
+run. Effective commands are kept for `KEPT` s; a shape with memory uses no more of them. Known
+limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled
+out each time. Pinned by tests/robot/test_live.py.
 """
 
 from __future__ import annotations
@@ -34,13 +35,17 @@ SCHEMA = "softmap.live/1"
 RECENT = 5.0  # s
 NOW = 0.5  # s
 KEPT = 60.0  # s for which is kept what acted: a frame that arrives later is left out
-AROUND = 1.0  # s about a frame whose acting its shape may need: a clock may be shifted by half a second
-FRESH = 64  # frames that are compared at a time, the newest: what a slow computer cannot follow is left out
+# s about a frame whose acting its shape may need: a clock may be shifted by half a second
+AROUND = 1.0
+# frames that are compared at a time, the newest: what a slow computer cannot follow is left out
+FRESH = 64
 
 
 @dataclass(frozen=True)
 class LiveError:
-    """Errors in mm (RMS over points; NaN where no frame was) now, over the last `RECENT` s and since the beginning."""
+    """Errors in mm (RMS over points; NaN where no frame was) now, over the last `RECENT` s and
+    since the beginning.
+    """
 
     seconds: float
     frames: int
@@ -53,7 +58,10 @@ class LiveError:
     def to_dict(self) -> Document:
         """Return it as a document softmap.live/1."""
         values = {name: value for name, value in vars(self).items()}
-        plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+        plain = {
+            k: None if isinstance(v, float) and not math.isfinite(v) else v
+            for k, v in values.items()
+        }
         return {"schema": SCHEMA, **plain, "recent_s": RECENT}
 
     def __str__(self) -> str:
@@ -61,8 +69,8 @@ class LiveError:
             return f"{value:.2f} mm" if math.isfinite(value) else "  –   "
 
         return (
-            f"{self.seconds:7.1f} s  now {mm(self.now_mm)}  last {RECENT:g} s {mm(self.recent_mm)}  since the "
-            f"beginning {mm(self.whole_mm)}, {self.frames} frames"
+            f"{self.seconds:7.1f} s  now {mm(self.now_mm)}  last {RECENT:g} s "
+            f"{mm(self.recent_mm)}  since the beginning {mm(self.whole_mm)}, {self.frames} frames"
         )
 
 
@@ -89,8 +97,15 @@ class Live:
         self._t, self._acting = np.zeros(0), np.zeros((0, model.channels))
         self._waiting: deque[Frame] = deque()
         self._first: float | None = None  # when the first frame was seen
-        self._errors: deque[tuple[float, float, int]] = deque()  # s, mean square mm², points, of the last RECENT s
-        self._square, self._points, self._worst, self._frames, self.left_out = 0.0, 0, math.nan, 0, 0
+        # s, mean square mm², points, of the last RECENT s
+        self._errors: deque[tuple[float, float, int]] = deque()
+        self._square, self._points, self._worst, self._frames, self.left_out = (
+            0.0,
+            0,
+            math.nan,
+            0,
+            0,
+        )
 
     def drove(self, periods: Iterable[Document]) -> None:
         """Take periods of a loop; those in which a servo was not heard count nothing.
@@ -111,7 +126,8 @@ class Live:
                 raise RunError(f"a period of the recording is damaged ({fault!s:.60})") from None
             if len(ticks) != self._model.channels:
                 raise RunError(
-                    f"the recording is of {len(ticks)} servos, the model takes {self._model.channels} commands"
+                    f"the recording is of {len(ticks)} servos, the model takes "
+                    f"{self._model.channels} commands"
                 )
             self._begun = now if math.isnan(self._begun) else self._begun
             if now - self._begun > last:
@@ -134,7 +150,9 @@ class Live:
             taken = self._clock.times(self._waiting) - self._begun
             ready = int(np.searchsorted(taken, self._t[-1] - self._ahead))
             frames = [self._waiting.popleft() for _ in range(ready)]
-            inside = [(float(t), frame) for t, frame in zip(taken[:ready], frames) if t > self._t[0]][-FRESH:]
+            inside = [
+                (float(t), frame) for t, frame in zip(taken[:ready], frames) if t > self._t[0]
+            ][-FRESH:]
             self.left_out += ready - len(inside)
             self._compare(inside)
         end = float(self._t[-1]) if len(self._t) else 0.0
@@ -161,7 +179,8 @@ class Live:
             return
         begin, end = np.searchsorted(self._t, [seen_at[0] - AROUND, seen_at[-1] + AROUND])
         near = slice(0 if self._remembers else max(int(begin) - 1, 0), int(end) + 1)
-        if self._first < seen_at[0]:  # drift is counted from the first frame: it is there, and shows nothing
+        # drift is counted from the first frame: it is there, and shows nothing
+        if self._first < seen_at[0]:
             seen_at = np.concatenate([[self._first], seen_at])
             points = np.concatenate([np.zeros_like(points[:1]), points])
             shown = np.concatenate([np.zeros_like(shown[:1]), shown])
@@ -183,7 +202,9 @@ class Live:
                 self._frames += 1
                 self._errors.append((float(at), float(square / count), int(count)))
                 self._square, self._points = self._square + float(square), self._points + int(count)
-                self._worst = max(math.sqrt(square / count), 0.0 if math.isnan(self._worst) else self._worst)
+                self._worst = max(
+                    math.sqrt(square / count), 0.0 if math.isnan(self._worst) else self._worst
+                )
 
     def _since(self, begin: float) -> float:
         total, points = 0.0, 0
@@ -200,7 +221,9 @@ def _channel(name: str) -> bool:
 
 
 def _shape(model: Model) -> Model:
-    """Return the model of what is acting already: without the effects that change commands, and without ticks."""
+    """Return the model of what is acting already: without the effects that change commands, and
+    without ticks.
+    """
     names = tuple(name for name in model.chain_names if not _channel(name))
     rest = _core.Chain(list(names), model.channels)
     params = valued(rest, model.params, rest.null)
@@ -208,7 +231,9 @@ def _shape(model: Model) -> Model:
 
 
 def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
-    """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was given before."""
+    """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was
+    given before.
+    """
     chain, params = model.chain, model.chain_params[None]
     own = {info.name for info in registry().values() if info.own} & set(model.chain_names)
     state: Floats | None = None
@@ -225,7 +250,9 @@ def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
     def roll_out(u: Floats, t: Floats) -> Floats:
         nonlocal before_u, before_t
         before_u, before_t = np.concatenate([before_u, u]), np.concatenate([before_t, t])
-        return np.asarray(chain.rollout(params, before_u, before_t, gravity(before_t))[0, -len(t) :])
+        return np.asarray(
+            chain.rollout(params, before_u, before_t, gravity(before_t))[0, -len(t) :]
+        )
 
     if not model.chain_names:
         return lambda u, t: u

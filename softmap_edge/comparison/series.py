@@ -1,6 +1,8 @@
-"""What the pictures of a report need of a run: errors over time, over the body, over commands, and some poses.
+"""What the pictures of a report need of a run: errors over time, over the body, over commands, and
+some poses.
 
-Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by tests/comparison/test_compare.py.
+Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by
+tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ POSES = 5  # drawn of a run
 
 @dataclass(frozen=True, eq=False)
 class ExamplePose:
-    """One measured frame, to be drawn: its points (N, 3) mm, NaN where unseen, and their errors (N,) mm."""
+    """One measured frame, to be drawn: its points (N, 3) mm, NaN where unseen, and their errors
+    (N,) mm.
+    """
 
     frame: int
     points: Floats
@@ -39,9 +43,11 @@ class ExamplePose:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One output, or the tip, against one command at the frames (K,): measured, predicted before and after.
+    """One output, or the tip, against one command at the frames (K,): measured, predicted before
+    and after.
 
-    `after` is None where there is one model. `others` are the commands of the other channels at the same frames.
+    `after` is None where there is one model. `others` are the commands of the other channels at the
+    same frames.
     """
 
     name: str
@@ -54,9 +60,12 @@ class Loop:
 
 @dataclass(frozen=True)
 class Series:
-    """What pictures need of a run seen by one model or by two (before, after): errors per frame and per point, mm."""
+    """What pictures need of a run seen by one model or by two (before, after): errors per frame and
+    per point, mm.
+    """
 
-    kind: str  # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
+    # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
+    kind: str
     t_seen: Floats  # (K,) s
     before: Floats  # (K,) RMS over the points of a frame
     after: Floats | None  # (K,)
@@ -78,13 +87,15 @@ class Series:
 
 
 def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
-    """Collect what the pictures of a run need, for one model or for a model before and after a change.
+    """Collect what the pictures of a run need, for one model or for a model before and after a
+    change.
 
     Args:
         run: as for `compare`.
         before: the model, or the model before the change.
         after: the model after the change, or None.
-        kind: whether the run took part in the fit: "held out", "fitted", or "measured" where that is not known.
+        kind: whether the run took part in the fit: "held out", "fitted", or "measured" where that
+            is not known.
 
     Returns:
         Series: errors over time and over the body, template and tip paths.
@@ -93,7 +104,9 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         ComparisonError: as `compare`; also when `kind` is none of these.
     """
     if kind not in ("held out", "fitted", "measured"):
-        raise ComparisonError(f"kind is {kind!r}; it is 'held out', 'fitted' or 'measured' (not known)")
+        raise ComparisonError(
+            f"kind is {kind!r}; it is 'held out', 'fitted' or 'measured' (not known)"
+        )
     predicted, seen, visible = aligned(before, run)
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)
     tip_seen, tip_before = tips(before, predicted, seen, visible)
@@ -126,7 +139,9 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         tip_after=tip_after,
         command=state.command,
         command_unit=before.command_unit,
-        poses=[] if before.output is not None else _poses(state.command, seen, visible, squared, squared_after),
+        poses=[]
+        if before.output is not None
+        else _poses(state.command, seen, visible, squared, squared_after),
         output=before.output,
         timeless=run.timeless,
         loops=tip_loops(state.command, tip_seen, tip_before, tip_after)
@@ -142,11 +157,15 @@ def _loops(
     if model.output is None or not command.shape[1]:
         return ()
     shown = np.where(visible, model.output.values(seen), np.nan)
-    predicted = [None if points is None else model.output.values(points) for points in (before, after)]
+    predicted = [
+        None if points is None else model.output.values(points) for points in (before, after)
+    ]
     loops = []
     for q, name in enumerate(model.output.names):
         known = visible[:, q] & (np.ptp(command, axis=0).max() > 0)
-        strength = [abs(_correlation(command[known, c], shown[known, q])) for c in range(command.shape[1])]
+        strength = [
+            abs(_correlation(command[known, c], shown[known, q])) for c in range(command.shape[1])
+        ]
         column = command[:, int(np.argmax(strength))]
         rows = [None if values is None else values[:, q] for values in predicted]
         assert rows[0] is not None
@@ -154,11 +173,15 @@ def _loops(
     return tuple(loops)
 
 
-def tip_loops(command: Floats, seen: Floats, before: Floats, after: Floats | None) -> tuple[Loop, ...]:
-    """Return the tip's displacement in the direction in which each command moves it, against that command.
+def tip_loops(
+    command: Floats, seen: Floats, before: Floats, after: Floats | None
+) -> tuple[Loop, ...]:
+    """Return the tip's displacement in the direction in which each command moves it, against that
+    command.
 
-    A linear regression of the measured tip on all commands gives the directions, and the tip at command 0 as the origin
-    of displacements. Commands that stand still, or do not move the tip, have no loop.
+    A linear regression of the measured tip on all commands gives the directions, and the tip at
+    command 0 as the origin of displacements. Commands that stand still, or do not move the tip,
+    have no loop.
 
     Args:
         command: (K, C).
@@ -176,7 +199,10 @@ def tip_loops(command: Floats, seen: Floats, before: Floats, after: Floats | Non
         size = float(np.linalg.norm(slope))
         if not np.ptp(command[known, c]) > 0 or not size > 0:
             continue
-        along = [None if path is None else (path - rest) @ (slope / size) for path in (seen, before, after)]
+        along = [
+            None if path is None else (path - rest) @ (slope / size)
+            for path in (seen, before, after)
+        ]
         assert along[0] is not None and along[1] is not None
         others = np.delete(command, c, axis=1)
         found.append(Loop(f"tip, channel {c}", command[:, c], along[0], along[1], along[2], others))
@@ -191,7 +217,9 @@ def _correlation(x: Floats, y: Floats) -> float:
 
 
 def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
-    """Where to draw the points: on the template with its triangles, or where the markers were on average."""
+    """Where to draw the points: on the template with its triangles, or where the markers were on
+    average.
+    """
     rest = template(model, seen)
     if rest is not None and len(model.triangles):
         return rest, np.asarray(model.triangles, np.int64)
@@ -199,8 +227,12 @@ def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[n
     return seen.sum(axis=0) / count[:, None], None
 
 
-def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None) -> list[ExamplePose]:
-    """Return frames whose commands lie far apart, of those in which most is seen; squares (K, N) mm² become errors."""
+def _poses(
+    command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None
+) -> list[ExamplePose]:
+    """Return frames whose commands lie far apart, of those in which most is seen; squares (K, N)
+    mm² become errors.
+    """
     count = visible.sum(axis=1)
     complete = np.flatnonzero(count >= 0.9 * count.max())
     span = np.ptp(command, axis=0)
@@ -217,5 +249,6 @@ def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: 
     frames = sorted(int(complete[i]) for i in chosen)
     points = [np.where(visible[k][:, None], seen[k], np.nan) for k in frames]
     return [
-        ExamplePose(k, p, shown(before, k), None if after is None else shown(after, k)) for k, p in zip(frames, points)
+        ExamplePose(k, p, shown(before, k), None if after is None else shown(after, k))
+        for k, p in zip(frames, points)
     ]

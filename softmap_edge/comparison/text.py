@@ -1,7 +1,8 @@
-"""Reports of comparisons for a terminal: of one, and of two side by side. Text only, no colour, 100 columns.
+"""Reports of comparisons for a terminal: of one, and of two side by side. Text only, no colour, 100
+columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number says its unit, and every error
-what it was measured on.
+Bars of one block share one scale, so that their lengths may be compared; every number says its
+unit, and every error what it was measured on.
 """
 
 from __future__ import annotations
@@ -70,7 +71,10 @@ def comparison_text(comparison: Comparison) -> str:
             continue
         lines.append(f"  {WHERE.get(name, name)}")
         for row in rows:
-            lines.append(f"    {row.label:<26}{mm(row.rms_mm):>7}  {bar(row.rms_mm, scale):<{BAR}}  {row.n:>5} frames")
+            lines.append(
+                f"    {row.label:<26}{mm(row.rms_mm):>7}  {bar(row.rms_mm, scale):<{BAR}}  "
+                f"{row.n:>5} frames"
+            )
     lines += ["", *_worst_lines(comparison, unit)]
     return "\n".join(line.rstrip() for line in lines)
 
@@ -92,25 +96,45 @@ def pair_text(before: Comparison, after: Comparison) -> str:
     before, after = comparison_in_unit(before), comparison_in_unit(after)
     floor = before.noise_floor_mm
     old, new = before.error["rms_mm"], after.error["rms_mm"]
-    added = [name for name in after.bundle.get("effects", []) if name not in before.bundle.get("effects", [])]
-    gone = [name for name in before.bundle.get("effects", []) if name not in after.bundle.get("effects", [])]
-    change = "; ".join(f"{word}: {', '.join(names)}" for word, names in (("added", added), ("removed", gone)) if names)
+    added = [
+        name
+        for name in after.bundle.get("effects", [])
+        if name not in before.bundle.get("effects", [])
+    ]
+    gone = [
+        name
+        for name in before.bundle.get("effects", [])
+        if name not in after.bundle.get("effects", [])
+    ]
+    change = "; ".join(
+        f"{word}: {', '.join(names)}"
+        for word, names in (("added", added), ("removed", gone))
+        if names
+    )
     lines = [
-        f"Two models of '{before.bundle.get('robot', '?')}' on one run, {before.frames} frames seen, nothing "
-        + "is fitted here"
-        + (f" ({change})" if change else ""),
+        f"Two models of '{before.bundle.get('robot', '?')}' on one run, {before.frames} frames "
+        "seen, nothing " + "is fitted here" + (f" ({change})" if change else ""),
         "",
         *folded(_pair_sentence(old, new, floor, unit), 0),
         "",
         f"  {unit:<26}{'before':>8}{'after':>8}   {'fall':>6}",
     ]
-    for label, key in (("rms", "rms_mm"), ("median", "median_mm"), ("95 %", "p95_mm"), ("max", "max_mm")):
+    for label, key in (
+        ("rms", "rms_mm"),
+        ("median", "median_mm"),
+        ("95 %", "p95_mm"),
+        ("max", "max_mm"),
+    ):
         lines.append(_pair_row(label, before.error[key], after.error[key]))
     if unit == PLACES:
         lines.append(_pair_row("tip rms", before.error["tip_rms_mm"], after.error["tip_rms_mm"]))
     lines += [f"  {'noise floor':<26}{mm(floor):>8}{mm(floor):>8}"]
     scale = _top([before, after])
-    lines += ["", f"Where (RMS {unit} before, after; █ left, ░ fallen, ▓ risen; full bar = {mm(scale)} {unit})"]
+    lines += [
+        "",
+        f"Where (RMS {unit} before, after; █ left, ░ fallen, ▓ risen; full bar = {mm(scale)} "
+        f"{unit})",
+    ]
     for name, rows in before.where.items():
         partners = {row.label: row for row in after.where.get(name, [])}
         if len(rows) < 2:
@@ -126,7 +150,8 @@ def check_pair(before: Comparison, after: Comparison) -> None:
     first, second = before.run.get("sha256"), after.run.get("sha256")
     if first != second:
         raise ReportError(
-            f"before and after are of different runs ({str(first)[:8]}, {str(second)[:8]}); compare both models on one"
+            f"before and after are of different runs ({str(first)[:8]}, {str(second)[:8]}); "
+            "compare both models on one"
         )
 
 
@@ -138,15 +163,22 @@ def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
     return [
         f"  {'no memory':<12}{mm(floor.mm):>7}  {bar(floor.mm, scale)}",
         *folded(
-            "no memory: the floor of every model without memory on this run (same command, different shape); "
-            f"{floor.poses} poses in {floor.passages} passages, {floor.frames} frames",
+            "no memory: the floor of every model without memory on this run (same command, "
+            f"different shape); {floor.poses} poses in {floor.passages} passages, {floor.frames} "
+            "frames",
             2,
         ),
     ]
 
 
 def _top(comparisons: Sequence[Comparison]) -> float:
-    values = [row.rms_mm for c in comparisons for rows in c.where.values() if len(rows) > 1 for row in rows]
+    values = [
+        row.rms_mm
+        for c in comparisons
+        for rows in c.where.values()
+        if len(rows) > 1
+        for row in rows
+    ]
     return max([v for v in values if math.isfinite(v)], default=0.0)
 
 
@@ -159,21 +191,30 @@ def _distance(unit: str) -> str:
 def _worst_lines(comparison: Comparison, unit: str) -> list[str]:
     frame = comparison.worst.get("frame") or {}
     bins = comparison.worst.get("bins") or []
-    named = "; ".join(f"{WHERE.get(b['where'], b['where'])} {b['label']} ({mm(b['rms_mm'])} {unit})" for b in bins)
+    named = "; ".join(
+        f"{WHERE.get(b['where'], b['where'])} {b['label']} ({mm(b['rms_mm'])} {unit})" for b in bins
+    )
     lines = folded(f"Worst: {named}." if named else "", 0)
     if frame:
         when = "" if comparison.made_from.get("timeless") else f" at {frame['t_s']:.2f} s"
-        lines += folded(f"Worst frame: number {frame['index']}{when}, {mm(frame['rms_mm'])} {unit} RMS.", 0)
+        lines += folded(
+            f"Worst frame: number {frame['index']}{when}, {mm(frame['rms_mm'])} {unit} RMS.", 0
+        )
     return lines
 
 
 def _pair_sentence(old: float, new: float, floor: float | None, unit: str) -> str:
     if new > old:
-        return f"The error ROSE from {mm(old)} to {mm(new)} {unit} RMS: the second model is worse on this run."
+        return (
+            f"The error ROSE from {mm(old)} to {mm(new)} {unit} RMS: the second model is worse on "
+            "this run."
+        )
     share, removable = fall(old, new), fall(old, new, floor) if floor and new > floor else None
     text = f"The error falls from {mm(old)} to {mm(new)} {unit} RMS ({percent(share)})"
     return text + (
-        f"; of what lies above the noise floor, {percent(removable)} is gone." if removable is not None else "."
+        f"; of what lies above the noise floor, {percent(removable)} is gone."
+        if removable is not None
+        else "."
     )
 
 
@@ -182,9 +223,15 @@ def _pair_row(label: str, old: float, new: float) -> str:
 
 
 def _pair_line(row: Bin, partner: Bin | None, scale: float) -> str:
-    """One bin before and after on one line: solid is what is left, light what fell, dark what rose."""
+    """One bin before and after on one line: solid is what is left, light what fell, dark what
+    rose.
+    """
     after = math.nan if partner is None else partner.rms_mm
-    both = bar(max(row.rms_mm, after), scale, 40) if math.isfinite(after) else bar(row.rms_mm, scale, 40)
+    both = (
+        bar(max(row.rms_mm, after), scale, 40)
+        if math.isfinite(after)
+        else bar(row.rms_mm, scale, 40)
+    )
     kept = len(bar(min(row.rms_mm, after), scale, 40)) if math.isfinite(after) else 0
     shown = "█" * kept + ("▓" if after > row.rms_mm else "░") * (len(both) - kept)
     return f"    {row.label:<24}{mm(row.rms_mm):>8}{mm(after):>8}   {shown}"

@@ -1,4 +1,5 @@
-"""When a family counts: its fall on held-out folds, ordinary imperfections, and what it cannot be distinguished from.
+"""When a family counts: its fall on held-out folds, ordinary imperfections, and what it cannot be
+distinguished from.
 
 Units: mm. Pinned by tests/diagnosis/test_decision.py and tests/diagnosis/test_two_levels.py.
 """
@@ -12,40 +13,65 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
-from softmap_edge.diagnosis.families import RIDGES, Family, FeatureBody, Ranking, Representative, State, families
+from softmap_edge.diagnosis.families import (
+    RIDGES,
+    Family,
+    FeatureBody,
+    Ranking,
+    Representative,
+    State,
+    families,
+)
 from softmap_edge.diagnosis.laws import WINDING, Answer
 from softmap_edge.diagnosis.record import Record
 
 Floats = NDArray[np.float64]
 
-CATCH_ALL = "static shape"  # it can stand for any static law, so it is taken only where no other family is
-BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
+# it can stand for any static law, so it is taken only where no other family is
+CATCH_ALL = "static shape"
+# what ordinary imperfections look like
+BACKGROUND = ("static map", "static shape", "frame", "load")
 MOST = 4  # families that are taken
 ASKED = 3  # near families whose laws are tried
-SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
+# order in which near families are taken
+SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}
 
 
-def falls_on(before: Floats, after: Floats, body: FeatureBody, share: float | None = None, laws: bool = False) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise, FALL_NEXT by default.
+def falls_on(
+    before: Floats, after: Floats, body: FeatureBody, share: float | None = None, laws: bool = False
+) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise,
+    FALL_NEXT by default.
 
-    Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
-    the complete loss. `laws` says that laws were found before, whose form is off as well.
+    Where the loss is no more than noise, the noise is estimated too large or nothing is missing.
+    Then the share is of the complete loss. `laws` says that laws were found before, whose form is
+    off as well.
     """
     fall, total = difference(before, after), float(before.sum())
     least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
     above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
-    return seen_to_fall(fall) and fall.fall >= max(least, (rule.FALL_NEXT if share is None else share) * above)
+    return seen_to_fall(fall) and fall.fall >= max(
+        least, (rule.FALL_NEXT if share is None else share) * above
+    )
 
 
 def stands_out(loss: Floats, body: FeatureBody, laws: bool) -> bool:
-    """Whether a loss (folds,) is more than that of noise, and of the form of `laws` that were found before."""
+    """Whether a loss (folds,) is more than that of noise, and of the form of `laws` that were found
+    before.
+    """
     return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
 
-def accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
-    """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size is visible."""
+def accepted(
+    row: Representative, ranking: Ranking, state: State, later: bool, visible: float
+) -> bool:
+    """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size
+    is visible.
+    """
     problem = state.body.problem
-    if not falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST, later):
+    if not falls_on(
+        ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST, later
+    ):
         return False
     measured = problem.noise.replicates and not problem.record.error_is_noise
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if measured else 0.0
@@ -56,7 +82,9 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
         return False
     record = state.body.record
     # What imperfections of the robot leave of a model's own error is noise to a memory too.
-    if record.error_is_noise and (row.family.kind in ("static", "time") or state is not state.without_background()):
+    if record.error_is_noise and (
+        row.family.kind in ("static", "time") or state is not state.without_background()
+    ):
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
         if not exceeds_model_error(row.family, row.moved_mm, state):
@@ -66,11 +94,12 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
 
 
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
-    """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error of a map that was learned freely.
+    """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error of a map that
+    was learned freely.
 
-    Such a map follows every static effect of the robot that taught it, so a new one adds to the model error. The model
-    error of this run differs from its mean over the folds by the standard errors of both: the run counts as as many
-    folds. `state` is the state without the effect.
+    Such a map follows every static effect of the robot that taught it, so a new one adds to the
+    model error. The model error of this run differs from its mean over the folds by the standard
+    errors of both: the run counts as as many folds. `state` is the state without the effect.
     """
     record = state.body.record
     if family.kind not in ("static", "time") or not state.body.free_map:
@@ -82,9 +111,13 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 
 
 def is_ordinary(ranking: Ranking, state: State) -> bool:
-    """Whether a static family is best, or near the best, and all static misfit is as ordinary imperfections may be."""
+    """Whether a static family is best, or near the best, and all static misfit is as ordinary
+    imperfections may be.
+    """
     best = ranking.rows[0].loss if ranking.rows else ranking.before
-    static = any(row.family.kind == "static" and near(row.loss, best, ranking.before) for row in ranking.rows)
+    static = any(
+        row.family.kind == "static" and near(row.loss, best, ranking.before) for row in ranking.rows
+    )
     return static and ordinary_level(state.body) > 0.0 and not beyond_ordinary(ranking, state)
 
 
@@ -94,12 +127,18 @@ def beyond_ordinary(ranking: Ranking, state: State) -> bool:
 
 
 def ordinary_level(body: FeatureBody) -> float:
-    """Return the level of ordinary imperfections, mm RMS: static effects from `DOMINATES` times it are discoveries.
+    """Return the level of ordinary imperfections, mm RMS: static effects from `DOMINATES` times it
+    are discoveries.
 
-    A map that was learned from the robot itself has no imperfections of its own. So a single small change since then,
-    as of a servo that was fitted again, stands out like an effect: there the level is a share of the motion.
+    A map that was learned from the robot itself has no imperfections of its own. So a single small
+    change since then, as of a servo that was fitted again, stands out like an effect: there the
+    level is a share of the motion.
     """
-    return rule.ORDINARY / rule.DOMINATES * motion_mm(body.record) if body.free_map else body.ordinary_mm
+    return (
+        rule.ORDINARY / rule.DOMINATES * motion_mm(body.record)
+        if body.free_map
+        else body.ordinary_mm
+    )
 
 
 def _static_mm(ranking: Ranking, state: State) -> float:
@@ -110,13 +149,16 @@ def _static_mm(ranking: Ranking, state: State) -> float:
 def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     """Return the level of the robot's ordinary static imperfections, mm RMS.
 
-    Where one effect dominates the static misfit, it is the rest of it; else it is all of it, the sum of many small
-    imperfections. It is limited to a share of the motion: anything larger is an effect.
+    Where one effect dominates the static misfit, it is the rest of it; else it is all of it, the
+    sum of many small imperfections. It is limited to a share of the motion: anything larger is an
+    effect.
     """
     body, record = state.body, state.body.record
     seen, level = np.isfinite(record.seen), state.body.level()
     static = [f for f in every if f.kind == "static"]
-    names = dict.fromkeys(e for f in static for e in f.members if e in body.candidates and e != WINDING)
+    names = dict.fromkeys(
+        e for f in static for e in f.members if e in body.candidates and e != WINDING
+    )
     singles = {name: own for name in names if (own := body.single(name)) is not None}
     singles |= body.curves(state.commands, state.slopes)
     for name, own in singles.items():
@@ -127,8 +169,12 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
         return record.rms_mm(np.where(seen, shift, np.nan))
 
     total = size(ranking.static)
-    crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
-    shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
+    crossed = [
+        row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"
+    ]
+    shifts = crossed + [
+        own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()
+    ]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
     level_mm = min(left, rule.ORDINARY * motion_mm(record))
@@ -136,7 +182,9 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
 
 
 def motion_mm(record: Record) -> float:
-    """Return how far the body moves about its mean, mm RMS; features that are never seen do not count."""
+    """Return how far the body moves about its mean, mm RMS; features that are never seen do not
+    count.
+    """
     seen = np.isfinite(record.seen)
     mean = np.where(seen, record.seen, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     return record.rms_mm(record.seen - mean)
@@ -152,7 +200,9 @@ def order_of(family: Family) -> int:
 
 
 def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether a family cannot be distinguished from the first one; if only it leaves more than noise, it can."""
+    """Whether a family cannot be distinguished from the first one; if only it leaves more than
+    noise, it can.
+    """
     if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
         return False
     if other.resolved and first.resolved:
@@ -165,21 +215,34 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
     reference = first.loss if first.resolved else first.representative.loss
     if not near(other.representative.loss, reference, ranking.before):
         return False
-    return not (order_of(first.family) < order_of(other.family) and does_the_same(other, first, ranking, state))
+    return not (
+        order_of(first.family) < order_of(other.family)
+        and does_the_same(other, first, ranking, state)
+    )
 
 
 def does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether what a family does here is what a static map of the commands, or the first one, can do as well."""
+    """Whether what a family does here is what a static map of the commands, or the first one, can
+    do as well.
+    """
     body = state.body
-    theta = ranking.level.theta([*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge])[-1]
+    theta = ranking.level.theta(
+        [*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge]
+    )[-1]
     target = np.asarray(ranking.level.fitted(other.family.name, theta))
     names = dict.fromkeys(("static map", "coupling", first.family.name))
     rows = []
     for family in families():
-        if family.name in names and (columns := body.columns(family, state.commands, state.slopes)) is not None:
+        if (
+            family.name in names
+            and (columns := body.columns(family, state.commands, state.slopes)) is not None
+        ):
             rows.append(body.modes(columns.base)[columns.which] * columns.weight[:, :, None])
     x = np.concatenate(rows).reshape(sum(map(len, rows)), -1)
     gram = x @ x.T
     gram.flat[:: len(gram) + 1] += RIDGES[0]
     z = target.ravel()
-    return bool(1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300) > rule.MIMIC)
+    return bool(
+        1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300)
+        > rule.MIMIC
+    )

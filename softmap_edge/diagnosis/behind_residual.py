@@ -1,15 +1,16 @@
-"""Effects that a model's residual may hide: static effects that look like it and do not contradict the run.
+"""Effects that a model's residual may hide: static effects that look like it and do not contradict
+the run.
 
-A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis names them. If they
-do not, a static field of its size is no evidence, since it may be the model's own error or an effect (`problem_of`:
-form error in the same directions; a rod's error is noise). Effects that show in memory, orientation or load are then
-found as without it.
+A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis
+names them. If they do not, a static field of its size is no evidence, since it may be the model's
+own error or an effect (`problem_of`: form error in the same directions; a rod's error is noise).
+Effects that show in memory, orientation or load are then found as without it.
 
-This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have been learned if it
-explains HIDES of the residual's mean square and does not increase the misfit of the run. More can be concluded only
-from a run in which the two differ. A residual within the model error, or one that does not lower the error of this run,
-hides nothing.
-Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests/adaptation/test_residual.py.
+This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have
+been learned if it explains HIDES of the residual's mean square and does not increase the misfit of
+the run. More can be concluded only from a run in which the two differ. A residual within the model
+error, or one that does not lower the error of this run, hides nothing. Units: mm. Limit: effects
+are fitted to the residual one by one. Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ AGAINST = 9.0  # of the objective over the over-dispersion: three standard devia
 
 @dataclass(frozen=True)
 class ResidualConfounds:
-    """A residual taken out: its size on the run and what the effects found leave of it, the run's error with it and
-    without, what it may be (share), and what of it the model's own error may be.
+    """A residual taken out: its size on the run and what the effects found leave of it, the run's
+    error with it and without, what it may be (share), and what of it the model's own error may be.
     """
 
     size_mm: float
@@ -54,7 +55,8 @@ class ResidualConfounds:
         return [
             Untestable(
                 name,
-                f"the model's residual of {self.size_mm:.2f} mm RMS may be it: it explains {100 * share:.0f} % of that",
+                f"the model's residual of {self.size_mm:.2f} mm RMS may be it: it explains "
+                f"{100 * share:.0f} % of that",
                 *_other_conditions(name),
             )
             for name, share in self.may_be
@@ -63,7 +65,8 @@ class ResidualConfounds:
     def __str__(self) -> str:
         size = (
             f"The model's residual of {self.size_mm:.2f} mm RMS was taken out (error on this run "
-            f"{self.with_mm:.2f} mm RMS with it, {self.without_mm:.2f} mm RMS without, nothing fitted)"
+            f"{self.with_mm:.2f} mm RMS with it, {self.without_mm:.2f} mm RMS without, nothing "
+            "fitted)"
         )
         if self.may_be:
             which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
@@ -72,14 +75,19 @@ class ResidualConfounds:
             return f"{size}; it does not lower the error of this run"
         if self.left_mm <= self.own_mm:
             return (
-                f"{size}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
-                "be its own error"
+                f"{size}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to "
+                f"{self.own_mm:.2f} mm RMS may be its own error"
             )
-        return f"{size}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
+        return (
+            f"{size}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it "
+            "(fitted)"
+        )
 
 
 def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
-    """Return what the residual that was taken out may hide besides the effects of a fit; None without a residual."""
+    """Return what the residual that was taken out may hide besides the effects of a fit; None
+    without a residual.
+    """
     record = fits.problem.record
     if record.static is None:
         return None
@@ -87,7 +95,8 @@ def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
     left = min((record.static, record.static - shift), key=record.rms_mm)
     size, without = record.rms_mm(record.static), record.rms_mm(record.seen - fits.null.predicted)
     with_mm = record.rms_mm(record.seen - fits.null.predicted - record.static)
-    own = max(VISIBLE_MM, OWN * record.form_mm)  # whatever the noise of this run: it was learned from another
+    # whatever the noise of this run: it was learned from another
+    own = max(VISIBLE_MM, OWN * record.form_mm)
     may_be = _may_be(fits, fit, left) if record.rms_mm(left) > own and with_mm < without else []
     return ResidualConfounds(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
 
@@ -103,19 +112,25 @@ def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
     found = []
     for one in best:
         (effect,) = one.effects
-        share = 1.0 - (record.rms_mm(left - alone.displacement(one, effect)) / record.rms_mm(left)) ** 2
+        share = (
+            1.0 - (record.rms_mm(left - alone.displacement(one, effect)) / record.rms_mm(left)) ** 2
+        )
         if share >= HIDES and not _against(fits, fit, one, effect):
             found.append((effect, float(share)))
     return sorted(found, key=lambda pair: -pair[1])
 
 
 def _as_if_seen(fits: Fits, field: Floats) -> Problem:
-    """Return the problem in which `field` (K, F) mm is all that the model misses, without form error for it."""
+    """Return the problem in which `field` (K, F) mm is all that the model misses, without form
+    error for it.
+    """
     problem = fits.problem
     record: Record = copy(problem.record)
     record.static = None
     record.seen = np.where(np.isfinite(record.seen), fits.null.predicted + field, np.nan)
-    own = form_covariance(record.form_error, record.positions, record.section) * (not record.error_is_noise)
+    own = form_covariance(record.form_error, record.positions, record.section) * (
+        not record.error_is_noise
+    )
     form = np.einsum("mf,fg,mg->m", problem.whitener.project, own, problem.whitener.project)
     return Problem(record, problem.noise, replace(problem.whitener, form=form), problem.base)
 
@@ -125,15 +140,22 @@ def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
     problem, record = fits.problem, fits.problem.record
     space = problem.space((*fit.effects, effect))
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])
-    params[0, space.free] = np.clip(params[0, space.free], *(space.values(x) for x in (space.low, space.high)))
+    params[0, space.free] = np.clip(
+        params[0, space.free], *(space.values(x) for x in (space.low, space.high))
+    )
     x = space.scaled(params[0, space.free])
     predicted = record.predict(space.names, space.params(x[None]))
     cost = float(problem.costs(problem.modes(predicted), x[None])[0][0])
     worse = (cost - fit.cost) / fits.dispersion(fit) > AGAINST
-    return bool(worse or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted))
+    return bool(
+        worse
+        or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted)
+    )
 
 
 def _other_conditions(name: str) -> tuple[str, float]:
-    """Return what to record so that an effect and a static field differ: for a weight, another orientation."""
+    """Return what to record so that an effect and a static field differ: for a weight, another
+    orientation.
+    """
     info = registry()[name]
     return ("another orientation", 1.0) if info.family == "dead load" else info.experiment

@@ -1,24 +1,28 @@
-"""Certificates: an e-value for each claim of a diagnosis, from blocks that took no part in fitting its numbers.
+"""Certificates: an e-value for each claim of a diagnosis, from blocks that took no part in fitting
+its numbers.
 
     log e = T (chi²₀ - chi²₁) / (2 φ) + k/2 · ln(1 - T),  T = 1/2
 
-chi²₁ is that of the withheld frames under everything found, with numbers fitted to the other frames. chi²₀ is the same
-without the claim, all other numbers maximised on the withheld frames themselves (universal inference: Wasserman,
-Ramdas, Balakrishnan 2020, doi:10.1073/pnas.1922664117). Both are whitened with noise, the model's own error and the
-robot's ordinary imperfections, at the level that the search estimates, in the covariance. φ is the dispersion of the
-other frames, at least 1 except for a rod.
+chi²₁ is that of the withheld frames under everything found, with numbers fitted to the other
+frames. chi²₀ is the same without the claim, all other numbers maximised on the withheld frames
+themselves (universal inference: Wasserman, Ramdas, Balakrishnan 2020, doi:10.1073/pnas.1922664117).
+Both are whitened with noise, the model's own error and the robot's ordinary imperfections, at the
+level that the search estimates, in the covariance. φ is the dispersion of the other frames, at
+least 1 except for a rod.
 
-The split alone makes noise harmless, but a model's own error is the same in all blocks. Whatever k numbers are fitted,
-2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). With T and the last term e stays
-an e-value even if the claim was fitted to just this error.
+The split alone makes noise harmless, but a model's own error is the same in all blocks. Whatever k
+numbers are fitted, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 -
+T)^(-k/2). With T and the last term e stays an e-value even if the claim was fitted to just this
+error.
 
-The search sees all frames: names cost data. Its choice is paid for by counting. Every set of r claims among N
-candidates, and each member of it, is a hypothesis with an e-value, zero where it was not chosen. Sizes share the level,
-so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022, doi:10.1111/rssb.12489) over all of them controls the
-false discovery rate: the k claims of largest e are certified, for the largest k whose claims all reach m / (0.05 k). It
-holds for dependent claims.
-Limits: both fits are one linear step from that of all frames; noise that is correlated for longer than the gap between
-blocks is accounted for by its inflation only. Pinned by tests/diagnosis/test_certificates.py.
+The search sees all frames: names cost data. Its choice is paid for by counting. Every set of r
+claims among N candidates, and each member of it, is a hypothesis with an e-value, zero where it was
+not chosen. Sizes share the level, so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022,
+doi:10.1111/rssb.12489) over all of them controls the false discovery rate: the k claims of largest
+e are certified, for the largest k whose claims all reach m / (0.05 k). It holds for dependent
+claims. Limits: both fits are one linear step from that of all frames; noise that is correlated for
+longer than the gap between blocks is accounted for by its inflation only. Pinned by
+tests/diagnosis/test_certificates.py.
 """
 
 from __future__ import annotations
@@ -67,21 +71,28 @@ def certified(outcome: Outcome, fit: Fit, kept: Withheld) -> Certified:
         none = Certificate(reason=kept.reason)
         return Certified(dict.fromkeys(named, none), dict.fromkeys(open_, none))
     evidence = _Evidence(outcome, fit, kept)
-    logs = [evidence.of_effect(name) for name in named] + [evidence.of_family(name) for name in open_]
+    logs = [evidence.of_effect(name) for name in named] + [
+        evidence.of_family(name) for name in open_
+    ]
     candidates = len(outcome.fits.candidates) + len(families())
     found = certificates(logs, hypotheses(candidates, len(claims)), kept)
     return Certified(dict(zip(named, found)), dict(zip(open_, found[len(named) :])))
 
 
 def hypotheses(candidates: int, claims: int) -> int:
-    """Return how many hypotheses so many claims count for: each member of each set, by the share of their size."""
+    """Return how many hypotheses so many claims count for: each member of each set, by the share of
+    their size.
+    """
     return max(SIZES, claims) * claims * comb(candidates, claims)
 
 
 def certificates(logs: Sequence[float], count: int, kept: Withheld) -> list[Certificate]:
-    """Return certificates of claims by their log10 e (n,), of `count` hypotheses, by the rule of e-BH."""
+    """Return certificates of claims by their log10 e (n,), of `count` hypotheses, by the rule of
+    e-BH.
+    """
     order = np.sort(np.asarray(logs, float))[::-1]
-    needs = np.log10(count / LEVEL / np.arange(1, len(order) + 2))  # of the k largest, for k = 1, 2, …
+    # of the k largest, for k = 1, 2, …
+    needs = np.log10(count / LEVEL / np.arange(1, len(order) + 2))
     sure = max((k for k in range(1, len(order) + 1) if order[k - 1] >= needs[k - 1]), default=0)
     found = []
     for log in logs:
@@ -95,46 +106,77 @@ class _Evidence:
     """What the withheld frames say about each claim of a search."""
 
     def __init__(self, outcome: Outcome, fit: Fit, kept: Withheld) -> None:
-        self.outcome, self.fit, self.representatives = outcome, fit, list(outcome.state.representatives)
+        self.outcome, self.fit, self.representatives = (
+            outcome,
+            fit,
+            list(outcome.state.representatives),
+        )
         self.body = FeatureBody(_split(outcome, kept), outcome.fits.candidates)
         self.chi2, _, chosen = self._chi2(fit, self.representatives)
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
-        # A rod's noise is its error on the run, in which the effect that is tested has a share: it may be too large.
+        # A rod's noise is its error on the run, in which the effect that is tested has a share: it
+        # may be too large.
         self.dispersion = scale if outcome.body.record.error_is_noise else max(1.0, scale)
 
     def of_effect(self, name: str) -> float:
         """Return log10 e of an effect."""
         numbers = int(self.fit.space.of((name,)).sum())
-        return self._log10_e(self.outcome.fits.without(self.fit, name), self.representatives, numbers)
+        return self._log10_e(
+            self.outcome.fits.without(self.fit, name), self.representatives, numbers
+        )
 
     def of_family(self, name: str) -> float:
         """Return log10 e of a family that stands without a law."""
         numbers = sum(one.numbers for one in self.representatives if one.family.name == name)
-        return self._log10_e(self.fit, [one for one in self.representatives if one.family.name != name], numbers)
+        return self._log10_e(
+            self.fit, [one for one in self.representatives if one.family.name != name], numbers
+        )
 
-    def _log10_e(self, fit: Fit, representatives: Sequence[Representative], numbers: float) -> float:
+    def _log10_e(
+        self, fit: Fit, representatives: Sequence[Representative], numbers: float
+    ) -> float:
         """Return log10 e of a claim of so many numbers from what stands without it."""
         fall = (self._chi2(fit, representatives)[1] - self.chi2) / self.dispersion
         return float((0.5 * TEMPER * fall + 0.5 * numbers * np.log(1.0 - TEMPER)) / np.log(10.0))
 
-    def _chi2(self, fit: Fit, representatives: Sequence[Representative]) -> tuple[float, float, float]:
-        """Return chi² of the withheld frames, fitted to the others and to themselves, and of the others."""
+    def _chi2(
+        self, fit: Fit, representatives: Sequence[Representative]
+    ) -> tuple[float, float, float]:
+        """Return chi² of the withheld frames, fitted to the others and to themselves, and of the
+        others.
+        """
         problem = self.body.problem
-        there = Fit(problem, fit.effects, fit.space, fit.x, fit.cost, fit.chi2, problem.at(fit.space, fit.x[None])[0])
+        there = Fit(
+            problem,
+            fit.effects,
+            fit.space,
+            fit.x,
+            fit.cost,
+            fit.chi2,
+            problem.at(fit.space, fit.x[None])[0],
+        )
         state, level = State(self.body, there, representatives), self.body.level()
         names, ridges = state.blocks(level)
         residual = state.residual
-        for one in representatives:  # all of a representative is fitted again, not only what it changes by
-            columns = self.body.columns(one.family, state.commands, state.slopes) if len(one.theta) else None
+        # all of a representative is fitted again, not only what it changes by
+        for one in representatives:
+            columns = (
+                self.body.columns(one.family, state.commands, state.slopes)
+                if len(one.theta)
+                else None
+            )
             residual = residual if columns is None else residual + columns.shift(one.theta)
         level.close(np.ascontiguousarray(self.body.modes(residual)))
-        held_out, withheld, chosen = level.losses(names, [FREE if n == "fit" else r for n, r in zip(names, ridges)])
+        held_out, withheld, chosen = level.losses(
+            names, [FREE if n == "fit" else r for n, r in zip(names, ridges)]
+        )
         return float(held_out), float(withheld), float(chosen)
 
 
 def _split(outcome: Outcome, kept: Withheld) -> Problem:
-    """Return the problem of a search whose folds are the withheld frames, fitted to the others or to themselves.
+    """Return the problem of a search whose folds are the withheld frames, fitted to the others or
+    to themselves.
 
     Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
     """

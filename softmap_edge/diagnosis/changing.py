@@ -1,11 +1,11 @@
 """Laws whose numbers change within a run: with the temperature, the time, the speed or the bend.
 
-    p(t) ≈ p + θ c(t)     for each fitted number p of a law, c a condition with mean 0 and variance 1
+    p(t) ≈ p + θ c(t)  for each fitted number p of a law, c a condition with mean 0 and variance 1
 
-The slopes of the prediction over the numbers, times the condition, are columns of the normal equations at level 1. A
-law is constant unless these columns explain a good part of what it explains. A law that changes may be another law of
-its family, or act on another effect: in both cases something unknown is left. To first order in θ.
-Pinned by tests/diagnosis/test_changing.py.
+The slopes of the prediction over the numbers, times the condition, are columns of the normal
+equations at level 1. A law is constant unless these columns explain a good part of what it
+explains. A law that changes may be another law of its family, or act on another effect: in both
+cases something unknown is left. To first order in θ. Pinned by tests/diagnosis/test_changing.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, seen_to_fall
-from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared, families, seen_commands
+from softmap_edge.diagnosis.families import (
+    WARMED,
+    State,
+    best_ridge,
+    declared,
+    families,
+    seen_commands,
+)
 from softmap_edge.diagnosis.outcome import Outcome
 
 Floats = NDArray[np.float64]
@@ -27,9 +34,11 @@ FAMILY_OF = {"temperature": "temperature", "time": "time", "speed": "rate", "ben
 
 @dataclass(frozen=True)
 class Change:
-    """A law whose numbers change with a condition: its effects, the condition, and the change's share of its loss.
+    """A law whose numbers change with a condition: its effects, the condition, and the change's
+    share of its loss.
 
-    `share` is the fall of the held-out loss by the change, relative to the loss that the law explains.
+    `share` is the fall of the held-out loss by the change, relative to the loss that the law
+    explains.
     """
 
     effects: tuple[str, ...]
@@ -45,22 +54,33 @@ class Change:
 
     @property
     def experiment(self) -> tuple[str, float]:
-        """What to record to see this change, and the minutes: the experiment of the condition's family."""
+        """What to record to see this change, and the minutes: the experiment of the condition's
+        family.
+        """
         return next(f.experiment for f in families() if f.name == FAMILY_OF[self.condition])
 
 
 def changing(outcome: Outcome) -> list[Change]:
-    """Return the laws of a search whose numbers are not constant, each with the condition that explains most."""
+    """Return the laws of a search whose numbers are not constant, each with the condition that
+    explains most.
+    """
     state, found = outcome.state, []
     if outcome.loss.sum() <= rule.ABOVE_NOISE * outcome.body.problem.numbers:
         return []
     conditions = conditions_of(state)
     for step in outcome.steps:
         law = step.answer.law
-        if not step.answer.resolved or law is None or not set(law.effects) <= set(state.fit.effects):
+        if (
+            not step.answer.resolved
+            or law is None
+            or not set(law.effects) <= set(state.fit.effects)
+        ):
             continue
         explained = float(step.answer.before.sum()) - step.answer.left
-        shares = {name: _fall(state, law.effects, c) / max(explained, 1e-300) for name, c in conditions.items()}
+        shares = {
+            name: _fall(state, law.effects, c) / max(explained, 1e-300)
+            for name, c in conditions.items()
+        }
         most = max(shares, key=lambda name: shares[name], default="")
         if most and shares[most] >= rule.LEFT:
             found.append(Change(law.effects, most, shares[most]))
@@ -75,20 +95,33 @@ def conditions_of(state: State) -> dict[str, Floats]:
     for part, commands, temperature in zip(body.parts, state.commands, warm):
         t, seen = np.asarray(part.run.t, float), np.asarray(part.t_seen, float)
         rate = np.gradient(commands, t, axis=0) if len(t) > 1 else np.zeros_like(commands)
-        speed = np.abs(rate / body.half).max(axis=1, initial=0.0)  # of no channel: a body under weight alone
-        bend = np.abs((seen_commands(part, commands) - body.middle) / body.half).max(axis=1, initial=0.0)
+        # of no channel: a body under weight alone
+        speed = np.abs(rate / body.half).max(axis=1, initial=0.0)
+        bend = np.abs((seen_commands(part, commands) - body.middle) / body.half).max(
+            axis=1, initial=0.0
+        )
         row = {"time": seen, "speed": np.interp(seen, t, speed), "bend": bend}
         if known and temperature is not None:
             row["temperature"] = np.interp(seen, t, temperature)
         rows.append(row)
     found = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     moving = found["speed"] > 0.0
-    found["speed"] = np.log1p(found["speed"] / np.median(found["speed"][moving])) if np.any(moving) else found["speed"]
-    return {name: (c - c.mean()) / c.std() for name, c in found.items() if c.std() > 1e-9 * max(1.0, np.abs(c).max())}
+    found["speed"] = (
+        np.log1p(found["speed"] / np.median(found["speed"][moving]))
+        if np.any(moving)
+        else found["speed"]
+    )
+    return {
+        name: (c - c.mean()) / c.std()
+        for name, c in found.items()
+        if c.std() > 1e-9 * max(1.0, np.abs(c).max())
+    }
 
 
 def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
-    """Return by how much the held-out loss is seen to fall if the numbers of effects change with a condition (K,)."""
+    """Return by how much the held-out loss is seen to fall if the numbers of effects change with a
+    condition (K,).
+    """
     body, fit = state.body, state.fit
     own = np.flatnonzero(fit.space.of(effects))
     level = body.level()

@@ -1,18 +1,23 @@
-"""Find frames and points of a run that are no measurement, and set them aside before a fit, each with a remark.
+"""Find frames and points of a run that are no measurement, and set them aside before a fit, each
+with a remark.
 
     lost      a place that stands for "not seen" (`lost.py`): the point counts as not seen
     dark      a frame without a visible point
-    late      a frame outside the record of the commands, or in a gap of it during which the commands move
+    late      a frame outside the record of the commands, or in a gap of it during which the
+              commands move
     untaught  a frame whose commands are unlike all that the model was learned from
-    repeated  a frame equal to the one before, bit for bit, although the commands move: the camera hangs
+    repeated  a frame equal to the one before, bit for bit, although the commands move: the camera
+              hangs
     unsteady  a frame in which the points jump while nothing is commanded
-    clipped   a coordinate exactly at the border of a picture or a box, in several poses: the point counts as not seen
+    clipped   a coordinate exactly at the border of a picture or a box, in several poses: the point
+              counts as not seen
     astray    a point far from its prediction in this frame only: it counts as not seen
 
-A body that rests in a play repeats itself too, and so does a model without noise. A camera that hangs jumps to the body
-afterwards, while a body in a play continues from where it was. Nothing is set aside if no still pair of frames differs.
-Limits: two wrong frames in a row that agree are kept; a border that fewer than 3 % of the frames touch is not found.
-Units: mm, s. Pinned by tests/run/test_bad_runs.py.
+A body that rests in a play repeats itself too, and so does a model without noise. A camera that
+hangs jumps to the body afterwards, while a body in a play continues from where it was. Nothing is
+set aside if no still pair of frames differs. Limits: two wrong frames in a row that agree are kept;
+a border that fewer than 3 % of the frames touch is not found. Units: mm, s. Pinned by
+tests/run/test_bad_runs.py.
 """
 
 from __future__ import annotations
@@ -63,9 +68,11 @@ POSES = 5  # different places of points at a border: a body at rest has one
 ASTRAY = 0.15  # of the body's length between a point and its model, in one frame only
 ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
 ASTRAY_MOST = 0.1  # of the points: more are no outliers
-UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, that points may scatter in a dwell
+# of all motion, and of the median dwell, that points may scatter in a dwell
+UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0
 STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
-UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them show nothing
+# of the dwells: more are how this robot is; fewer of them show nothing
+UNSTEADY_MOST, DWELLS = 0.3, 4
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
 REMEMBERED = 100  # frames on which a strong memory is tested
 UNSEEN = 0.2  # of the points that may never be seen before it is reported
@@ -87,28 +94,39 @@ def clean_run(model: Model, run: Run) -> CleanRun:
         model: predicts the run. run: as it was recorded.
 
     Returns:
-        Sound: the run with the same commands and fewer frames or points, and remarks, each a sentence.
+        Sound: the run with the same commands and fewer frames or points, and remarks, each a
+        sentence.
 
     Raises:
-        RunError: nothing is seen, too little is left, or the points are not those of this model under these commands.
+        RunError: nothing is seen, too little is left, or the points are not those of this model
+            under these commands.
     """
     run, lost = without_lost(converted(model, run))
     if run.frames == 0:
-        raise RunError("the run has no seen frames (K = 0); record what the cameras see together with the commands")
+        raise RunError(
+            "the run has no seen frames (K = 0); record what the cameras see together with the "
+            "commands"
+        )
     seen = np.asarray(model.points_in_mm(run), float)
     visible = known(run, seen)
     if not visible.any():
         raise RunError(
-            f"no point is visible in any of the {run.frames} frames; check `visible`, or the mapping of the markers"
+            f"no point is visible in any of the {run.frames} frames; check `visible`, or the "
+            "mapping of the markers"
         )
     u = model.commands(run)
     remarks, keep = [*lost, *declaration_remarks(model, run)], np.ones(run.frames, bool)
     remarks += _sigma(run)
     for frames, text in _frames(model, run, u, seen, visible):
-        remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
+        remarks.append(
+            f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text
+        )
         keep &= ~frames
     if keep.sum() < min(LEAST_FRAMES, run.frames):
-        raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are needed: {'; '.join(remarks)}")
+        raise RunError(
+            f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are needed: "
+            f"{'; '.join(remarks)}"
+        )
     part = run if keep.all() else run.at(keep)
     seen, visible = seen[keep], visible[keep]
     predicted = np.asarray(model.predict(part), float)
@@ -117,34 +135,47 @@ def clean_run(model: Model, run: Run) -> CleanRun:
     shown = visible.copy()
     length = float(np.linalg.norm(model.rest, axis=1).max())
     for points, text in _points(seen, visible, predicted, length):
-        remarks.append(f"{int(points.sum())} points in {int(points.any(axis=1).sum())} frames {text}")
+        remarks.append(
+            f"{int(points.sum())} points in {int(points.any(axis=1).sum())} frames {text}"
+        )
         shown &= ~points
     never = int((~visible.any(axis=0)).sum())
     if never >= UNSEEN * visible.shape[1]:
         remarks.append(
-            f"{never} of {visible.shape[1]} points are never seen: what acts there only is not tested; "
-            "turn a camera to them, or add one"
+            f"{never} of {visible.shape[1]} points are never seen: what acts there only is not "
+            "tested; turn a camera to them, or add one"
         )
     return CleanRun(
-        part if bool((shown == visible).all()) else replace(part, visible=shown), tuple(remarks), tuple(doubts)
+        part if bool((shown == visible).all()) else replace(part, visible=shown),
+        tuple(remarks),
+        tuple(doubts),
     )
 
 
 def clean_record(
     model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
-    """Bind a model to what is sound of one run or several, which stay complete in the record; return it with remarks.
+    """Bind a model to what is sound of one run or several, which stay complete in the record;
+    return it with remarks.
 
     Raises:
         SoftmapError: as `clean_run` and `record_of`.
     """
     given = list(run) if isinstance(run, Sequence) else [run]
     parts = [clean_run(model, one) for one in given]
-    several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
-    record = record_of(model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None)
+    several = (
+        reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
+    )
+    record = record_of(
+        model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None
+    )
     record.recorded_runs = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
-    messages = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
+    messages = [
+        (f"run {i}: " if len(parts) > 1 else "") + text
+        for i, p in enumerate(parts, 1)
+        for text in p.remarks
+    ]
     return record, messages
 
 
@@ -156,7 +187,9 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     moved, length = spread(seen, visible), float(np.linalg.norm(record.model.rest, axis=1).max())
     if record.replay is not None:
         return None
-    expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(len(record), -1, 3)
+    expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(
+        len(record), -1, 3
+    )
     if at_rest := not_following(seen, visible, expected[:, record.positions], seen - left, length):
         return at_rest
     if moved < MOTION * length:
@@ -165,20 +198,29 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     if share > FOLLOWED or _remembers(record):
         return None
     dead = [str(c) for c in np.flatnonzero(~(record.spread > 0))]
-    why = "Either commands and frames are not of one recording, or something else than they moves the robot"
+    why = (
+        "Either commands and frames are not of one recording, or something else than they moves "
+        "the robot"
+    )
     if len(dead) == len(record.spread):
         why = "The commands never change in this log"
     elif dead:
-        why = f"Either channel {', '.join(dead)} never moves in this log, or something else moves the robot"
+        why = (
+            f"Either channel {', '.join(dead)} never moves in this log, or something else moves "
+            "the robot"
+        )
     return (
-        f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and with whatever effect "
-        f"the model explains {100 * max(share, 0.0):.0f} % of that (fitted). {why}; no effect is named. Look at the "
-        "order and the clock of the frames, at the columns and signs of the commands, and whether it is this robot."
+        f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and "
+        f"with whatever effect the model explains {100 * max(share, 0.0):.0f} % of that (fitted). "
+        f"{why}; no effect is named. Look at the order and the clock of the frames, at the "
+        "columns and signs of the commands, and whether it is this robot."
     )
 
 
 def _remembers(record: Record) -> bool:
-    """Return whether the model behind a play explains the motion of every run: a memory and no other robot."""
+    """Return whether the model behind a play explains the motion of every run: a memory and no
+    other robot.
+    """
     for part in record.parts:
         few = part.run.at(part.spread_rows(REMEMBERED))
         points = np.asarray(record.model.points_in_mm(few), float)
@@ -196,19 +238,25 @@ def _sigma(run: Run) -> list[str]:
     if found is None or 1 / WRONG_SIGMA < stated / max(found.mm, 1e-9) < WRONG_SIGMA:
         return []
     return [
-        f"`sigma` declares {stated:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
-        "taken from the repeats"
+        f"`sigma` declares {stated:.2g} mm a point, the repeats show {found.mm:.2g} mm "
+        f"({found.source}); the noise is taken from the repeats"
     ]
 
 
 # --- frames -------------------------------------------------------------------------------------
 
 
-def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[Mask, str]]:
+def _frames(
+    model: Model, run: Run, u: Floats, seen: Floats, visible: Mask
+) -> Iterator[tuple[Mask, str]]:
     """Yield frames (K,) that are no measurement, and why."""
     dark: Mask = np.asarray(~visible.any(axis=1), np.bool_)
     if dark.any():
-        yield dark, "are set aside: they show no point; look at `visible`, or at the mapping of the markers"
+        yield (
+            dark,
+            "are set aside: they show no point; look at `visible`, or at the mapping of the "
+            "markers",
+        )
     step = np.diff(run.t)
     limit = max(GAP, GAP_SAMPLES * float(np.median(step))) if len(step) else GAP
     off = np.maximum(run.t[0] - run.t_seen, run.t_seen - run.t[-1])
@@ -216,11 +264,15 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
     if late.any():
         yield (
             late,
-            f"are set aside: they were seen up to {off.max():.4g} s outside the commands' {run.t[0]:.4g} to "
-            f"{run.t[-1]:.4g} s; bring both to one clock, in s",
+            f"are set aside: they were seen up to {off.max():.4g} s outside the commands' "
+            f"{run.t[0]:.4g} to {run.t[-1]:.4g} s; bring both to one clock, in s",
         )
     span = np.ptp(u, axis=0)
-    moved = (np.abs(np.diff(u, axis=0)) > MOVED * np.maximum(span, 1e-12)).any(axis=1) if u.shape[1] else step < 0
+    moved = (
+        (np.abs(np.diff(u, axis=0)) > MOVED * np.maximum(span, 1e-12)).any(axis=1)
+        if u.shape[1]
+        else step < 0
+    )
     inside = np.zeros(run.frames, bool)
     for row in np.flatnonzero((step > limit) & moved) if len(step) > 1 else ():
         inside |= (run.t_seen > run.t[row]) & (run.t_seen < run.t[row + 1])
@@ -228,8 +280,8 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
         widest = float(step[(step > limit) & moved].max())
         yield (
             inside & ~late,
-            f"are set aside: they were seen in a gap of {widest:.3g} s in the commands, which moved meanwhile; "
-            "log every command",
+            f"are set aside: they were seen in a gap of {widest:.3g} s in the commands, which "
+            "moved meanwhile; log every command",
         )
     jumps, text = _unsteady(run, u, np.where(visible[..., None], seen, 0.0), visible)
     if text:
@@ -238,20 +290,22 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
     if strange.any():
         yield (
             strange,
-            "are set aside: their commands are unlike all that the model was learned from, and its errors there are "
-            "unknown; learn it from a run that covers them",
+            "are set aside: their commands are unlike all that the model was learned from, and "
+            "its errors there are unknown; learn it from a run that covers them",
         )
     again = _repeated(model, run, u, seen, visible)
     if again.any():
         yield (
             again & ~late & ~inside,
-            "are set aside: each repeats the picture before it exactly; the camera or its log hangs: drop repeated "
-            "pictures, and stamp each when it is taken",
+            "are set aside: each repeats the picture before it exactly; the camera or its log "
+            "hangs: drop repeated pictures, and stamp each when it is taken",
         )
 
 
 def _untaught(model: Model, run: Run) -> Mask:
-    """Return the frames (K,) at which a learned map extrapolates; none where most frames are such."""
+    """Return the frames (K,) at which a learned map extrapolates; none where most frames are
+    such.
+    """
     coverage = model.coverage
     if coverage is None or not isinstance(model.prior, _core.Rod):
         return np.zeros(run.frames, bool)
@@ -260,9 +314,11 @@ def _untaught(model: Model, run: Run) -> Mask:
 
 
 def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:
-    """Return the frames (K,) of dwells in which the robot jumps though nothing is commanded, and what to say of them.
+    """Return the frames (K,) of dwells in which the robot jumps though nothing is commanded, and
+    what to say of them.
 
-    Each dwell's scatter about its drift, RMS over the points that all its frames show, against the others' median.
+    Each dwell's scatter about its drift, RMS over the points that all its frames show, against the
+    others' median.
     """
     none, state = np.zeros(run.frames, bool), conditions(run, u)
     if not u.shape[1]:
@@ -273,9 +329,13 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
         always_seen = visible[rows].all(axis=0)
         if visit < 0 or len(rows) < LEAST_DWELL or not always_seen.any():
             continue
-        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(always_seen))].reshape(len(rows), -1))
+        left, order = undrifted(
+            seen[np.ix_(rows, np.flatnonzero(always_seen))].reshape(len(rows), -1)
+        )
         dwells.append(rows)
-        scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - order) * left.shape[1]))))
+        scatter.append(
+            float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - order) * left.shape[1])))
+        )
     if len(dwells) < DWELLS:
         return none, ""
     moved, usual = spread(seen, visible), float(np.median(scatter))
@@ -283,22 +343,30 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
         return none, ""
     if usual > UNSTEADY * moved:
         return none, (
-            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of all "
-            "their motion; this counts as noise and hides smaller effects. Look for a robot that settles slowly, for "
-            "frames that are late or out of order, and for a mount or a camera that shakes"
+            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, "
+            f"{100 * usual / moved:.0f} % of all their motion; this counts as noise and hides "
+            "smaller effects. Look for a robot that settles slowly, for frames that are late or "
+            "out of order, and for a mount or a camera that shakes"
         )
-    wild = [rows for rows, mm in zip(dwells, scatter) if mm > max(UNSTEADY_TIMES * usual, UNSTEADY * moved)]
+    wild = [
+        rows
+        for rows, mm in zip(dwells, scatter)
+        if mm > max(UNSTEADY_TIMES * usual, UNSTEADY * moved)
+    ]
     if not wild or len(wild) > UNSTEADY_MOST * len(dwells):
         return none, ""
     none[np.concatenate(wild)] = True
     return none, (
-        f"are set aside: while nothing is commanded the points jump by {max(scatter):.3g} mm RMS in them, in other "
-        f"dwells by {usual:.2g}; look at the order of the frames, and at what touched the robot or a camera"
+        f"are set aside: while nothing is commanded the points jump by {max(scatter):.3g} mm RMS "
+        f"in them, in other dwells by {usual:.2g}; look at the order of the frames, and at what "
+        "touched the robot or a camera"
     )
 
 
 def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
-    """Return which frames (K,) show the picture before them once more, where that can only be the camera."""
+    """Return which frames (K,) show the picture before them once more, where that can only be the
+    camera.
+    """
     again = np.zeros(run.frames, bool)
     if run.frames < 2:
         return again
@@ -329,7 +397,8 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     for a, b in stretches:
         outside[a:b] = False
     still = outside & (change < 1e-6)
-    never = still.sum() >= 2 and float(same[still].mean()) < SELDOM  # a camera with noise never repeats itself
+    # a camera with noise never repeats itself
+    never = still.sum() >= 2 and float(same[still].mean()) < SELDOM
     return again if never else none
 
 
@@ -342,7 +411,9 @@ def _stretches(same: Mask) -> list[tuple[int, int]]:
 # --- points -------------------------------------------------------------------------------------
 
 
-def _points(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Iterator[tuple[Mask, str]]:
+def _points(
+    seen: Floats, visible: Mask, predicted: Floats, length: float
+) -> Iterator[tuple[Mask, str]]:
     """Yield points (K, N) that are no measurement, and why."""
     for axis, name in enumerate("xyz"):
         for extreme in (np.nanmin, np.nanmax):
@@ -351,15 +422,15 @@ def _points(seen: Floats, visible: Mask, predicted: Floats, length: float) -> It
                 value = float(seen[..., axis][found][0])
                 yield (
                     found,
-                    f"are taken as not seen: {name} is exactly {value:.6g} mm in all of them, as if clipped at the "
-                    "border of a picture or a box; widen it",
+                    f"are taken as not seen: {name} is exactly {value:.6g} mm in all of them, as "
+                    "if clipped at the border of a picture or a box; widen it",
                 )
     wrong = _astray(seen, visible, predicted, length)
     if wrong.any():
         yield (
             wrong,
-            "are taken as not seen: they jump away from their neighbours in time and back; look for mixed-up markers, "
-            "reflections or broken rows",
+            "are taken as not seen: they jump away from their neighbours in time and back; look "
+            "for mixed-up markers, reflections or broken rows",
         )
 
 
@@ -376,7 +447,9 @@ def _clipped(seen: Floats, visible: Mask, axis: int, extreme: Any) -> Mask | Non
 
 
 def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Mask:
-    """Return the points (K, N) that are far from their model in one frame and not in the two before and after."""
+    """Return the points (K, N) that are far from their model in one frame and not in the two before
+    and after.
+    """
     none = np.zeros(visible.shape, bool)
     if len(seen) < LEAST_FRAMES:
         return none
@@ -386,7 +459,10 @@ def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Ma
         return none
     with np.errstate(invalid="ignore"):
         usual = np.array(
-            [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0 for column in far.T]
+            [
+                np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0
+                for column in far.T
+            ]
         )
         found = far > np.maximum(ASTRAY * length, ASTRAY_TIMES * usual)
     if found.sum() > ASTRAY_MOST * visible.sum():
@@ -394,13 +470,17 @@ def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Ma
     alone = found.copy()
     for k, n in np.argwhere(found):
         around = [j for j in (k - 2, k - 1, k + 1, k + 2) if 0 <= j < len(off) and visible[j, n]]
-        if len(around) < 2 or np.linalg.norm(off[k, n] - np.median(off[around, n], axis=0)) < 0.7 * far[k, n]:
+        if (
+            len(around) < 2
+            or np.linalg.norm(off[k, n] - np.median(off[around, n], axis=0)) < 0.7 * far[k, n]
+        ):
             alone[k, n] = False
             continue
         if found[k].sum() == visible[k].sum():  # the complete frame, with its base
             continue
         near = np.linalg.norm(predicted[k] - predicted[k, n], axis=1)
         near[n], near[~visible[k]] = np.inf, np.inf
-        neighbour = int(np.argmin(near))  # a body that really bends takes the neighbouring points along
+        # a body that really bends takes the neighbouring points along
+        neighbour = int(np.argmin(near))
         alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, neighbour]) > 0.5 * far[k, n])
     return np.asarray(alone)

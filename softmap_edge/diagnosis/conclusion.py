@@ -1,4 +1,5 @@
-"""From a finished search to what a diagnosis says: findings with parameters, alternatives, and what is open.
+"""From a finished search to what a diagnosis says: findings with parameters, alternatives, and what
+is open.
 
 Nothing is searched here. Units: mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -43,7 +44,13 @@ from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import mended, next_blocks, refits
-from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
+from softmap_edge.diagnosis.wording import (
+    OwnMisfit,
+    at_bounds,
+    sentence_of,
+    unconfirmed,
+    verdict_of,
+)
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import Registry, registry
 from softmap_edge.model.user_effect import hashes
@@ -60,7 +67,9 @@ ALONG = "mount.shift_z"  # along the axis of the straight body, where nothing th
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What is known apart from the search: an independent run, effects that were dropped or not tried, certificates."""
+    """What is known apart from the search: an independent run, effects that were dropped or not
+    tried, certificates.
+    """
 
     other: Record | None = None
     demoted: Sequence[str] = ()
@@ -89,47 +98,78 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
-    left = replace(unexplained_structure(problem, residual, len(fit.x)), ordinary_mm=_ordinary_mm(outcome) or None)
+    left = replace(
+        unexplained_structure(problem, residual, len(fit.x)),
+        ordinary_mm=_ordinary_mm(outcome) or None,
+    )
     behind = [] if context.masked is None else context.masked.untestable()
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
     moving = problem.noise.moving
     if moving and order:  # what settles late moves at rest too, until it is explained
-        moving = motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
+        moving = motion_left(
+            residual, record.seen, record.positions, record.t_seen, record.state
+        ).found
     changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
-    unknown = bool(moving or changes) or _unknown(outcome, fit, context.own, standing, bool(dropped))
-    findings = [_finding(outcome, fit, name, context, alternatives, unknown, known) for name in order]
+    unknown = bool(moving or changes) or _unknown(
+        outcome, fit, context.own, standing, bool(dropped)
+    )
+    findings = [
+        _finding(outcome, fit, name, context, alternatives, unknown, known) for name in order
+    ]
     faults = tuple(f for f in findings if known[f.name].is_fault)
     physics = tuple(f for f in findings if not known[f.name].is_fault)
     error = _error(outcome, order, context.other)
     detected = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    detected += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
+    detected += tuple(
+        replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped
+    )
     if unknown and not detected:
         hints = _memoryless(record, residual)
         if (near := outcome.hint) is not None:
             share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
-            hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
+            hints.append(
+                FamilyFinding(
+                    near.family.name, near.family.kind, "unknown", (), share, near.moved_mm
+                )
+            )
         detected = tuple(sorted(hints, key=lambda one: -one.share)[:1])
     changed = context.own is not None and context.own.after_mm <= error.after
-    doubts = [*at_bounds(findings), *record.doubts, *map(str, changes), *unconfirmed([*findings, *detected])]
+    doubts = [
+        *at_bounds(findings),
+        *record.doubts,
+        *map(str, changes),
+        *unconfirmed([*findings, *detected]),
+    ]
     if context.own is not None and not changed:
         doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
     unsure = _physical(alternatives, known)
     # A limit of the model is none of the run.
-    recordable, others = (sum(not h.of_model for h in every) for every in (hidden, context.impossible))
+    recordable, others = (
+        sum(not h.of_model for h in every) for every in (hidden, context.impossible)
+    )
     verdict = verdict_of(
-        physics or (faults if unsure or is_open else ()), faults, changed or bool(alternatives or doubts or is_open),
-        unknown, bool(detected), recordable, len(fits.candidates) + others,
-    )  # fmt: skip
+        physics or (faults if unsure or is_open else ()),
+        faults,
+        changed or bool(alternatives or doubts or is_open),
+        unknown,
+        bool(detected),
+        recordable,
+        len(fits.candidates) + others,
+    )
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     hint = outcome.hint.family.name if outcome.hint is not None else ""
-    sentence = sentence_of(verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint)
+    sentence = sentence_of(
+        verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint
+    )
     return {
         "verdict": verdict,
-        "sentence": (f"Refit first: {context.own}. The findings below may be due to it. " if changed else "")
+        "sentence": (
+            f"Refit first: {context.own}. The findings below may be due to it. " if changed else ""
+        )
         + sentence
         + "".join(f" But {doubt}." for doubt in doubts)
         + "".join(f" Moreover, {motion}." for motion in moving)
@@ -139,7 +179,9 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
         "families": _with_motion(detected, moving),
         "alternatives": tuple(alternatives),
         "not_testable": tuple(hidden),
-        "where": Where(by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)),
+        "where": Where(
+            by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)
+        ),
         "error": error,
         "unexplained": left,
         "next": (
@@ -162,20 +204,30 @@ def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
     return sorted(fit.effects, key=lambda e: (not known[e].is_fault, -weight[e], e))
 
 
-def _unknown(outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool) -> bool:
-    """Whether something unknown is left: no law, beyond the named effects, or far more than the model's own error."""
+def _unknown(
+    outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool
+) -> bool:
+    """Whether something unknown is left: no law, beyond the named effects, or far more than the
+    model's own error.
+    """
     if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
         return False  # other numbers of the model's own effects explain what is left
-    if dropped or any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing):
+    if dropped or any(
+        s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing
+    ):
         return True
     if standing:
         return outcome.left > rule.LEFT
     problem, record = outcome.body.problem, outcome.body.record
     floor = max(record.form_mm, problem.noise.rms_mm(record.positions))
-    return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * floor
+    return (
+        record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * floor
+    )
 
 
-def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequence[Change]) -> FamilyFinding:
+def _family(
+    outcome: Outcome, step: Step, proof: Certified | None, changes: Sequence[Change]
+) -> FamilyFinding:
     """Return what was found of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
@@ -187,16 +239,24 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
     effects = [e for law in (*named, *others) for e in law.effects]
     resolved = answer.resolved and not any(set(one.effects) & set(effects) for one in changes)
     return FamilyFinding(
-        answer.family.name, answer.family.kind, "resolved" if resolved else "open" if answer.open else "unknown",
-        tuple(dict.fromkeys(effects)), float(np.clip(own / explained, 0.0, 1.0)), answer.representative.moved_mm,
-        None if best is None else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
-        tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),
+        answer.family.name,
+        answer.family.kind,
+        "resolved" if resolved else "open" if answer.open else "unknown",
+        tuple(dict.fromkeys(effects)),
+        float(np.clip(own / explained, 0.0, 1.0)),
+        answer.representative.moved_mm,
+        None
+        if best is None
+        else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
+        tuple(law.name for law in answer.reaching if not law.effects),
+        tuple(a.family.name for a in step.others),
         None if proof is None else proof.families.get(answer.family.name),
-    )  # fmt: skip
+    )
 
 
 def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
-    """Return the unexplained error as an unknown static map if repeated commands show the same error, else nothing.
+    """Return the unexplained error as an unknown static map if repeated commands show the same
+    error, else nothing.
 
     Its form may be too fine for the columns of the family.
     """
@@ -209,12 +269,18 @@ def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
     return [FamilyFinding("static map", "static", "unknown", (), (moved / left) ** 2, moved)]
 
 
-def _with_motion(families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]) -> tuple[FamilyFinding, ...]:
-    """Return families with the motion at rest among them, by size: no effect or family of the library describes it."""
+def _with_motion(
+    families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]
+) -> tuple[FamilyFinding, ...]:
+    """Return families with the motion at rest among them, by size: no effect or family of the
+    library describes it.
+    """
     found = list(families)
     for one in moving:
         name = "motion at rest" if one.frequency_hz is None else "hum"
-        place = next((i for i, family in enumerate(found) if family.moved_mm < one.rms_mm), len(found))
+        place = next(
+            (i for i, family in enumerate(found) if family.moved_mm < one.rms_mm), len(found)
+        )
         found.insert(place, FamilyFinding(name, "time", "unknown", (), 0.0, one.rms_mm))
     return tuple(found)
 
@@ -264,24 +330,40 @@ def _probability(
     unknown: bool,
     certificate: Certificate | None = None,
 ) -> float:
-    """Return the probability that an effect, or an equivalent one, is present, from the odds against it."""
-    doubts = sum(a.member == name for a in alternatives) + any(p.at_bound for p in numbers.values()) + unknown
+    """Return the probability that an effect, or an equivalent one, is present, from the odds
+    against it.
+    """
+    doubts = (
+        sum(a.member == name for a in alternatives)
+        + any(p.at_bound for p in numbers.values())
+        + unknown
+    )
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
     if step is not None and not step.answer.resolved:
-        odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that was not tried
+        # each law that fits is as likely, and so is one that was not tried
+        odds += 1.0 + len(step.answer.reaching)
     return 1.0 / (1.0 + odds)
 
 
 def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
-    """Whether an alternative, or a law of its family, is physics and no fault of the measurement."""
+    """Whether an alternative, or a law of its family, is physics and no fault of the
+    measurement.
+    """
     members = {family.name: family.members for family in families()}
-    laws = (name for a in alternatives for name in a.effects or members.get(a.family, ()) if name in known)
+    laws = (
+        name
+        for a in alternatives
+        for name in a.effects or members.get(a.family, ())
+        if name in known
+    )
     return any(not known[name].is_fault for name in laws)
 
 
 def _ordinary_mm(outcome: Outcome) -> float:
-    """Return the size of the robot's ordinary static imperfections, mm RMS: what they explain, or else their level."""
+    """Return the size of the robot's ordinary static imperfections, mm RMS: what they explain, or
+    else their level.
+    """
     state = outcome.state
     explained = state is not state.without_background()
     return outcome.body.record.rms_mm(state.ordinary) if explained else outcome.body.ordinary_mm
@@ -290,12 +372,16 @@ def _ordinary_mm(outcome: Outcome) -> float:
 def _alternatives(
     outcome: Outcome, fit: Fit, standing: Sequence[Step], known: Registry, context: Context
 ) -> list[Alternative]:
-    """Return what cannot be excluded: laws and families that reach as far, and what looks alike by its form."""
+    """Return what cannot be excluded: laws and families that reach as far, and what looks alike by
+    its form.
+    """
     found: list[Alternative] = []
     dropped = set(context.demoted)
 
     def add(one: Alternative) -> None:
-        known = any(set(one.effects) == set(a.effects) and one.family in ("", a.family) for a in found)
+        known = any(
+            set(one.effects) == set(a.effects) and one.family in ("", a.family) for a in found
+        )
         same = set(one.effects) == set(fit.effects) and not one.family
         if not known and not dropped & set(one.effects) and not same:
             found.append(one)
@@ -305,26 +391,50 @@ def _alternatives(
         rest = [e for e in fit.effects if e not in named]
         member = named[0] if named else ""
         for law in step.answer.equals:
-            add(Alternative((*rest, *law.effects), _why(law.loss, step.answer.loss), member, step.family.name))
+            add(
+                Alternative(
+                    (*rest, *law.effects),
+                    _why(law.loss, step.answer.loss),
+                    member,
+                    step.family.name,
+                )
+            )
         for other in step.others:
-            why, effects = f"the family {other.family.name} cannot be distinguished from {step.family.name} here", rest
+            why, effects = (
+                f"the family {other.family.name} cannot be distinguished from {step.family.name} "
+                "here",
+                rest,
+            )
             if other.resolved and other.law is not None:
                 why, effects = _why(other.law.loss, step.answer.loss), [*rest, *other.law.effects]
             add(Alternative(tuple(effects), why, member, other.family.name))
     for step, family, why in _confounded(outcome, standing):
         named = _named(step)
-        add(Alternative(tuple(e for e in fit.effects if e not in named), why, named[0] if named else "", family))
+        add(
+            Alternative(
+                tuple(e for e in fit.effects if e not in named),
+                why,
+                named[0] if named else "",
+                family,
+            )
+        )
     for member in fit.effects:
         for twin, why in _twins(outcome.fits, fit, member, known, context.impossible):
             add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
     if context.own is not None and fit.effects:
-        found.insert(0, Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects))))
+        found.insert(
+            0, Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects)))
+        )
     return found
 
 
 def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, str, str]]:
-    """Return steps of a condition that varies as time does in every run, the family it looks like, and why."""
-    conditions = [{c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts]
+    """Return steps of a condition that varies as time does in every run, the family it looks like,
+    and why.
+    """
+    conditions = [
+        {c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts
+    ]
     found = []
     for step in standing:
         pairs = {"temperature": "time", "time": "temperature", "step": "temperature"}
@@ -339,13 +449,18 @@ def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, 
 def _why(theirs: Floats, mine: Floats) -> str:
     gap = rule.difference(theirs, mine)
     share = 100.0 * float(theirs.sum() - mine.sum()) / max(float(mine.sum()), 1e-300)
-    return f"fits as well: held-out loss {share:+.1f} %, {abs(gap.fall) / max(gap.error, 1e-300):.1f} σ"
+    return (
+        f"fits as well: held-out loss {share:+.1f} %, "
+        f"{abs(gap.fall) / max(gap.error, 1e-300):.1f} σ"
+    )
 
 
 def _twins(
     fits: Fits, fit: Fit, member: str, known: Registry, impossible: Sequence[Untestable]
 ) -> list[tuple[str, str]]:
-    """Return effects that look like a member under the conditions of the run, and why they cannot be excluded."""
+    """Return effects that look like a member under the conditions of the run, and why they cannot
+    be excluded.
+    """
     record, found = fits.problem.record, []
     never = {h.name for h in impossible}
     for twin in (*equivalents(record, member), *_unbased(record, fit, member, known, never)):
@@ -358,7 +473,8 @@ def _twins(
             rest = fits.without(fit, member)
             before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
             done = (before - theirs) / max(before - mine, 1e-300)
-            if by != "orientation" and done < rule.STANDS_FOR:  # forms of loads are too far off to exclude one
+            # forms of loads are too far off to exclude one
+            if by != "orientation" and done < rule.STANDS_FOR:
                 continue
             why += f"; fitted here it does {100.0 * min(max(done, 0.0), 1.0):.0f} % of it"
         elif twin in never:
@@ -368,7 +484,8 @@ def _twins(
 
 
 def _unbased(record: Record, fit: Fit, member: str, known: Registry, never: set[str]) -> list[str]:
-    """Return effects that the model does not have and that look like a member where no point of the base is seen.
+    """Return effects that the model does not have and that look like a member where no point of the
+    base is seen.
 
     Nothing that bends a body moves it along its axis.
     """
@@ -390,16 +507,22 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     kind = "labelled blocks" if labelled(record.block) else "blocks"
     on = f"{kind} of the run that was fitted" if other is None else "an independent run"
     return ErrorLadder(
-        model, static, rungs, both, per_fold,
+        model,
+        static,
+        rungs,
+        both,
+        per_fold,
         noise_floor=noise if measured else None,
         model_floor=form,
         floor=noise if replicates else form,
         floor_kind="noise of replicates" if replicates else "the model's own held-out error",
         held_out_on=on + ("" if record.replay is None else ", relative to the reference"),
-    )  # fmt: skip
+    )
 
 
-def _made_from(outcome: Outcome, order: Sequence[str], context: Context, known: Registry) -> Document:
+def _made_from(
+    outcome: Outcome, order: Sequence[str], context: Context, known: Registry
+) -> Document:
     from softmap_edge.version import __version__
 
     problem, other = outcome.body.problem, context.other

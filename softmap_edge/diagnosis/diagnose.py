@@ -1,11 +1,14 @@
-"""Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error before and after.
+"""Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error
+before and after.
 
     run → frames that are measurements (sound.py) → candidates, noise, model error (prepare.py)
-        → families, then their laws, accepted on held-out blocks (search.py, together.py)
-        → certificates from withheld blocks (certificate.py) → findings, alternatives, verdict (conclusion.py)
+        → families, then their laws, accepted on held-out blocks (search.py, together.py) →
+        certificates from withheld blocks (certificate.py) → findings, alternatives, verdict
+        (conclusion.py)
 
-The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault. `diagnose` is
-deterministic: the same input gives the same document. Pinned by tests/diagnosis/test_diagnosis.py.
+The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell,
+measurement_fault. `diagnose` is deterministic: the same input gives the same document. Pinned by
+tests/diagnosis/test_diagnosis.py.
 """
 
 from __future__ import annotations
@@ -57,13 +60,17 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name what is missing
-NAMED = ("alternatives", "effects", "faults", "families")  # fields of a diagnosis that name something
+# fields of a diagnosis that name something
+NAMED = ("alternatives", "effects", "faults", "families")
 UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
-OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
-ALIKE = 0.95  # cosine between two whitened signatures from which their form does not distinguish them
+# fall of the held-out error by a refit from which the model's own numbers are in doubt
+OWN_FALL = 0.7
+# cosine between two whitened signatures from which their form does not distinguish them
+ALIKE = 0.95
 TWICE = (
-    "the diagnosis is relative to a reference run: record each next block twice, once under the conditions of this run "
-    "and once under those of the reference, and give the second with --reference"
+    "the diagnosis is relative to a reference run: record each next block twice, once under the "
+    "conditions of this run and once under those of the reference, and give the second with "
+    "--reference"
 )
 
 
@@ -79,32 +86,42 @@ def diagnose(
 
     Args:
         model: a Model; its own chain is kept and not searched again.
-        run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot, which share all
-            parameters but those of the camera's frame and clock.
-        held_out: an independent run of another kind; effects without which the error there is lower are dropped.
+        run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot,
+            which share all parameters but those of the camera's frame and clock.
+        held_out: an independent run of another kind; effects without which the error there is lower
+            are dropped.
         effects: names of the candidates; all of the registry by default.
         progress: hears one line per stage.
-        reference: a run of the same commands that stands for the model's own error (paired replay): what acts alike
-            in both cancels out, and every error is relative to it. Several, where runs (or `held_out`) play other
-            commands: each takes the one whose commands agree.
+        reference: a run of the same commands that stands for the model's own error (paired replay):
+            what acts alike in both cancels out, and every error is relative to it. Several, where
+            runs (or `held_out`) play other commands: each takes the one whose commands agree.
 
     Returns:
-        Diagnosis: verdict, families, effects with parameters and sigma, alternatives, what this run cannot show, the
-        held-out error ladder.
+        Diagnosis: verdict, families, effects with parameters and sigma, alternatives, what this run
+        cannot show, the held-out error ladder.
 
     Raises:
-        SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
+        SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other
+            commands.
     """
     _apart(run, held_out, reference)
     record, remarks = clean_record(model, run, reference)
     candidates, impossible = candidates_of(record, effects)
-    fixed = excluded(record.recorded_runs, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
+    fixed = excluded(
+        record.recorded_runs,
+        record.bases,
+        _reach(record),
+        max(VISIBLE_MM, ORDINARY * motion_mm(record)),
+    )
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
     teacher = TaughtRuns.by(model, list(run) if isinstance(run, Sequence) else [run])
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
-    candidates, impossible = [n for n in candidates if n not in {h.name for h in held}], [*impossible, *held]
+    candidates, impossible = (
+        [n for n in candidates if n not in {h.name for h in held}],
+        [*impossible, *held],
+    )
     other = None if held_out is None else _validation(model, held_out, reference)
     fit = outcome.fit
     demoted: list[str] = []
@@ -113,10 +130,13 @@ def diagnose(
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
         if demoted:  # what stood in its place is looked for again
-            outcome = search(problem, [name for name in candidates if name not in demoted], progress)
+            outcome = search(
+                problem, [name for name in candidates if name not in demoted], progress
+            )
             fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
             demoted += more
-    own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
+    # wrong numbers of its own cancel out too
+    own = _own_misfit(record) if record.replay is None else None
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
     gone = None  # a static map follows the runs that taught it as far as it can
@@ -128,7 +148,10 @@ def diagnose(
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
         if strange(plain(values), loaded):
-            error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates)
+            error, again = (
+                outcome.fits.held_out_mm(fit),
+                partial(_again, model, candidates=candidates),
+            )
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:
         fit, values = outcome.plain.null, _named_nothing(values, "measurement_fault", gone)
@@ -141,15 +164,22 @@ def diagnose(
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
-    values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
+    values["next"] = (
+        *(teacher.next(values["effects"]) if record.remapped else ()),
+        *values["next"],
+    )
     converted_runs = [converted(model, run) for run in record.recorded_runs]
     remarks += missing_data(converted_runs, len(record), problem.noise.replicates)
     encoded = [run for run in converted_runs if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])
     return Diagnosis(
-        **values, learned_in=model.learned_in, servo=tuple(behind), remarks=tuple(remarks), model=found
-    )  # fmt: skip
+        **values,
+        learned_in=model.learned_in,
+        servo=tuple(behind),
+        remarks=tuple(remarks),
+        model=found,
+    )
 
 
 def _reach(record: Record) -> float:
@@ -158,31 +188,53 @@ def _reach(record: Record) -> float:
     return float(np.sqrt(np.nanmax(np.sum(places**2, axis=2), initial=0.0)))
 
 
-def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:
-    """Refuse one recording in two places: it would be counted twice, or validate a fit to itself."""
+def _apart(
+    run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None
+) -> None:
+    """Refuse one recording in two places: it would be counted twice, or validate a fit to
+    itself.
+    """
     runs = list(run) if isinstance(run, Sequence) else [run]
-    others = list(reference) if isinstance(reference, Sequence) else [] if reference is None else [reference]
+    others = (
+        list(reference)
+        if isinstance(reference, Sequence)
+        else []
+        if reference is None
+        else [reference]
+    )
     hashes = [one.hash() for one in runs]
     if len(set(hashes)) < len(hashes):
-        raise SoftmapError("the same run is given twice, and its noise would count as half; give each recording once")
+        raise SoftmapError(
+            "the same run is given twice, and its noise would count as half; give each recording "
+            "once"
+        )
     if held_out is not None and held_out.hash() in hashes:
-        raise SoftmapError("the held-out run is fitted too, so it validates nothing; give an independent run")
+        raise SoftmapError(
+            "the held-out run is fitted too, so it validates nothing; give an independent run"
+        )
     if set(hashes) & {one.hash() for one in others}:
-        raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
+        raise SoftmapError(
+            "the reference is the run itself, so nothing differs; give a recording of before the "
+            "change"
+        )
 
 
 def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Fit a model's own effects again to a run, with a number for each channel where that is far better.
+    """Fit a model's own effects again to a run, with a number for each channel where that is far
+    better.
 
     Returns:
-        tuple: the model with new parameters, and a document with parameters ± sigma and the error before and after.
+        tuple: the model with new parameters, and a document with parameters ± sigma and the error
+        before and after.
 
     Raises:
         SoftmapError: the model has no effects.
     """
     own = tuple(model.chain_names)
     if not own:
-        raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
+        raise SoftmapError(
+            "the model has no effects to refit; `softmap diagnose` finds out which it lacks"
+        )
     record, _ = clean_record(model, run)
     problem = problem_of(record, list(own))
     space = problem.space(own, free=own)
@@ -204,7 +256,9 @@ def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
 
 
 def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of a model's own effects with a number for each channel where it has one for all."""
+    """Return a fit of a model's own effects with a number for each channel where it has one for
+    all.
+    """
     space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
     if space.free_labels == fit.space.free_labels:
         return fit
@@ -213,21 +267,30 @@ def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
 
 def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
     """Return a model whose record of what was learned in has the numbers of a later fit."""
-    fresh = [LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound) for label, n in numbers.items()]
+    fresh = [
+        LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound)
+        for label, n in numbers.items()
+    ]
     records = [
-        replace(one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params).to_dict()
+        replace(
+            one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params
+        ).to_dict()
         for one in model.learned_in
     ]
-    return replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
+    return (
+        replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
+    )
 
 
 def showing(model: Model, run: Run) -> list[Document]:
-    """Say, before any fit, which effects would show in a run: how large each is at typical strength against the noise.
+    """Say, before any fit, which effects would show in a run: how large each is at typical strength
+    against the noise.
 
     Returns:
-        list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment, minutes}`: `deviations` is
-        the size of its signature in standard deviations, `alike` the effects whose signature is the same here within
-        5 %, `experiment` what to record where it does not show or is not alone.
+        list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment,
+        minutes}`: `deviations` is the size of its signature in standard deviations, `alike` the
+        effects whose signature is the same here within 5 %, `experiment` what to record where it
+        does not show or is not alone.
 
     Raises:
         SoftmapError: as `diagnose`.
@@ -238,26 +301,38 @@ def showing(model: Model, run: Run) -> list[Document]:
     seen = {name: detectability(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
     keys = ("name", "shows", "moved_mm", "deviations", "why", "alike", "experiment", "minutes")
-    rows: list[tuple[Any, ...]] = [(h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible]
+    rows: list[tuple[Any, ...]] = [
+        (h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible
+    ]
     for name, (moved, white) in seen.items():
         why = unseen(moved, size[name])
         twins = equivalents(record, name)
         for other in candidates if why is None else ():
             product = size[name] * size[other]
-            if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
+            if (
+                other != name
+                and product > 0
+                and abs(float(white @ seen[other][1])) > ALIKE * product
+            ):
                 twins += [other] if other not in twins else []
-        rows.append((name, why is None, moved, size[name], why, twins, *registry()[name].experiment))
+        rows.append(
+            (name, why is None, moved, size[name], why, twins, *registry()[name].experiment)
+        )
     found = {row[0]: dict(zip(keys, row)) for row in rows}
     return [found[name] for name in registry() if name in found]
 
 
 def _searched(
-    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None, teacher: TaughtRuns
+    record: Record,
+    candidates: Sequence[str],
+    progress: Callable[[str], None] | None,
+    teacher: TaughtRuns,
 ) -> tuple[Problem, Outcome]:
     """Search a record for what its model lacks.
 
-    What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
-    model's own error. A map that was learned with --static is solved again, if a law of memory then explains the run.
+    What a residual had learned is an effect if laws of the library explain it. Only if they do not
+    may it be the model's own error. A map that was learned with --static is solved again, if a law
+    of memory then explains the run.
     """
     if record.static is not None and not record.error_is_noise:
         problem = problem_of(record, candidates, residual=False)
@@ -275,14 +350,18 @@ def _searched(
 
 
 def _shared(fit: Fit) -> dict[str, float]:
-    """Return the fitted parameters of a model: what later runs had for themselves stays with them."""
+    """Return the fitted parameters of a model: what later runs had for themselves stays with
+    them.
+    """
     return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> float:
     """Return the held-out error mm that a search leaves on other runs."""
     outcome = search(problem_of(record_of(model, runs), candidates), candidates)
-    return outcome.plain.held_out_mm(outcome.plain.get(outcome.fit.effects, outcome.fit.space.split))
+    return outcome.plain.held_out_mm(
+        outcome.plain.get(outcome.fit.effects, outcome.fit.space.split)
+    )
 
 
 def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | None) -> Record:
@@ -293,41 +372,62 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
         if reference is None:
             raise
         raise SoftmapError(
-            f"the held-out run needs a reference of its own commands: {fault}; or leave --held-out out"
+            f"the held-out run needs a reference of its own commands: {fault}; or leave "
+            "--held-out out"
         ) from None
 
 
 def _named_nothing(values: Document, verdict: str, why: str) -> Document:
-    """Return the fields of a diagnosis that names no effect, for a reason that the search does not know."""
+    """Return the fields of a diagnosis that names no effect, for a reason that the search does not
+    know.
+    """
     error = replace(values["error"], ladder=(), with_static_residual=None)
-    return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(NAMED, ())
+    return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(
+        NAMED, ()
+    )
 
 
 def _extrapolated(record: Record, outcome: Outcome) -> str | None:
-    """Return why an error says nothing where most frames are unlike what a map was learned from; None if it does.
+    """Return why an error says nothing where most frames are unlike what a map was learned from;
+    None if it does.
 
     It does where the other frames show it too: by far more than the model's own error.
     """
     coverage = record.model.coverage
-    if coverage is None or record.replay is not None or not isinstance(record.model.prior, _core.Rod):
+    if (
+        coverage is None
+        or record.replay is not None
+        or not isinstance(record.model.prior, _core.Rod)
+    ):
         return None
     outside = np.asarray(coverage.outside(record.command), np.bool_)
-    count, error, own = int(outside.sum()), record.seen - outcome.plain.null.predicted, record.form_mm
+    count, error, own = (
+        int(outside.sum()),
+        record.seen - outcome.plain.null.predicted,
+        record.form_mm,
+    )
     if 2 * count < len(record):
         return None
     near = None if count == len(record) else record.rms_mm(error, ~outside)
     if near is not None and near > UNKNOWN_TIMES * own:
         return None
-    others = "" if near is None else f"; in the others it is {near:.2f} mm off, with an own error of {own:.2f} mm"
+    others = (
+        ""
+        if near is None
+        else f"; in the others it is {near:.2f} mm off, with an own error of {own:.2f} mm"
+    )
     return (
-        f"{count} of {len(record)} frames are unlike what '{record.model.robot}' was learned from, and its errors "
-        f"there are unknown{others}. So an error of {record.rms_mm(error):.2f} mm names no effect: learn the model "
-        "from a run that covers these commands."
+        f"{count} of {len(record)} frames are unlike what '{record.model.robot}' was learned "
+        f"from, and its errors there are unknown{others}. So an error of "
+        f"{record.rms_mm(error):.2f} mm names no effect: learn the model from a run that covers "
+        "these commands."
     )
 
 
 def _outside(record: Record) -> str:
-    """Say how much of a run lies beyond the commands that the model was made from, where it extrapolates."""
+    """Say how much of a run lies beyond the commands that the model was made from, where it
+    extrapolates.
+    """
     reach = getattr(record.model, "command_range", None)
     if reach is None or not len(record):
         return ""
@@ -336,16 +436,25 @@ def _outside(record: Record) -> str:
     beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
     if beyond < UNSAID:
         return ""
-    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that made the model; it extrapolates there."
+    return (
+        f" {100 * beyond:.0f} % of the frames lie beyond the commands that made the model; it "
+        "extrapolates there."
+    )
 
 
 def _own_misfit(record: Record) -> OwnMisfit | None:
-    """Return what the effects that the model has already would reach with other numbers, if that is much."""
+    """Return what the effects that the model has already would reach with other numbers, if that is
+    much.
+    """
     if not record.model.chain_names:
         return None
     report = refit(record.model, record.recorded_runs)[1]
     before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
-    return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
+    return (
+        OwnMisfit(tuple(record.model.chain_names), before, after)
+        if after <= OWN_FALL * before
+        else None
+    )
 
 
 def _error_on(fit: Fit, other: Record) -> float:
@@ -353,8 +462,12 @@ def _error_on(fit: Fit, other: Record) -> float:
     return other.rms_mm(other.seen - fit.on(other))
 
 
-def _demote(fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
-    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most `share` without them."""
+def _demote(
+    fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float
+) -> tuple[Fit, list[str]]:
+    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most
+    `share` without them.
+    """
     demoted: list[str] = []
     while fit.effects:
         rests = [fits.null, *(fits.without(fit, e) for e in fit.effects)]

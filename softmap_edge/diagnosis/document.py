@@ -1,7 +1,8 @@
-"""The document softmap.diagnosis/2: the result of a diagnosis, as an object that prints, reads and writes itself.
+"""The document softmap.diagnosis/2: the result of a diagnosis, as an object that prints, reads and
+writes itself.
 
-Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on reading.
-Pinned by tests/diagnosis/test_diagnosis.py and tests/model/test_mutated_files.py.
+Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on
+reading. Pinned by tests/diagnosis/test_diagnosis.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ VERDICTS = {
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The result of a diagnosis; prints itself, and `to_dict()` is the document softmap.diagnosis/2.
+    """The result of a diagnosis; prints itself, and `to_dict()` is the document
+    softmap.diagnosis/2.
 
     `model` is the model with the accepted effects added; None after `from_dict`.
     """
@@ -69,13 +71,17 @@ class Diagnosis:
     next: tuple[NextBlock, ...] = ()
     made_from: Document = field(default_factory=dict)
     servo: tuple[ServoFinding, ...] = ()
-    learned_in: tuple[LearnedIn, ...] = ()  # effects that were in the robot while the model was learned
+    # effects that were in the robot while the model was learned
+    learned_in: tuple[LearnedIn, ...] = ()
     remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
-    model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
+    # a Model; callers of `diagnose` need not look for None
+    model: Any = field(default=None, repr=False)
 
     def to_dict(self) -> Document:
         """Return the document softmap.diagnosis/2."""
-        return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
+        return {"schema": SCHEMA} | {
+            f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"
+        }
 
     @classmethod
     def from_dict(cls, document: Mapping[str, object]) -> Diagnosis:
@@ -84,14 +90,19 @@ class Diagnosis:
         Raises:
             SoftmapError: another schema, a missing or mistyped key, an unknown verdict.
         """
-        schema = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
+        schema = (
+            document.get("schema") if isinstance(document, Mapping) else type(document).__name__
+        )
         if schema not in (SCHEMA, BEFORE):
             raise ReportError(
-                f"not a diagnosis: schema is {schema!r}, {SCHEMA!r} is read; make it with `softmap diagnose`"
+                f"not a diagnosis: schema is {schema!r}, {SCHEMA!r} is read; make it with "
+                "`softmap diagnose`"
             )
         if schema == BEFORE:
             document = dict(document) | {"alternatives": document.get("rivals", [])}
-        found = read(cls, {key: value for key, value in document.items() if key != "model"}, "diagnosis")
+        found = read(
+            cls, {key: value for key, value in document.items() if key != "model"}, "diagnosis"
+        )
         if found.verdict not in VERDICTS:
             raise ReportError(f"unknown verdict {found.verdict!r}; there are {', '.join(VERDICTS)}")
         names = [entry.name for entry in (*found.effects, *found.faults)]
@@ -109,11 +120,14 @@ class Diagnosis:
         try:
             document = json.loads(read_document(path), parse_int=_integer)
         except (ValueError, RecursionError) as error:
-            raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
+            raise SoftmapError(
+                f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`"
+            ) from None
         return cls.from_dict(document)
 
     def params_of(self, name: str) -> dict[str, float]:
-        """Return the fitted parameters of one named effect or fault by label; those of the first run, if it is its own.
+        """Return the fitted parameters of one named effect or fault by label; those of the first
+        run, if it is its own.
 
         Raises:
             SoftmapError: the diagnosis does not name it.
@@ -126,14 +140,17 @@ class Diagnosis:
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def added(self, model: Model, names: Sequence[str]) -> Model:
-        """Return a model with effects that this diagnosis names, with what was fitted along with them.
+        """Return a model with effects that this diagnosis names, with what was fitted along with
+        them.
 
         Raises:
             SoftmapError: the diagnosis does not name one of them, or is one of another model.
         """
         params: dict[str, float] = dict(model.params)
         for name in names:
-            params = {label: value for label, value in params.items() if label.split(".")[0] != name}
+            params = {
+                label: value for label, value in params.items() if label.split(".")[0] != name
+            }
             params |= self._checked(model, name)
         chain = (*model.chain_names, *(name for name in names if name not in model.chain_names))
         entries = [entry for entry in (*self.effects, *self.faults) if entry.name in names]
@@ -150,10 +167,14 @@ class Diagnosis:
             known = readings(chain.labels[i], chain.group_labels[i])
             label = next((name for name in known if name in params), known[-1])
             if label not in params:
-                raise SoftmapError(f"the diagnosis has no {label}; it is not of this model, diagnose again")
-            if not low - room <= value <= high + room and label != RADIUS:  # a known radius may be any
                 raise SoftmapError(
-                    f"{label} is {value:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; diagnose again"
+                    f"the diagnosis has no {label}; it is not of this model, diagnose again"
+                )
+            # a known radius may be any
+            if not low - room <= value <= high + room and label != RADIUS:
+                raise SoftmapError(
+                    f"{label} is {value:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; "
+                    "diagnose again"
                 )
         return params
 
@@ -164,13 +185,17 @@ class Diagnosis:
 
 
 def with_error(model: Model, entries: Sequence[Finding]) -> Model:
-    """Return a model that errs by what the effects say that were added to it: with other numbers it is another rod."""
+    """Return a model that errs by what the effects say that were added to it: with other numbers it
+    is another rod.
+    """
     for entry in entries:
         if entry.refitted is None:
             continue
         error = np.asarray(entry.refitted.error_mm, float)
         if error.shape != (model.form_error.size,) or not np.all(np.isfinite(error) & (error >= 0)):
-            raise SoftmapError(f"the diagnosis is not of this model of '{model.robot}'; diagnose again")
+            raise SoftmapError(
+                f"the diagnosis is not of this model of '{model.robot}'; diagnose again"
+            )
         places = np.sum(error.reshape(-1, 3) ** 2, axis=1)
         model = replace(
             model,
@@ -181,5 +206,7 @@ def with_error(model: Model, entries: Sequence[Finding]) -> Model:
 
 
 def _integer(digits: str) -> int | float:
-    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
+    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as
+    infinity.
+    """
     return int(digits) if len(digits) < 300 else float(digits)

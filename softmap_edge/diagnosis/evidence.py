@@ -1,11 +1,12 @@
-"""Evidence for a finished search: the error ladder, effects that this run cannot show, structure in the remainder.
+"""Evidence for a finished search: the error ladder, effects that this run cannot show, structure in
+the remainder.
 
-Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that took no part in the
-fit: blocks of time, or an independent run. The static baseline is a ridge on a polynomial of the command. It is the
-limit of a corrector without memory or physics.
-Testability: whitened size of an effect's signature at a typical strength (see `typical_difference`) on this run.
-Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events. Pinned by
-tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
+Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that
+took no part in the fit: blocks of time, or an independent run. The static baseline is a ridge on a
+polynomial of the command. It is the limit of a corrector without memory or physics. Testability:
+whitened size of an effect's signature at a typical strength (see `typical_difference`) on this run.
+Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events.
+Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
 def equivalents(record: Record, name: str) -> list[str]:
-    """Return the effects of the registry, tried or not, whose form this run cannot distinguish from that of `name`."""
+    """Return the effects of the registry, tried or not, whose form this run cannot distinguish from
+    that of `name`.
+    """
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
@@ -50,7 +53,9 @@ def equivalents(record: Record, name: str) -> list[str]:
 
 
 def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
-    """Return the candidates outside the fit whose signature at a typical strength this run does not show."""
+    """Return the candidates outside the fit whose signature at a typical strength this run does not
+    show.
+    """
     problem, found = fits.problem, []
     for name in fits.candidates:
         if name in fit.effects:
@@ -63,28 +68,43 @@ def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
 
 
 def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
-    """Return the size of an effect of typical strength: mm RMS of the centreline, and its whitened signature (n,)."""
-    signature = np.where(np.isfinite(problem.record.seen), typical_difference(problem, name), np.nan)
-    return problem.record.rms_mm(signature), problem.white(problem.whitener.modes(signature) * problem.gain)
+    """Return the size of an effect of typical strength: mm RMS of the centreline, and its whitened
+    signature (n,).
+    """
+    signature = np.where(
+        np.isfinite(problem.record.seen), typical_difference(problem, name), np.nan
+    )
+    return problem.record.rms_mm(signature), problem.white(
+        problem.whitener.modes(signature) * problem.gain
+    )
 
 
 def unseen(moved: float, size: float) -> str | None:
-    """Return why a signature of `size` standard deviations that moves the body by `moved` mm is not seen, if so."""
+    """Return why a signature of `size` standard deviations that moves the body by `moved` mm is not
+    seen, if so.
+    """
     if moved < VISIBLE_MM:
-        return f"too weak to detect here: a typical value moves the centreline by only {moved:.2f} mm RMS"
+        return (
+            f"too weak to detect here: a typical value moves the centreline by only {moved:.2f} "
+            "mm RMS"
+        )
     if size < DETECTABLE:
-        return f"a typical value has a signature of {size:.1f} standard deviations here; {DETECTABLE:g} are needed"
+        return (
+            f"a typical value has a signature of {size:.1f} standard deviations here; "
+            f"{DETECTABLE:g} are needed"
+        )
     return None
 
 
 def typical_difference(problem: Problem, name: str) -> Floats:
     """Return the feature difference (K, F) mm of an effect at a typical strength.
 
-    This strength is half-way from null to the end of its range. On a logarithmic scale it is the start, or half-way up
-    from there, whichever moves the body more.
+    This strength is half-way from null to the end of its range. On a logarithmic scale it is the
+    start, or half-way up from there, whichever moves the body more.
     """
     space = problem.space((name,))
-    far = 0.5 * np.where(space.usual_high > 0, space.usual_high, space.low)  # some are absent at their high end
+    # some are absent at their high end
+    far = 0.5 * np.where(space.usual_high > 0, space.usual_high, space.low)
     middle = np.where(space.log, space.start, far)
     high = np.where(space.log, np.minimum(0.5, space.usual_high), far)
     middle, high = (np.where(space.declared, p, 0.0) for p in (middle, high))
@@ -116,8 +136,9 @@ def unexplained_structure(problem: Problem, residual: Floats, numbers: int) -> U
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
-    Not counted are a bound at which the effect is absent (no payload, one creep time, a channel without play), the
-    largest of whole numbers, and a natural limit: nothing or all of a share, half a turn, the shortest instant.
+    Not counted are a bound at which the effect is absent (no payload, one creep time, a channel
+    without play), the largest of whole numbers, and a natural limit: nothing or all of a share,
+    half a turn, the shortest instant.
     """
     space = fit.space
     null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
@@ -135,13 +156,17 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
 
 
 def _idle(fit: Fit, label: str) -> bool:
-    """Whether one of the numbers of an effect does nothing, relative to all of them: it may be anything to its null."""
+    """Whether one of the numbers of an effect does nothing, relative to all of them: it may be
+    anything to its null.
+    """
     space, record = fit.space, fit.problem.record
     null = dict(zip(space.free_labels, space.null))
     own = [other for other in null if other.split(".")[0] == label.split(".")[0]]
     params = [{**fit.params, **{name: null[name] for name in names}} for names in ([label], own)]
     rows = np.array([[row[name] for name in space.labels] for row in params])
-    one, every = (record.rms_mm(fit.predicted - p) for p in record.predict(space.names, space.full(rows)))
+    one, every = (
+        record.rms_mm(fit.predicted - p) for p in record.predict(space.names, space.full(rows))
+    )
     return one <= IDLE * every
 
 
@@ -152,7 +177,9 @@ def condition_columns(record: Record) -> dict[str, Floats]:
     v = state.velocity
     pace = v / np.maximum(np.abs(v).max(axis=0, initial=0.0), 1e-9)
     sign = last_direction(state.velocity, state.moving)
-    time = (state.time - state.time.mean()) / max(float(np.ptp(state.time)), 1e-9) if k else state.time
+    time = (
+        (state.time - state.time.mean()) / max(float(np.ptp(state.time)), 1e-9) if k else state.time
+    )
     history = state.history / max(float(state.history.max(initial=0.0)), 1e-9)
     dwell = np.log1p(state.dwell)
     groups = {
@@ -172,7 +199,9 @@ def condition_columns(record: Record) -> dict[str, Floats]:
 
 
 def static_basis(u: Floats) -> Floats:
-    """Return the polynomial (K, n) of scaled commands (K, C): cubic up to two channels, else quadratic."""
+    """Return the polynomial (K, n) of scaled commands (K, C): cubic up to two channels, else
+    quadratic.
+    """
     columns = [np.ones(len(u))]
     channels = u.shape[1]
     for i in range(channels):
@@ -185,7 +214,9 @@ def static_basis(u: Floats) -> Floats:
 
 
 def ridge(columns: Floats, values: Floats, train: NDArray[np.int64], strength: float) -> Floats:
-    """Return predictions (K, m) of a ridge trained on frames `train`; columns (K, n) are standardised there."""
+    """Return predictions (K, m) of a ridge trained on frames `train`; columns (K, n) are
+    standardised there.
+    """
     mean, spread = columns[train].mean(axis=0), columns[train].std(axis=0)
     z = (columns - mean) / np.where(spread > 1e-9, spread, np.inf)
     centre = values[train].mean(axis=0)
@@ -212,11 +243,17 @@ def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]
     sections = record.section[record.positions]
     found = {
         "section": tuple(
-            b for i, s in enumerate(sections) for b in row(str(int(s)), None, None, len(record), squares[:, i])
+            b
+            for i, s in enumerate(sections)
+            for b in row(str(int(s)), None, None, len(record), squares[:, i])
         )
     }
     for name, cell_row in cells(record.state, record.model.command_unit).items():
-        bins = [b for c in cell_row for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])]
+        bins = [
+            b
+            for c in cell_row
+            for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])
+        ]
         found[name] = tuple(bins)
     return found
 
@@ -224,24 +261,32 @@ def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]
 # --- the ladder ---------------------------------------------------------------------------------
 
 
-def ladder(fits: Fits, order: Sequence[str], split: Collection[str], other: Record | None = None) -> Errors:
-    """Return held-out errors in mm: model, static baseline, effects one by one, with both; per fold.
+def ladder(
+    fits: Fits, order: Sequence[str], split: Collection[str], other: Record | None = None
+) -> Errors:
+    """Return held-out errors in mm: model, static baseline, effects one by one, with both; per
+    fold.
 
-    They are those of blocks, or of an independent run `other` with parameters and static residual of the diagnosed run.
+    They are those of blocks, or of an independent run `other` with parameters and static residual
+    of the diagnosed run.
     """
     problem, record = fits.problem, fits.problem.record
     steps = [fits.null, *(fits.get(order[: i + 1], split) for i in range(len(order)))]
     per_fold: tuple[float, ...] = ()
     if other is None:
         predictions = fits.losses(steps[-1])[1]
-        per_fold = tuple(record.rms_mm(record.seen - p, t) for p, (_, t) in zip(predictions, problem.folds))
+        per_fold = tuple(
+            record.rms_mm(record.seen - p, t) for p, (_, t) in zip(predictions, problem.folds)
+        )
 
     def error(fit: Fit, static: bool = False) -> float:
         if other is None:
             return _held_out(problem, fits.losses(fit)[1], static)
         residual = other.seen - fit.on(other)
         if static:
-            residual = residual - _static(record, other, record.seen - fit.predicted, np.arange(len(record)))
+            residual = residual - _static(
+                record, other, record.seen - fit.predicted, np.arange(len(record))
+            )
         return other.rms_mm(residual)
 
     rungs = tuple(Rung(e, error(f)) for e, f in zip(order, steps[1:]))
@@ -260,9 +305,13 @@ def _held_out(problem: Problem, predictions: Floats, static: bool) -> float:
 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
-    """Return a static residual (K of `at`, F) trained on frames `train` of `record`, each feature where it is seen."""
+    """Return a static residual (K of `at`, F) trained on frames `train` of `record`, each feature
+    where it is seen.
+    """
     half = 0.5 * record.spread
-    columns = np.concatenate([static_basis(scaled_commands(r.command, half)) for r in (record, at)])[:, 1:]
+    columns = np.concatenate(
+        [static_basis(scaled_commands(r.command, half)) for r in (record, at)]
+    )[:, 1:]
     found = np.zeros((len(at), residual.shape[1]))
     visible, which = np.unique(np.isfinite(residual[train]).T, axis=0, return_inverse=True)
     for i, seen in enumerate(visible):
@@ -270,5 +319,7 @@ def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int6
         if len(rows):
             values = np.zeros((len(columns), len(features)))
             values[: len(record)] = np.where(np.isfinite(residual), residual, 0.0)[:, features]
-            found[:, features] = ridge(columns, values, rows, STATIC_RIDGE * len(rows))[len(record) :]
+            found[:, features] = ridge(columns, values, rows, STATIC_RIDGE * len(rows))[
+                len(record) :
+            ]
     return found

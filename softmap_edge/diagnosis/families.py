@@ -1,10 +1,12 @@
-"""Level 1 of a diagnosis: which family of effects is missing, asked with a flexible representative of each.
+"""Level 1 of a diagnosis: which family of effects is missing, asked with a flexible representative
+of each.
 
-A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields of the body, fitted
-by ridge regression of the whitened residual; cross-validation chooses the strength of the ridge and says by how much
-the held-out loss falls. The columns, the families and the normal equations are compiled (`rust/families/`).
-Known limit: a representative is linear about the state, and is linearised again until its loss falls no more.
-Pinned by tests/diagnosis/test_two_levels.py.
+A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields
+of the body, fitted by ridge regression of the whitened residual; cross-validation chooses the
+strength of the ridge and says by how much the held-out loss falls. The columns, the families and
+the normal equations are compiled (`rust/families/`). Known limit: a representative is linear about
+the state, and is linearised again until its loss falls no more. Pinned by
+tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -65,7 +67,8 @@ class Family:
     members: tuple[str, ...]  # effects that may be its law
     fields: tuple[str, ...] = ()  # effects whose signatures are among its columns
     modes: int = 0  # free shapes among its columns
-    experiment: tuple[str, float] = ("", 0.0)  # what separates it from families that look like it, and the minutes
+    # what separates it from families that look like it, and the minutes
+    experiment: tuple[str, float] = ("", 0.0)
 
 
 @cache
@@ -90,13 +93,17 @@ def _homes() -> dict[str, Family]:
 
 
 def home(effect: str) -> Family | None:
-    """Return the first family that an effect may be a law of; None for a gross fault and for a user's own effect."""
+    """Return the first family that an effect may be a law of; None for a gross fault and for a
+    user's own effect.
+    """
     return _homes().get(effect)
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a family about a state: column j is base[which_j] · weight_j; `commanded` of them on commands."""
+    """The columns of a family about a state: column j is base[which_j] · weight_j; `commanded` of
+    them on commands.
+    """
 
     base: Floats  # (s, K, F) mm
     which: NDArray[np.intp]  # (n,)
@@ -108,7 +115,9 @@ class Columns:
         return replace(self, base=np.concatenate([slopes, self.base[len(slopes) :]]))
 
     def shift(self, theta: Floats, first: int = 0) -> Floats:
-        """Return what the columns from `first` on make of the features (K, F) mm with coefficients `theta` (n,)."""
+        """Return what the columns from `first` on make of the features (K, F) mm with coefficients
+        `theta` (n,).
+        """
         out = np.zeros(self.base.shape[1:])
         for which, weight, value in zip(self.which[first:], self.weight[first:], theta[first:]):
             out += self.base[which] * (value * weight)[:, None]
@@ -117,7 +126,9 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Representative:
-    """A family fitted as what it can do at most: its coefficients, ridge, held-out loss and displacement."""
+    """A family fitted as what it can do at most: its coefficients, ridge, held-out loss and
+    displacement.
+    """
 
     family: Family
     theta: Floats  # (n,)
@@ -135,7 +146,9 @@ class Representative:
 
 
 class FeatureBody:
-    """What level 1 needs of a problem: effective commands to features, and the columns of each family."""
+    """What level 1 needs of a problem: effective commands to features, and the columns of each
+    family.
+    """
 
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
         self.problem, self.record, self.candidates = problem, problem.record, set(candidates)
@@ -145,8 +158,10 @@ class FeatureBody:
         self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
-        self.own = [info.name for info in registry().values() if info.own]  # a user's, of any family
-        self.ordinary_mm = 0.0  # ordinary static imperfections of the robot, RMS, apart from what was found
+        # a user's, of any family
+        self.own = [info.name for info in registry().values() if info.own]
+        # ordinary static imperfections of the robot, RMS, apart from what was found
+        self.ordinary_mm = 0.0
         self.free_map = isinstance(self.record.model.prior, _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
@@ -162,26 +177,38 @@ class FeatureBody:
             own = np.ascontiguousarray(params[column][: len(chain.labels)])
             t = np.asarray(run.t, float)
             rows = chain.rollout(
-                own[None], np.ascontiguousarray(part.u), t, gravity=declared(run.gravity, len(t), 3),
-                load=declared(run.load, len(t)), temperature=declared(run.temperature, len(t)),
-            )  # fmt: skip
+                own[None],
+                np.ascontiguousarray(part.u),
+                t,
+                gravity=declared(run.gravity, len(t), 3),
+                load=declared(run.load, len(t)),
+                temperature=declared(run.temperature, len(t)),
+            )
             out.append(np.ascontiguousarray(rows[0]))
         return out
 
     def features(self, commands: Commands) -> Floats:
         """Return the features (K, F) mm of the prior at effective commands."""
         rows = [
-            p.model.features_at(seen_commands(p, v), p.run).reshape(p.frames, -1) for p, v in zip(self.parts, commands)
+            p.model.features_at(seen_commands(p, v), p.run).reshape(p.frames, -1)
+            for p, v in zip(self.parts, commands)
         ]
         return np.concatenate(rows)
 
     def slopes(self, commands: Commands) -> Floats:
         """Return the slopes (C, K, F) of the features over effective commands."""
-        rows = [p.model.slopes_at(seen_commands(p, v), self.step, p.run) for p, v in zip(self.parts, commands)]
-        return np.concatenate([row.reshape(len(self.half), *p.seen.shape) for row, p in zip(rows, self.parts)], axis=1)
+        rows = [
+            p.model.slopes_at(seen_commands(p, v), self.step, p.run)
+            for p, v in zip(self.parts, commands)
+        ]
+        return np.concatenate(
+            [row.reshape(len(self.half), *p.seen.shape) for row, p in zip(rows, self.parts)], axis=1
+        )
 
     def modes(self, difference: Floats) -> Floats:
-        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not known, is none."""
+        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not
+        known, is none.
+        """
         known = np.isfinite(self.record.seen) & np.isfinite(difference)
         return np.asarray(np.where(known, difference, 0.0) @ self.weights)
 
@@ -192,20 +219,33 @@ class FeatureBody:
         every, orientations = self._orientations
         rows, free = zip(self.parts, commands, self._temperatures, orientations), self.free_map
         return [
-            _core.Series(v, np.asarray(part.run.t, float), self.middle, self.half, warm, orientation, every, free)
+            _core.Series(
+                v,
+                np.asarray(part.run.t, float),
+                self.middle,
+                self.half,
+                warm,
+                orientation,
+                every,
+                free,
+            )
             for part, v, warm, orientation in rows
         ]
 
     @cached_property
     def _temperatures(self) -> list[Floats | None]:
-        """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
+        """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one
+        run shows.
+        """
         rows = [declared(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
         return list(known) if len(known) == len(rows) else [None] * len(rows)
 
     @cached_property
     def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
-        """Codes of all orientations, and which of them each sample (T,) of a run is in; None where there is one."""
+        """Codes of all orientations, and which of them each sample (T,) of a run is in; None where
+        there is one.
+        """
         rows = [declared(part.run.gravity, len(part.run.t), 3) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
         if len(known) < len(rows):
@@ -217,17 +257,28 @@ class FeatureBody:
         return np.arange(len(every)), list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
 
     def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
-        """Return the columns of a family about effective commands with their `slopes` (C, K, F), if it has any."""
+        """Return the columns of a family about effective commands with their `slopes` (C, K, F), if
+        it has any.
+        """
         bank = _core.Bank(family.name, len(self.half))
         series = self.series(commands)
-        found = [bank.columns(one, np.asarray(part.t_seen, float)) for one, part in zip(series, self.parts)]
-        if len({len(which) for which, _ in found}) > 1:  # one of the runs does not declare what it needs
+        found = [
+            bank.columns(one, np.asarray(part.t_seen, float))
+            for one, part in zip(series, self.parts)
+        ]
+        # one of the runs does not declare what it needs
+        if len({len(which) for which, _ in found}) > 1:
             found = [(which[:0], weight[:0]) for which, weight in found]
-        which, weight = np.asarray(found[0][0], np.intp), np.concatenate([w for _, w in found], axis=1)
+        which, weight = (
+            np.asarray(found[0][0], np.intp),
+            np.concatenate([w for _, w in found], axis=1),
+        )
         fields = self._fields(family)
         if len(fields):
             times = [np.asarray(part.t_seen, float) for part in self.parts]
-            modulation = np.concatenate([bank.modulation(one, at) for one, at in zip(series, times)], axis=1)
+            modulation = np.concatenate(
+                [bank.modulation(one, at) for one, at in zip(series, times)], axis=1
+            )
             extra = len(slopes) + np.repeat(np.arange(len(fields)), len(modulation))
             commanded, which = len(which), np.concatenate([which, extra])
             weight = np.concatenate([weight, np.tile(modulation, (len(fields), 1))])
@@ -240,26 +291,36 @@ class FeatureBody:
             singles = [self.single(name) for name in family.fields if name in self.candidates]
             rows = [field for own in singles if own is not None for field in own.base]
             rows += self._free_shapes(family.modes) if family.modes else []
-            self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
+            self._signatures[family.name] = (
+                np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
+            )
         return self._signatures[family.name]
 
     def single(self, effect: str) -> Columns | None:
-        """Return what the numbers of one effect do, each by itself, as columns; None if they do nothing here."""
+        """Return what the numbers of one effect do, each by itself, as columns; None if they do
+        nothing here.
+        """
         if effect not in self._signatures:
             found = self._signature(effect)
-            self._signatures[effect] = np.stack(found) if found else np.zeros((0, *self.record.seen.shape))
+            self._signatures[effect] = (
+                np.stack(found) if found else np.zeros((0, *self.record.seen.shape))
+            )
         rows = self._signatures[effect]
         if not len(rows):
             return None
         return Columns(rows, np.arange(len(rows)), np.ones((len(rows), len(self.record))), 0)
 
     def curves(self, commands: Commands, slopes: Floats) -> dict[str, Columns]:
-        """Return smooth static maps of one form as columns: a curve of each channel, or what one does to another."""
+        """Return smooth static maps of one form as columns: a curve of each channel, or what one
+        does to another.
+        """
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
         x, channels = (seen - self.middle) / self.half, len(self.half)
         found = {}
         for name in [name for name in CURVES if name != "u"]:
-            found[name] = Columns(slopes, np.arange(channels), (self.half * CURVES[name](x)).T.copy(), channels)
+            found[name] = Columns(
+                slopes, np.arange(channels), (self.half * CURVES[name](x)).T.copy(), channels
+            )
         for name, product in PRODUCTS.items() if channels > 1 else ():
             pairs = [(c, k) for c in range(channels) for k in range(channels) if k != c]
             weight = np.stack([self.half[c] * product(x[:, c], x[:, k]) for c, k in pairs])
@@ -270,10 +331,15 @@ class FeatureBody:
         """Return the leading spatial modes of what candidates do, as shapes that do not change."""
         shapes = np.linalg.pinv(self.weights)[:count]
         size = [self.record.rms_mm(np.tile(s, (len(self.record), 1))) for s in shapes]
-        return [np.tile(FREE_MM * s / max(mm, 1e-9), (len(self.record), 1)) for s, mm in zip(shapes, size)]
+        return [
+            np.tile(FREE_MM * s / max(mm, 1e-9), (len(self.record), 1))
+            for s, mm in zip(shapes, size)
+        ]
 
     def _signature(self, name: str) -> list[Floats]:
-        """Return what each amount of an effect does on top of the model (K, F) mm, at several places if it has one."""
+        """Return what each amount of an effect does on top of the model (K, F) mm, at several
+        places if it has one.
+        """
         record = self.record
         own = tuple(record.model.chain_names)
         layout = record.layout((*own, name))
@@ -322,11 +388,16 @@ class FeatureBody:
         used = np.unique(columns.which)
         place = np.searchsorted(used, columns.which)
         level.add(
-            name, np.ascontiguousarray(self.modes(columns.base[used])), place, np.ascontiguousarray(columns.weight)
+            name,
+            np.ascontiguousarray(self.modes(columns.base[used])),
+            place,
+            np.ascontiguousarray(columns.weight),
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add the slopes of a fit over its numbers that are not at a bound; return whether there are any."""
+        """Add the slopes of a fit over its numbers that are not at a bound; return whether there
+        are any.
+        """
         free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
         if len(free):
             ones = np.ones((len(free), len(self.record)))
@@ -335,7 +406,9 @@ class FeatureBody:
 
 
 class State:
-    """What is known at a step of the search: a joint fit, representatives alongside it, and what both predict."""
+    """What is known at a step of the search: a joint fit, representatives alongside it, and what
+    both predict.
+    """
 
     def __init__(
         self,
@@ -350,8 +423,9 @@ class State:
             body: the problem at level 1.
             fit: the laws that were found, fitted together.
             representatives: those of families without a law.
-            background: families that explain ordinary imperfections, which are not named. Where the static map was
-                learned from data with memory, its families are always among them, because the memory has bent it.
+            background: families that explain ordinary imperfections, which are not named. Where the
+                static map was learned from data with memory, its families are always among them,
+                because the memory has bent it.
         """
         self.body, self.fit, self.representatives = body, fit, tuple(representatives)
         self.background = tuple(dict.fromkeys((*background, *body.learned)))
@@ -366,7 +440,9 @@ class State:
         self.shift = shift  # (K, F) mm, of the representatives
 
     def without_background(self) -> State:
-        """Return this state without families that explain ordinary imperfections, itself where it has none."""
+        """Return this state without families that explain ordinary imperfections, itself where it
+        has none.
+        """
         alone = set(self.background) <= set(self.body.learned)
         return self if alone else State(self.body, self.fit, self.representatives)
 
@@ -386,7 +462,9 @@ class State:
         return np.asarray(self.body.record.seen - self.predicted)
 
     def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
-        """Add what was found, or another `fit`, to normal equations; return names and ridges of the blocks."""
+        """Add what was found, or another `fit`, to normal equations; return names and ridges of the
+        blocks.
+        """
         names, ridges = [], []
         if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
             names, ridges = ["fit"], [1.0]
@@ -421,13 +499,17 @@ class State:
 
 
 def applied(body: FeatureBody, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
-    """Return effective commands behind a representative, and what it adds to the features (K, F) mm."""
+    """Return effective commands behind a representative, and what it adds to the features (K, F)
+    mm.
+    """
     bank = _core.Bank(one.family.name, len(body.half))
     acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
     if len(acting):
         most = FARTHEST * body.half
         moved = [bank.applied(series, acting) for series in body.series(commands)]
-        commands = [np.ascontiguousarray(np.clip(v, body.middle - most, body.middle + most)) for v in moved]
+        commands = [
+            np.ascontiguousarray(np.clip(v, body.middle - most, body.middle + most)) for v in moved
+        ]
     return commands, one.columns.shift(one.theta, one.columns.commanded)
 
 
@@ -457,17 +539,21 @@ def about_itself(
         columns: the columns where the slopes of the features over the commands are (C, K, F).
         theta: coefficients (n,) to start from.
         ridge: strength of the ridge.
-        moves: applies coefficients in full: effective commands behind them, and a shift (K, F) mm on top.
+        moves: applies coefficients in full: effective commands behind them, and a shift (K, F) mm
+            on top.
 
     Returns:
-        tuple: coefficients (n,), held-out loss (folds,), and what they make of the features (K, F) mm.
+        tuple: coefficients (n,), held-out loss (folds,), and what they make of the features (K, F)
+        mm.
     """
     body = state.body
     before = body.features(state.commands)
 
     def shift(theta: Floats) -> tuple[Commands, Floats]:
         there, more = moves(theta)
-        return there, np.asarray(more if there is state.commands else body.features(there) - before + more)
+        return there, np.asarray(
+            more if there is state.commands else body.features(there) - before + more
+        )
 
     best, start = (theta, np.full(1, np.inf)), float(np.sum(body.modes(state.residual) ** 2))
     for _ in range(LINEARISED):
@@ -475,7 +561,8 @@ def about_itself(
         for _ in range(HALVED):
             if np.sum(body.modes(state.residual - moved) ** 2) <= start:
                 break
-            theta = 0.5 * theta  # too far: what is linear in a small effect overestimates a large one
+            # too far: what is linear in a small effect overestimates a large one
+            theta = 0.5 * theta
             there, moved = shift(theta)
         about = columns(state.slopes if there is state.commands else body.slopes(there))
         level = body.level()
@@ -483,7 +570,10 @@ def about_itself(
         names, ridges = state.blocks(level)
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
-        theta, loss = np.asarray(level.theta(every, strengths)[-1]), np.asarray(level.losses(every, strengths))
+        theta, loss = (
+            np.asarray(level.theta(every, strengths)[-1]),
+            np.asarray(level.losses(every, strengths)),
+        )
         settled = loss.sum() > (1.0 - rule.FALL) * best[1].sum()
         best = (theta, loss) if loss.sum() < best[1].sum() else best
         if settled:
@@ -493,7 +583,9 @@ def about_itself(
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Level 1 about a state: the loss before, with the families of what was found alongside, and each family's fit."""
+    """Level 1 about a state: the loss before, with the families of what was found alongside, and
+    each family's fit.
+    """
 
     level: _core.Level
     names: list[str]  # of the blocks of what was found, and of the families alongside
@@ -504,15 +596,21 @@ class Ranking:
     static: Floats  # (K, F) mm, what all static families explain together
 
 
-def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], within: float = 0.0) -> Ranking:
-    """Fit each family about a state, alongside those of laws that were found: the form of a law may be off.
+def ranked(
+    state: State, every: Sequence[Family], taken: Sequence[Family], within: float = 0.0
+) -> Ranking:
+    """Fit each family about a state, alongside those of laws that were found: the form of a law may
+    be off.
 
-    Only those that explain at least a share `within` of what the best does, on training frames, are cross-validated.
+    Only those that explain at least a share `within` of what the best does, on training frames, are
+    cross-validated.
     """
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)
     known = {f"*{one.family.name}" for one in state.representatives}
-    columns = {f: c for f in every if (c := body.columns(f, state.commands, state.slopes)) is not None}
+    columns = {
+        f: c for f in every if (c := body.columns(f, state.commands, state.slopes)) is not None
+    }
     for family, own in columns.items():
         body.add(level, family.name, own)
     level.close(np.ascontiguousarray(body.modes(state.residual)))
@@ -525,7 +623,9 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
             if loss.sum() < before.sum():
                 before, names, ridges = loss, [*names, family.name], [*ridges, ridge]
     rows, gained = [], 0.0
-    gains = {f: _training_gain(level, names, ridges, f.name, before) for f in columns if f not in taken}
+    gains = {
+        f: _training_gain(level, names, ridges, f.name, before) for f in columns if f not in taken
+    }
     for family in sorted(gains, key=lambda f: -gains[f]) if within else gains:
         own, loss, ridge = columns[family], before, RIDGES[-1]
         if gains[family] >= max(rule.FALL * before.sum(), within * gained):
@@ -534,13 +634,21 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
         theta = level.theta([*names, family.name], [*ridges, ridge])[-1]
         numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
         shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
-        rows.append(Representative(family, theta, ridge, loss, numbers, own, body.record.rms_mm(shift)))
+        rows.append(
+            Representative(family, theta, ridge, loss, numbers, own, body.record.rms_mm(shift))
+        )
     rows.sort(key=lambda row: row.left)
-    return Ranking(level, names, ridges, found, before, rows, _static(body, level, names, ridges, rows))
+    return Ranking(
+        level, names, ridges, found, before, rows, _static(body, level, names, ridges, rows)
+    )
 
 
 def _static(
-    body: FeatureBody, level: _core.Level, names: list[str], ridges: list[float], rows: Sequence[Representative]
+    body: FeatureBody,
+    level: _core.Level,
+    names: list[str],
+    ridges: list[float],
+    rows: Sequence[Representative],
 ) -> Floats:
     """Return what all static families explain together, (K, F) mm."""
     static = [row for row in rows if row.family.kind == "static"]
@@ -553,16 +661,24 @@ def _static(
     return out
 
 
-def _training_gain(level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats) -> float:
-    """Return by how much the training loss falls with one block more: the held-out loss seldom falls by more."""
+def _training_gain(
+    level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats
+) -> float:
+    """Return by how much the training loss falls with one block more: the held-out loss seldom
+    falls by more.
+    """
     most = max(float(before.sum()), level.training_loss(names, ridges))
     return most - level.training_loss([*names, name], [*ridges, RIDGES[0]])
 
 
-def best_ridge(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:
-    """Return the least held-out loss with one block more, and the strength of the ridge of that block.
+def best_ridge(
+    level: _core.Level, names: list[str], ridges: list[float], name: str
+) -> tuple[Floats, float]:
+    """Return the least held-out loss with one block more, and the strength of the ridge of that
+    block.
 
-    The loss over the strength has one minimum, so the search goes downhill from the second strength.
+    The loss over the strength has one minimum, so the search goes downhill from the second
+    strength.
     """
 
     def tried(k: int) -> tuple[Floats, float]:
@@ -584,5 +700,11 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
 
 
 def declared(values: object, *shape: int) -> Floats | None:
-    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3); None where it declares nothing."""
-    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), shape))
+    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3); None where it
+    declares nothing.
+    """
+    return (
+        None
+        if values is None
+        else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), shape))
+    )

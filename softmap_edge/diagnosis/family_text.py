@@ -1,8 +1,9 @@
-"""The findings of a diagnosis in the terms of its two levels: each family, its law, and the share of both.
+"""The findings of a diagnosis in the terms of its two levels: each family, its law, and the share
+of both.
 
-A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the facts about it. Pages
-take them from here (`report/families.py`). Documents of schema 1 hold no families. Pinned by
-tests/report/test_loop_figure.py.
+A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the
+facts about it. Pages take them from here (`report/families.py`). Documents of schema 1 hold no
+families. Pinned by tests/report/test_loop_figure.py.
 """
 
 from __future__ import annotations
@@ -38,7 +39,10 @@ def family_line(row: Row, findings: Sequence[Row]) -> str:
     known = {str(one.get("name")): one for one in findings}
     laws = [_law(one, known[one].get("params") or {}) for one in effects if one in known]
     alike = [one for one in effects if one not in known]
-    return f"{_capital(name)}: {', or '.join([*([' and '.join(laws)] if laws else []), *alike]) or '?'}"
+    return (
+        f"{_capital(name)}: "
+        f"{', or '.join([*([' and '.join(laws)] if laws else []), *alike]) or '?'}"
+    )
 
 
 def _capital(name: str) -> str:
@@ -46,7 +50,9 @@ def _capital(name: str) -> str:
 
 
 def _law(effect: str, params: Mapping[str, Row]) -> str:
-    """Return an effect with its numbers: 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1'."""
+    """Return an effect with its numbers: 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel
+    1'.
+    """
     groups: dict[str, list[str]] = {}
     for label, value in params.items():
         name, _, index = label.split(".")[-1].partition("[")
@@ -55,7 +61,9 @@ def _law(effect: str, params: Mapping[str, Row]) -> str:
         cable = f"the {side} cable of " if side in ("+", "-") else ""
         on = f" on {cable}channel {channel}" if index else ""
         groups.setdefault(name, []).append(f"{mm(value.get('value'))}{unit}{on}")
-    return ", ".join([effect, *(f"{name} {' and '.join(values)}" for name, values in groups.items())])
+    return ", ".join(
+        [effect, *(f"{name} {' and '.join(values)}" for name, values in groups.items())]
+    )
 
 
 def family_facts(row: Row, unit: str) -> list[str]:
@@ -72,7 +80,9 @@ def family_facts(row: Row, unit: str) -> list[str]:
 
 
 def family_lines(document: Document, unit: str) -> list[str]:
-    """Return the section on families of a report for a terminal; nothing where none was detected."""
+    """Return the section on families of a report for a terminal; nothing where none was
+    detected.
+    """
     rows = document.get("families") or []
     lines = ["", TITLE] if rows else []
     for row in rows:
@@ -93,8 +103,14 @@ def learned_line(row: Row) -> str:
     if row.get("law") == "unknown":
         return tamed(f"unknown law of {row.get('family', '?')}, not in the model")
     params = {str(one.get("label")): one for one in row.get("params") or []}
-    others = [str(one.get("name") or f"an unknown law of {one.get('family')}") for one in row.get("alternatives") or []]
-    line = f"{_law(str(row.get('name', '?')), params)} ({row.get('family', '?')}, {row.get('law', '?')})"
+    others = [
+        str(one.get("name") or f"an unknown law of {one.get('family')}")
+        for one in row.get("alternatives") or []
+    ]
+    line = (
+        f"{_law(str(row.get('name', '?')), params)} ({row.get('family', '?')}, "
+        f"{row.get('law', '?')})"
+    )
     return tamed(line + (f"; alternatives: {', '.join(dict.fromkeys(others))}" if others else ""))
 
 

@@ -1,4 +1,5 @@
-"""The results of a diagnosis as frozen records, written to and read from the document softmap.diagnosis/2.
+"""The results of a diagnosis as frozen records, written to and read from the document
+softmap.diagnosis/2.
 
 Units: mm, s. Pinned by tests/diagnosis/test_document.py.
 """
@@ -19,7 +20,9 @@ BEYOND = 6  # powers of ten of an e-value that are reported
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted parameter: value, one standard deviation, unit, whether it is at a bound, its case in words."""
+    """A fitted parameter: value, one standard deviation, unit, whether it is at a bound, its case
+    in words.
+    """
 
     value: float
     sigma: float | None = None
@@ -38,7 +41,9 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Refitted:
-    """Numbers of the model itself that were fitted together with an effect, and the error (F,) mm of that fit."""
+    """Numbers of the model itself that were fitted together with an effect, and the error (F,) mm
+    of that fit.
+    """
 
     params: dict[str, Number]
     error_mm: tuple[float, ...] = ()
@@ -48,8 +53,8 @@ class Refitted:
 class Certificate:
     """Evidence for a claim from blocks that took no part in fitting its numbers.
 
-    `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least `log10_needed`.
-    `reason` says why there is no e-value.
+    `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least
+    `log10_needed`. `reason` says why there is no e-value.
     """
 
     log10_e: float | None = None
@@ -68,11 +73,16 @@ class Certificate:
         if self.log10_e is None or self.log10_needed is None:
             return f"not tested on withheld blocks: {self.reason}"
         how = "confirmed" if self.certified else "not confirmed"
-        return f"{how} on the withheld blocks (e-value {power(self.log10_e)}; needed {power(self.log10_needed)})"
+        return (
+            f"{how} on the withheld blocks (e-value {power(self.log10_e)}; needed "
+            f"{power(self.log10_needed)})"
+        )
 
 
 def power(log10: float) -> str:
-    """Return a number by its decimal logarithm; beyond BEYOND powers of ten no noise model is that exact."""
+    """Return a number by its decimal logarithm; beyond BEYOND powers of ten no noise model is that
+    exact.
+    """
     if abs(log10) > BEYOND:
         return f"{'more' if log10 > 0.0 else 'less'} than 10^{'' if log10 > 0.0 else '-'}{BEYOND}"
     if not -2.0 <= log10 < 4.0:
@@ -84,8 +94,8 @@ def power(log10: float) -> str:
 class Finding:
     """An effect that the model lacks, or a fault of the measurement.
 
-    `probability` is the probability that this effect, or an equivalent one, is present. Below one half it is a
-    candidate. `share` is its share of the explained error.
+    `probability` is the probability that this effect, or an equivalent one, is present. Below one
+    half it is a candidate. `share` is its share of the explained error.
     """
 
     name: str
@@ -101,7 +111,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A set of effects that explains the data as well, in place of `member`, and why it cannot be excluded."""
+    """A set of effects that explains the data as well, in place of `member`, and why it cannot be
+    excluded.
+    """
 
     effects: tuple[str, ...] = ()
     why: str = ""
@@ -113,9 +125,10 @@ class Alternative:
 class FamilyFinding:
     """A family of effects that was detected.
 
-    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit equally well) or
-    "unknown" (no known law explains as much as the family; `effects` holds the one that explains most of it, if any).
-    `share` is its share of the explained loss; `law_share` is the part of that share that the best known law explains.
+    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit
+    equally well) or "unknown" (no known law explains as much as the family; `effects` holds the one
+    that explains most of it, if any). `share` is its share of the explained loss; `law_share` is
+    the part of that share that the best known law explains.
     """
 
     name: str
@@ -127,12 +140,14 @@ class FamilyFinding:
     law_share: float | None = None
     generic: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()  # other families that cannot be distinguished here
-    certificate: Certificate | None = None  # of a family without a law; that of a law stands with its effect
+    # of a family without a law; that of a law stands with its effect
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
 class Untestable:
-    """An effect that this run cannot show, or cannot distinguish from another: why, and what to record.
+    """An effect that this run cannot show, or cannot distinguish from another: why, and what to
+    record.
 
     If it is a limit `of_model`, no recording shows it with this model.
     """
@@ -154,7 +169,9 @@ class Rung:
 
 @dataclass(frozen=True)
 class ErrorLadder:
-    """Held-out RMS errors: the model, a static baseline, effects one by one, both; and the floors."""
+    """Held-out RMS errors: the model, a static baseline, effects one by one, both; and the
+    floors.
+    """
 
     model: float | None = None
     static_residual: float | None = None
@@ -182,18 +199,23 @@ class ErrorLadder:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it on held-out blocks."""
+    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it on
+    held-out blocks.
+    """
 
     rms_mm: float | None = None
     chi2_per_n: float | None = None
     blocked_r2: float | None = None
     predicted_by: str | None = None
-    ordinary_mm: float | None = None  # ordinary static imperfections of the robot, which are no discovery
+    # ordinary static imperfections of the robot, which are no discovery
+    ordinary_mm: float | None = None
 
 
 @dataclass(frozen=True)
 class Bin:
-    """One class of a condition: its name, bounds (or None), number of frames and RMS error in mm."""
+    """One class of a condition: its name, bounds (or None), number of frames and RMS error in
+    mm.
+    """
 
     label: str
     low: float | None
@@ -212,7 +234,9 @@ class Where:
 
 @dataclass(frozen=True)
 class NextBlock:
-    """What to record next: the minutes it takes, what it resolves, and the simulated separation if there is one."""
+    """What to record next: the minutes it takes, what it resolves, and the simulated separation if
+    there is one.
+    """
 
     block: str
     minutes: float | None = None
@@ -238,7 +262,9 @@ class ServoError:
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """Effects between command and encoder of one channel, and the held-out error before and after."""
+    """Effects between command and encoder of one channel, and the held-out error before and
+    after.
+    """
 
     channel: int
     unit: str
@@ -247,7 +273,9 @@ class ServoFinding:
 
 
 def plain(value: object) -> Any:
-    """Return records as dictionaries and lists, ready for JSON; omit absent entries (None by default)."""
+    """Return records as dictionaries and lists, ready for JSON; omit absent entries (None by
+    default).
+    """
     if is_dataclass(value) and not isinstance(value, type):
         return {
             f.name: plain(getattr(value, f.name))
@@ -269,7 +297,8 @@ def read(kind: type[T], document: object, where: str) -> T:
     """
     if not isinstance(document, Mapping):
         raise ReportError(
-            f"damaged diagnosis: {where} is {type(document).__name__}, expected an object; diagnose again"
+            f"damaged diagnosis: {where} is {type(document).__name__}, expected an object; "
+            "diagnose again"
         )
     hints, values = get_type_hints(kind), {}
     for f in fields(kind):  # type: ignore[arg-type]
@@ -289,19 +318,26 @@ def _value(hint: object, value: object, where: str) -> Any:
         return _value(next(kind for kind in inner if kind is not type(None)), value, where)
     if origin is Literal:
         if value not in inner:
-            raise ReportError(f"damaged diagnosis: {where} is {value!r:.40}, expected one of {', '.join(inner)}")
+            raise ReportError(
+                f"damaged diagnosis: {where} is {value!r:.40}, expected one of {', '.join(inner)}"
+            )
         return value
     if origin is tuple:
         rows = _typed(list, value, where)
         return tuple(_value(inner[0], row, f"{where}[{i}]") for i, row in enumerate(rows))
     if origin is dict:
-        return {str(key): _value(inner[1], one, f"{where}.{key}") for key, one in _typed(Mapping, value, where).items()}
+        return {
+            str(key): _value(inner[1], one, f"{where}.{key}")
+            for key, one in _typed(Mapping, value, where).items()
+        }
     if isinstance(hint, type) and is_dataclass(hint):
         return read(hint, value, where)
     if hint is float:
         found = float(_typed((int, float), value, where))
         if not math.isfinite(found):
-            raise ReportError(f"damaged diagnosis: {where} is {found}, no finite value; diagnose again")
+            raise ReportError(
+                f"damaged diagnosis: {where} is {found}, no finite value; diagnose again"
+            )
         return found
     return value if hint is Any else _typed(hint, value, where)
 

@@ -1,14 +1,15 @@
-"""Fits parameters of effects to a run: bounded Levenberg-Marquardt on whitened features, all steps in batched rollouts.
+"""Fits parameters of effects to a run: bounded Levenberg-Marquardt on whitened features, all steps
+in batched rollouts.
 
     J(x) = |C^(-1/2) (seen - predicted(x))|² / inflation + |x|²
 
-x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is searched on a log
-scale; the last term is the weak prior at the plausible range. Bounds are kept by clipping and an active set.
-A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that).
-While steps win what the slopes promise it is carried on by secants (Broyden 1965,
-doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one.
-Limit: blocked cross-validation refits each fold by one Gauss-Newton step from the full fit, of at most half a range.
-Pinned by tests/diagnosis/test_fit.py.
+x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is
+searched on a log scale; the last term is the weak prior at the plausible range. Bounds are kept by
+clipping and an active set. A Jacobian is one batched call (forward differences, 0.4 % of the range:
+play and stops are not smooth below that). While steps win what the slopes promise it is carried on
+by secants (Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one. Limit:
+blocked cross-validation refits each fold by one Gauss-Newton step from the full fit, of at most
+half a range. Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations
@@ -28,20 +29,23 @@ from softmap_edge.run.folds import run_folds
 
 Floats = NDArray[np.float64]
 
-HALF_SEEN = 0.25  # of the frames: where more show only some of the features, all are predicted by their features
+# of the frames: where more show only some of the features, all are predicted by their features
+HALF_SEEN = 0.25
 STEP = 4e-3  # of the range of a parameter
 ITERATIONS = 20
 DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
-DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
+# factors tried with new slopes; the next lot if none is better
+DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))
 SECANTS = 3  # parameters from which slopes are carried on by secants
-LINEAR = 0.5  # of the fall that its slopes predict: a step that wins less, or twice as much, needs new slopes
+# of the fall that its slopes predict: a step that wins less, or twice as much, needs new slopes
+LINEAR = 0.5
 
 
 class Space:
     """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`.
 
-    A number that channels share is one coordinate, `backlash.gap`, for all of them. For an effect in `split` there is
-    one for each channel, `backlash.gap[0]`.
+    A number that channels share is one coordinate, `backlash.gap`, for all of them. For an effect
+    in `split` there is one for each channel, `backlash.gap[0]`.
     """
 
     def __init__(
@@ -57,28 +61,45 @@ class Space:
         layout = record.layout(own + tuple(e for e in effects if e not in own), split)
         self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
-        null, start, low, high, limit = layout.null, layout.start, layout.low, layout.high, layout.limit
+        null, start, low, high, limit = (
+            layout.null,
+            layout.start,
+            layout.low,
+            layout.high,
+            layout.limit,
+        )
         searched = set(free or effects)
         identifiable = [label.split("@")[0] not in record.untold for label in self.labels]
         self.free = np.array(
-            [i for i, s in enumerate(self.labels) if s.split(".")[0] in searched and identifiable[i]], int
+            [
+                i
+                for i, s in enumerate(self.labels)
+                if s.split(".")[0] in searched and identifiable[i]
+            ],
+            int,
         )
         self.base = layout.values(base, null)
-        self.log, self.integer, self.instant = (a[self.free] for a in (layout.log, layout.integer, layout.instant))
-        self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without
+        self.log, self.integer, self.instant = (
+            a[self.free] for a in (layout.log, layout.integer, layout.instant)
+        )
+        # not so the prior's own numbers, which count with or without
+        self.declared = layout.declared[self.free]
         self._zero = np.where(self.log, start[self.free], null[self.free])
         linear = np.maximum(np.abs(high - null), np.abs(low - null))[self.free]
         with np.errstate(divide="ignore", invalid="ignore"):
             octave = np.where(self.log, 0.5 * np.log(high[self.free] / low[self.free]), 1.0)
         self._scale = np.where(self.log, octave, np.maximum(linear, 1e-12))
         self.low, self.high = self.scaled(low[self.free]), self.scaled(limit[self.free])
-        self.usual_high = self.scaled(high[self.free])  # the end of the plausible range; fits may go on to `high`
+        # the end of the plausible range; fits may go on to `high`
+        self.usual_high = self.scaled(high[self.free])
         self.start = self.scaled(start[self.free])
         self.null = null[self.free]
 
     def scaled(self, values: Floats) -> Floats:
         """Return x of parameter values (P,)."""
-        safe = np.where(self.log, np.maximum(values, 1e-300) / np.maximum(np.abs(self._zero), 1e-300), 1.0)
+        safe = np.where(
+            self.log, np.maximum(values, 1e-300) / np.maximum(np.abs(self._zero), 1e-300), 1.0
+        )
         return np.asarray(np.where(self.log, np.log(safe), values - self._zero) / self._scale)
 
     def values(self, x: Floats) -> Floats:
@@ -88,7 +109,9 @@ class Space:
         return np.asarray(np.where(self.log, self._zero * np.exp(exponent), self._zero + stretched))
 
     def params(self, x: Floats) -> Floats:
-        """Return full parameter sets (B, N) of a batch x (B, P), the input of a record's prediction."""
+        """Return full parameter sets (B, N) of a batch x (B, P), the input of a record's
+        prediction.
+        """
         return self.full(self._sets(x))
 
     def named(self, x: Floats) -> dict[str, float]:
@@ -106,11 +129,16 @@ class Space:
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
     def pinned(self, x: Floats) -> Space:
-        """Return the coordinates within bounds that hold whole numbers where they are at x: no slope leads away."""
+        """Return the coordinates within bounds that hold whole numbers where they are at x: no
+        slope leads away.
+        """
         if not self.integer.any():
             return self
         held = copy(self)
-        held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
+        held.low, held.high = (
+            np.where(self.integer, x, self.low),
+            np.where(self.integer, x, self.high),
+        )
         return held
 
     @cached_property
@@ -125,9 +153,11 @@ class Space:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted set of effects: objective `cost`, `chi2` without the prior, and what cross-validation needs.
+    """A fitted set of effects: objective `cost`, `chi2` without the prior, and what
+    cross-validation needs.
 
-    Many sets are fitted and seldom looked at again: what they predict, and the slopes there, are found when asked for.
+    Many sets are fitted and seldom looked at again: what they predict, and the slopes there, are
+    found when asked for.
     """
 
     problem: Problem
@@ -141,7 +171,9 @@ class Fit:
     @cached_property
     def predicted(self) -> Floats:
         """The features (K, F) mm that are predicted."""
-        return np.asarray(self.problem.record.predict(self.space.names, self.space.params(self.x[None]))[0])
+        return np.asarray(
+            self.problem.record.predict(self.space.names, self.space.params(self.x[None]))[0]
+        )
 
     @cached_property
     def slopes(self) -> Floats:
@@ -156,12 +188,16 @@ class Fit:
     def on(self, other: Record) -> Floats:
         """Return what the fitted parameters predict on another record (K, F) mm."""
         layout = other.layout(self.space.names, self.space.split)
-        return np.asarray(other.predict(self.space.names, layout.full(layout.values(self.params)[None]))[0])
+        return np.asarray(
+            other.predict(self.space.names, layout.full(layout.values(self.params)[None]))[0]
+        )
 
 
 @dataclass(frozen=True)
 class ProjectedFeatures:
-    """What is seen as modes (K, M), and by itself the frames, `rows` (R,), of which some features are not seen."""
+    """What is seen as modes (K, M), and by itself the frames, `rows` (R,), of which some features
+    are not seen.
+    """
 
     modes: Floats
     rows: NDArray[np.intp]
@@ -169,14 +205,21 @@ class ProjectedFeatures:
 
 
 class Problem:
-    """A record with its noise and form error: what every fit and every cross-validation of a diagnosis shares."""
+    """A record with its noise and form error: what every fit and every cross-validation of a
+    diagnosis shares.
+    """
 
-    def __init__(self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None) -> None:
-        """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by label."""
+    def __init__(
+        self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None
+    ) -> None:
+        """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by
+        label.
+        """
         self.record, self.noise, self.whitener = record, noise, whitener
         self.base = record.own_values() if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
-        seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
+        # a frame that shows a third of the body counts a third
+        seen = np.isfinite(record.seen).mean(axis=1)
         self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, ProjectedFeatures | None] | None = None
@@ -191,8 +234,12 @@ class Problem:
         shrunk = self.whitener.shrink(modes)
         return shrunk.reshape(*shrunk.shape[:-2], shrunk.shape[-2] * shrunk.shape[-1])
 
-    def space(self, effects: Sequence[str], free: Sequence[str] = (), split: Collection[str] = ()) -> Space:
-        """Return the coordinates of a set of effects, cached. Effects in `split` have one number for each channel."""
+    def space(
+        self, effects: Sequence[str], free: Sequence[str] = (), split: Collection[str] = ()
+    ) -> Space:
+        """Return the coordinates of a set of effects, cached. Effects in `split` have one number
+        for each channel.
+        """
         key = (tuple(effects), tuple(free), tuple(sorted(split)))
         if key not in self._spaces:
             self._spaces[key] = Space(self.record, effects, self.base, free, split)
@@ -208,7 +255,9 @@ class Problem:
     def fold_kernels(self) -> list[tuple[Kernel, Kernel]]:
         """Kernels over the commands of each fold's training and test frames."""
         command, spread, leaning = self.record.command, self.record.spread, self.record.leaning
-        parts = [(command_kernel(command[i], spread, leaning[i]) for i in fold) for fold in self.folds]
+        parts = [
+            (command_kernel(command[i], spread, leaning[i]) for i in fold) for fold in self.folds
+        ]
         return [(train, test) for train, test in parts]
 
     @cached_property
@@ -221,7 +270,9 @@ class Problem:
         return self.record.forms(self._weights)
 
     def _projected(self) -> ProjectedFeatures | None:
-        """Return the modes of what is seen, found again if that was exchanged; None where much is not seen."""
+        """Return the modes of what is seen, found again if that was exchanged; None where much is
+        not seen.
+        """
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
             complete = np.asarray(np.isfinite(seen).all(axis=1))
@@ -229,7 +280,9 @@ class Problem:
             projected = None
             if len(rows) <= HALF_SEEN * len(seen):
                 few = None if complete.all() else self.record.some(rows)
-                projected = ProjectedFeatures(np.where(complete[:, None], seen, 0.0) @ self._weights, rows, few)
+                projected = ProjectedFeatures(
+                    np.where(complete[:, None], seen, 0.0) @ self._weights, rows, few
+                )
             self._seen = seen, projected
         return self._seen[1]
 
@@ -241,7 +294,8 @@ class Problem:
         found = np.asarray(projected.modes - self._forms(space.names, params))
         if projected.few is not None:
             found[:, projected.rows] = (
-                self.whitener.modes(projected.few.seen - projected.few.predict(space.names, params)) * self.gain
+                self.whitener.modes(projected.few.seen - projected.few.predict(space.names, params))
+                * self.gain
             )
         return found
 
@@ -258,7 +312,11 @@ class Problem:
         return np.asarray((self.at(space, x + np.diag(step)) - modes) / step[:, None, None])
 
     def fit(
-        self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = (), split: Collection[str] = ()
+        self,
+        effects: Sequence[str],
+        starts: Sequence[Floats],
+        free: Sequence[str] = (),
+        split: Collection[str] = (),
     ) -> Fit:
         """Fit a set of effects from each start (P,) in scaled coordinates and keep the best.
 
@@ -277,7 +335,8 @@ class Problem:
         modes = self.at(space, x[None])[0]
         if not np.all(np.isfinite(modes)):
             raise SoftmapError(
-                f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}"
+                "the model predicts numbers that are not finite with "
+                f"{', '.join(effects) or 'no effect'}"
             )
         cost, chi2 = (float(a[0]) for a in self.costs(modes[None], x[None]))
         damping, slopes, fresh = DAMPING, self.slopes(space, x, modes), True
@@ -285,7 +344,9 @@ class Problem:
             jacobian, residual = self.white(slopes), self.white(modes)
             gradient, hessian = normal(x, jacobian, residual)
             for factors in DAMPINGS if fresh else DAMPINGS[:1]:
-                tries = np.stack([normal_step(space, x, gradient, hessian, damping * f) for f in factors])
+                tries = np.stack(
+                    [normal_step(space, x, gradient, hessian, damping * f) for f in factors]
+                )
                 ahead = self.at(space, tries)
                 costs, chis = self.costs(ahead, tries)
                 best = int(np.argmin(costs))
@@ -294,16 +355,24 @@ class Problem:
             if not costs[best] < cost and fresh:
                 break
             step, fall = tries[best] - x, cost - float(costs[best])
-            promised = cost - float(np.sum((residual + step @ jacobian) ** 2) + np.sum(tries[best] ** 2))
+            promised = cost - float(
+                np.sum((residual + step @ jacobian) ** 2) + np.sum(tries[best] ** 2)
+            )
             small = fall < 0.05 + 1e-4 * cost and float(np.max(np.abs(step))) < 0.1
             if costs[best] < cost:
                 missed = ahead[best] - modes - np.tensordot(step, slopes, 1)
                 x, modes = tries[best], ahead[best]
                 cost, chi2 = float(costs[best]), float(chis[best])
-                damping = float(np.clip(damping * (0.2 if factors[best] == 1.0 else factors[best]), 1e-6, 1e6))
+                damping = float(
+                    np.clip(damping * (0.2 if factors[best] == 1.0 else factors[best]), 1e-6, 1e6)
+                )
                 if small and fresh:
                     break
-            if small or len(x) < SECANTS or not LINEAR < fall / max(promised, 1e-300) < 1.0 / LINEAR:
+            if (
+                small
+                or len(x) < SECANTS
+                or not LINEAR < fall / max(promised, 1e-300) < 1.0 / LINEAR
+            ):
                 slopes, fresh = self.slopes(space, x, modes), True
             else:
                 slopes, fresh = slopes + step[:, None, None] * (missed / (step @ step)), False
@@ -313,19 +382,24 @@ class Problem:
         return found
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
-        """Return one standard deviation of each free parameter in user units, widened by the over-dispersion."""
+        """Return one standard deviation of each free parameter in user units, widened by the
+        over-dispersion.
+        """
         jacobian = self.white(fit.slopes)
         inverse = np.linalg.inv(jacobian @ jacobian.T / max(1.0, dispersion) + np.eye(len(fit.x)))
         return fit.space.sigma(fit.x, np.sqrt(np.diag(inverse)))
 
     def fold_predictions(self, fit: Fit) -> Floats:
-        """Return predictions (folds, K, F) with the parameters refitted on each fold's training frames."""
+        """Return predictions (folds, K, F) with the parameters refitted on each fold's training
+        frames.
+        """
         if not len(fit.x):
             return np.tile(fit.predicted, (len(self.folds), 1, 1))
         points = []
         for (train, _), (kernel, _) in zip(self.folds, self.fold_kernels):
             jacobian = self.whitener.shrink(fit.slopes[:, train], kernel).reshape(len(fit.x), -1)
-            acts = np.sum(jacobian**2, axis=1) >= 1.0  # else the prior alone moves it, in a fold that does not show it
+            # else the prior alone moves it, in a fold that does not show it
+            acts = np.sum(jacobian**2, axis=1) >= 1.0
             residual = self.whitener.shrink(fit.modes[train], kernel).ravel()
             step = newton_step(fit.space, fit.x, jacobian, residual, DAMPING) - fit.x
             step = np.where(acts, np.clip(step, -0.5, 0.5), 0.0)
@@ -333,9 +407,13 @@ class Problem:
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 
     def held_out_mm(self, predictions: Floats) -> float:
-        """Return the RMS distance in mm of each fold's own prediction (folds, K, F) on its test frames."""
+        """Return the RMS distance in mm of each fold's own prediction (folds, K, F) on its test
+        frames.
+        """
         folds = zip(predictions, self.folds)
-        squares = [self.record.squares(self.record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
+        squares = [
+            self.record.squares(self.record.seen[test] - p[test]).ravel() for p, (_, test) in folds
+        ]
         return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
     def fold_losses(self, predictions: Floats) -> Floats:
@@ -344,12 +422,19 @@ class Problem:
         Every frame counts for itself, with noise and form error in its variance.
         """
         spread = np.sqrt(1.0 + self.whitener.form)
-        modes = [self.whitener.modes(self.record.seen[i] - p[i]) for p, (_, i) in zip(predictions, self.folds)]
+        modes = [
+            self.whitener.modes(self.record.seen[i] - p[i])
+            for p, (_, i) in zip(predictions, self.folds)
+        ]
         return np.array([np.sum((one * self.gain / spread) ** 2) for one in modes])
 
 
-def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float) -> Floats:
-    """Return x after one damped Gauss-Newton step within the bounds; jacobian (P, n), residual (n,)."""
+def newton_step(
+    space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float
+) -> Floats:
+    """Return x after one damped Gauss-Newton step within the bounds; jacobian (P, n), residual
+    (n,).
+    """
     return normal_step(space, x, *normal(x, jacobian, residual), damping)
 
 
@@ -358,8 +443,12 @@ def normal(x: Floats, jacobian: Floats, residual: Floats) -> tuple[Floats, Float
     return np.asarray(jacobian @ residual + x), np.asarray(jacobian @ jacobian.T + np.eye(len(x)))
 
 
-def normal_step(space: Space, x: Floats, gradient: Floats, hessian: Floats, damping: float) -> Floats:
-    """Return x after one damped step within the bounds, from gradient (P,) and Hessian (P, P) of half the objective."""
+def normal_step(
+    space: Space, x: Floats, gradient: Floats, hessian: Floats, damping: float
+) -> Floats:
+    """Return x after one damped step within the bounds, from gradient (P,) and Hessian (P, P) of
+    half the objective.
+    """
     low, high = space.low, space.high
     free = ~(((x <= low + 1e-9) & (gradient > 0)) | ((x >= high - 1e-9) & (gradient < 0)))
     ahead = x.copy()

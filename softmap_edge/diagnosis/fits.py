@@ -1,7 +1,8 @@
-"""Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each member does.
+"""Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each
+member does.
 
-A set is fitted from the best of a few starts of its newest member, with the others where a smaller set left them.
-Units: mm. Pinned by tests/diagnosis/test_fits.py.
+A set is fitted from the best of a few starts of its newest member, with the others where a smaller
+set left them. Units: mm. Pinned by tests/diagnosis/test_fits.py.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.fit import STEP, Fit, Problem, Space
 
 Floats = NDArray[np.float64]
-Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a number for each channel
+# effects, and those of them with a number for each channel
+Key = tuple[frozenset[str], frozenset[str]]
 
 INSTANTS = 16  # places in time at which something may have happened
 DESCENTS = 2  # starts of a member that are followed to their end
 APART = 0.5  # of a scale: two starts that lie nearer to each other are one
 SLOPES_BYTES = 20e6  # of all fits of a problem: those of a run of some hundred frames take less
-GRID = (0.15, 0.35, 0.65, 0.85)  # of a logarithmic scale, where a fit of an effect begins besides its start
+# of a logarithmic scale, where a fit of an effect begins besides its start
+GRID = (0.15, 0.35, 0.65, 0.85)
 
 
 class Fits:
@@ -35,7 +38,9 @@ class Fits:
         self._shifts: dict[tuple[Key, str], Floats] = {}
 
     def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
-        """Return the fit of a set of effects; those in `split` have a number for each channel in place of one."""
+        """Return the fit of a set of effects; those in `split` have a number for each channel in
+        place of one.
+        """
         key = frozenset(effects), frozenset(split) & frozenset(effects)
         if key not in self._fits:
             self._fits[key] = self._split(key) if key[1] else self._grown(key[0])
@@ -43,7 +48,9 @@ class Fits:
         return self._fits[key]
 
     def _forget(self) -> None:
-        """Drop the slopes of the oldest fits if those of all take much memory; a fit finds them again when asked."""
+        """Drop the slopes of the oldest fits if those of all take much memory; a fit finds them
+        again when asked.
+        """
         held = [fit for fit in reversed(self._fits.values()) if "slopes" in fit.__dict__]
         size = np.cumsum([fit.slopes.nbytes for fit in held])
         for fit, total in zip(held, size):
@@ -55,27 +62,37 @@ class Fits:
         return self.get([e for e in fit.effects if e != effect], fit.space.split)
 
     def _split(self, key: Key) -> Fit:
-        """Fit a set with numbers for each channel, from where the numbers for all of them are best."""
+        """Fit a set with numbers for each channel, from where the numbers for all of them are
+        best.
+        """
         effects, split = key
         shared = self.get(effects, split - {max(split)})
         space = self.problem.space(shared.effects, split=split)
         return self.problem.fit(shared.effects, [carried(shared, space)], split=split)
 
     def _grown(self, key: frozenset[str]) -> Fit:
-        """Fit a set from the nearest smaller one that is known, else from that without its last member."""
+        """Fit a set from the nearest smaller one that is known, else from that without its last
+        member.
+        """
         none: frozenset[str] = frozenset()
-        known = [self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits]
+        known = [
+            self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits
+        ]
         ordered = sorted(key, key=self.candidates.index)
         parent = min(known, key=lambda f: f.cost) if known else self.get(ordered[:-1])
         added = next(iter(key - set(parent.effects)))
         space = self.problem.space((*parent.effects, added))
-        points = np.stack([_joined(space, parent, added, start) for start in starts(self.problem, added)])
+        points = np.stack(
+            [_joined(space, parent, added, start) for start in starts(self.problem, added)]
+        )
         points = _with_signs(self.problem, space, points, added)
         costs = self.problem.costs(self.problem.at(space, points), points)[0]
         order = [int(i) for i in np.argsort(costs, kind="stable")]
         followed = [points[order[0]]]
         for i in order[1:]:
-            if len(followed) < DESCENTS and all(np.max(np.abs(points[i] - p)) > APART for p in followed):
+            if len(followed) < DESCENTS and all(
+                np.max(np.abs(points[i] - p)) > APART for p in followed
+            ):
                 followed.append(points[i])
         return self.problem.fit((*parent.effects, added), followed)
 
@@ -109,17 +126,29 @@ class Fits:
         return self._shifts[key]
 
     def share(self, fit: Fit, member: str) -> float:
-        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
+        """Return which share of the explained misfit a member carries, on held-out blocks or on the
+        objective.
+        """
         rest = self.without(fit, member)
         plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
-        pairs = ((plain[1] - plain[2], plain[0] - plain[2]), (rest.cost - fit.cost, self.null.cost - fit.cost))
+        pairs = (
+            (plain[1] - plain[2], plain[0] - plain[2]),
+            (rest.cost - fit.cost, self.null.cost - fit.cost),
+        )
         return max(part / total if total > 0.0 else 0.0 for part, total in pairs)
 
 
 def carried(fit: Fit, space: Space) -> Floats:
-    """Return the coordinates (P,) of a fit in a space that has a number for each channel where the fit has one."""
+    """Return the coordinates (P,) of a fit in a space that has a number for each channel where the
+    fit has one.
+    """
     known = dict(zip(fit.space.free_labels, fit.x))
-    return np.array([known[label] if label in known else known[label.split("[")[0]] for label in space.free_labels])
+    return np.array(
+        [
+            known[label] if label in known else known[label.split("[")[0]]
+            for label in space.free_labels
+        ]
+    )
 
 
 def _key(fit: Fit) -> Key:
@@ -127,10 +156,11 @@ def _key(fit: Fit) -> Key:
 
 
 def starts(problem: Problem, effect: str) -> list[Floats]:
-    """Return scaled starting points of one effect: as declared, with other signs, along log scales, in time.
+    """Return scaled starting points of one effect: as declared, with other signs, along log scales,
+    in time.
 
-    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at home, where the
-    slope on one side says nothing about the other.
+    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at
+    home, where the slope on one side says nothing about the other.
     """
     space = problem.space((effect,), free=(effect,))
     if space.integer.any():
@@ -158,8 +188,8 @@ def starts(problem: Problem, effect: str) -> list[Floats]:
 def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> Floats:
     """Return starts (S, P) of an effect with its signed numbers where one linear step takes them.
 
-    The place of an effect (a radius, an instant, a section) is compared from start to start. With a wrong sign the
-    right place looks worst.
+    The place of an effect (a radius, an instant, a section) is compared from start to start. With a
+    wrong sign the right place looks worst.
     """
     own = space.of((effect,))
     places = own & (space.log | space.instant)
@@ -189,7 +219,9 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
 
 
 def _integer_points(space: Space) -> list[Floats]:
-    """Return every combination of the whole numbers of an effect, but that where all are at their null."""
+    """Return every combination of the whole numbers of an effect, but that where all are at their
+    null.
+    """
     values = space.values(space.start)
     rows = [
         [float(k) for k in range(round(low), round(high) + 1)] if is_integer else [value]

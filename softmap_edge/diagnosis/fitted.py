@@ -1,4 +1,5 @@
-"""What a fit gives of an effect: its numbers, those of the prior fitted with it, and its size at other commands.
+"""What a fit gives of an effect: its numbers, those of the prior fitted with it, and its size at
+other commands.
 
 Units: those of the parameters, mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -27,8 +28,8 @@ def parameters(
 ) -> dict[str, Number]:
     """Return the fitted parameters of the effects `names` by label.
 
-    Those that the effects declare, or the numbers of the prior that were open with them. A number that stands for a
-    case has its `meaning` in words.
+    Those that the effects declare, or the numbers of the prior that were open with them. A number
+    that stands for a case has its `meaning` in words.
     """
     values, bound = fit.space.values(fit.x), at_bound(fit)
     in_commands = effects_that("channel")
@@ -44,19 +45,30 @@ def parameters(
         meaning = None
         if fit.space.integer[j]:
             chain = _core.Chain([label.split(".")[0]], record.model.channels)
-            meaning = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[label] or None
+            meaning = (
+                dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[
+                    label
+                ]
+                or None
+            )
         found[label] = Number(float(values[j]), float(sigma[j]), unit, bool(bound[j]), meaning)
-    if declared and record.spool is not None and RADIUS in fit.space.labels and RADIUS.split(".")[0] in names:
+    if (
+        declared
+        and record.spool is not None
+        and RADIUS in fit.space.labels
+        and RADIUS.split(".")[0] in names
+    ):
         unit = record.model.command_unit
         found[RADIUS] = Number(fit.params[RADIUS], record.spool.sigma, unit, False, None)
     return found
 
 
 def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
-    """Return the changes of the prior's own numbers that were fitted along with an effect, and what it errs by then.
+    """Return the changes of the prior's own numbers that were fitted along with an effect, and what
+    it errs by then.
 
-    The second is the error (F,) mm of each feature on blocks that trained nothing: with other numbers it is another
-    model, and the noise that a rod's next diagnosis counts with.
+    The second is the error (F,) mm of each feature on blocks that trained nothing: with other
+    numbers it is another model, and the noise that a rod's next diagnosis counts with.
     """
     problem, record = fits.problem, fits.problem.record
     changes = parameters(record, fit, sigma, (name,), declared=False)

@@ -1,9 +1,10 @@
 """Level 2 of a diagnosis: which law of a family it is, with what the family can do as the measure.
 
-The family's members are fitted on top of what was found, then pairs of members, the same law with a number for each
-channel, and for static maps generic laws, which are no effects. A law *reaches* if it leaves no more than the best of
-all, the representative included, up to one standard error or the tolerance of its form. If none reaches, the law is
-unknown; if a generic law with as few numbers does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
+The family's members are fitted on top of what was found, then pairs of members, the same law with a
+number for each channel, and for static maps generic laws, which are no effects. A law *reaches* if
+it leaves no more than the best of all, the representative included, up to one standard error or the
+tolerance of its form. If none reaches, the law is unknown; if a generic law with as few numbers
+does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -37,13 +38,16 @@ Floats = NDArray[np.float64]
 WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
 MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
-GENERIC = ("u²", "u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")  # sums of CURVES, which no effect stands for
+# sums of CURVES, which no effect stands for
+GENERIC = ("u²", "u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")
 GENERIC_RIDGE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A law that may stand for a family: its effects and fit (none of a generic law), held-out loss, free numbers."""
+    """A law that may stand for a family: its effects and fit (none of a generic law), held-out
+    loss, free numbers.
+    """
 
     name: str
     effects: tuple[str, ...]
@@ -59,7 +63,9 @@ class Law:
     @property
     def split(self) -> tuple[str, ...]:
         """Its effects that have a number for each channel or cable."""
-        return () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
+        return (
+            () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
+        )
 
     @property
     def of_cables(self) -> bool:
@@ -71,9 +77,9 @@ class Law:
 class Answer:
     """What level 2 says of a family.
 
-    `law` is the law that stands for it, or a candidate: where the law is `open` because generic laws do as well, and
-    where no law reaches and one explains most of what the family does. Without one the representative stays. `equals`
-    are members that reach with as few numbers.
+    `law` is the law that stands for it, or a candidate: where the law is `open` because generic
+    laws do as well, and where no law reaches and one explains most of what the family does. Without
+    one the representative stays. `equals` are members that reach with as few numbers.
     """
 
     family: Family
@@ -92,12 +98,16 @@ class Answer:
 
     @property
     def rough(self) -> bool:
-        """Whether the law is only the candidate that does most, so that the representative explains more."""
+        """Whether the law is only the candidate that does most, so that the representative explains
+        more.
+        """
         return self.law is not None and not any(self.law is law for law in self.reaching)
 
     @property
     def loss(self) -> Floats:
-        """The held-out loss (folds,) of the law that stands for the family, else the least that the family can do."""
+        """The held-out loss (folds,) of the law that stands for the family, else the least that the
+        family can do.
+        """
         if self.resolved and self.law is not None:
             return self.law.loss
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
@@ -118,8 +128,12 @@ class Answer:
         return self.representative.numbers if self.law is None else self.law.numbers
 
 
-def answered(state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool) -> Answer:
-    """Ask a family for its law, for `pairs` of its members too where nothing else is left to explain."""
+def answered(
+    state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool
+) -> Answer:
+    """Ask a family for its law, for `pairs` of its members too where nothing else is left to
+    explain.
+    """
     representative = rough if rough.settled or not len(rough.theta) else linearised(state, rough)[0]
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
@@ -132,12 +146,18 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats, pa
     return asked.answer_of(laws)
 
 
-def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
-    """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss (folds,) without.
+def law_of(
+    state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()
+) -> Law:
+    """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss
+    (folds,) without.
 
     Those in `split` have a number for each channel or cable.
     """
-    body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
+    body, fit = (
+        state.body,
+        fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split)),
+    )
     level = body.level()
     names, ridges = state.blocks(level, fit)
     level.close(np.ascontiguousarray(fit.modes))
@@ -154,9 +174,11 @@ def _of_cables(fit: Fit, effect: str) -> bool:
 
 
 def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
-    """Return the held-out loss (folds,) of a fit, no more than `before` in the folds where its `effects` happen.
+    """Return the held-out loss (folds,) of a fit, no more than `before` in the folds where its
+    `effects` happen.
 
-    Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
+    Other folds cannot show an event that happens once, in this fold: there a law is as good as
+    none.
     """
     record, loss = fit.problem.record, loss.copy()
     for instant in fit.space.values(fit.x)[fit.space.of(effects) & fit.space.instant]:
@@ -170,26 +192,44 @@ def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[s
 class _Asked:
     """One family that is asked for its law about one state."""
 
-    def __init__(self, state: State, fits: Fits, representative: Representative, before: Floats) -> None:
-        self.state, self.fits, self.representative, self.before = state, fits, representative, before
+    def __init__(
+        self, state: State, fits: Fits, representative: Representative, before: Floats
+    ) -> None:
+        self.state, self.fits, self.representative, self.before = (
+            state,
+            fits,
+            representative,
+            before,
+        )
         self.body: FeatureBody = state.body
         static = representative.family.kind == "static"
         self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
-        names = [n for n in (*self.representative.family.members, *self.body.own) if n in self.fits.candidates]
-        return [law_of(self.state, self.fits, (n,), self.before) for n in names if n not in self.state.fit.effects]
+        names = [
+            n
+            for n in (*self.representative.family.members, *self.body.own)
+            if n in self.fits.candidates
+        ]
+        return [
+            law_of(self.state, self.fits, (n,), self.before)
+            for n in names
+            if n not in self.state.fit.effects
+        ]
 
     def for_each_channel(self, members: list[Law]) -> list[Law]:
         """Fit members with a number for each channel where they have one for all."""
-        laws = [law_of(self.state, self.fits, law.effects, self.before, law.effects) for law in members]
+        laws = [
+            law_of(self.state, self.fits, law.effects, self.before, law.effects) for law in members
+        ]
         return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
 
     def pairs(self, laws: list[Law]) -> list[Law]:
         """Fit the pairs of the best members that can be named, as they are best.
 
-        Laws with a number for each cable are left out: with a second law, so many numbers follow any smooth map.
+        Laws with a number for each cable are left out: with a second law, so many numbers follow
+        any smooth map.
         """
         best: dict[tuple[str, ...], Law] = {}
         able = (law for law in laws if law.effects and not self._any_map(law) and not law.of_cables)
@@ -197,11 +237,21 @@ class _Asked:
             best.setdefault(law.effects, law)
         found = []
         for a, b in combinations(list(best.values())[:PAIRED], 2):
-            found.append(law_of(self.state, self.fits, (*a.effects, *b.effects), self.before, (*a.split, *b.split)))
+            found.append(
+                law_of(
+                    self.state,
+                    self.fits,
+                    (*a.effects, *b.effects),
+                    self.before,
+                    (*a.split, *b.split),
+                )
+            )
         return found
 
     def generic(self) -> list[Law]:
-        """Fit generic laws of a static map, with one set of numbers and with one for each channel."""
+        """Fit generic laws of a static map, with one set of numbers and with one for each
+        channel.
+        """
         laws = []
         for name in GENERIC:
             curves = [CURVES[curve] for curve in name.split(", ")]
@@ -210,20 +260,33 @@ class _Asked:
                 laws.append(self._generic(f"{name} on all channels", curves, True))
         return laws
 
-    def _generic(self, name: str, curves: Sequence[Callable[[Floats], Floats]], shared: bool) -> Law:
+    def _generic(
+        self, name: str, curves: Sequence[Callable[[Floats], Floats]], shared: bool
+    ) -> Law:
         """Fit u + Σ θ · curve(u), with the same θ for all channels or with one for each."""
         body, state = self.body, self.state
         channels = len(body.half)
 
         def moves(theta: Floats) -> tuple[Commands, Floats]:
-            each = np.repeat(theta[:, None], channels, axis=1) if shared else theta.reshape(channels, -1).T
-            out = [v + sum(t * body.half * c((v - body.middle) / body.half) for t, c in zip(each, curves))
-                   for v in state.commands]  # fmt: skip
+            each = (
+                np.repeat(theta[:, None], channels, axis=1)
+                if shared
+                else theta.reshape(channels, -1).T
+            )
+            out = [
+                v
+                + sum(
+                    t * body.half * c((v - body.middle) / body.half) for t, c in zip(each, curves)
+                )
+                for v in state.commands
+            ]
             return [np.ascontiguousarray(v) for v in out], np.zeros(())
 
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(body.parts, state.commands)])
         x = (seen - body.middle) / body.half
-        weight = np.stack([h * curve(column) for column, h in zip(x.T, body.half) for curve in curves])
+        weight = np.stack(
+            [h * curve(column) for column, h in zip(x.T, body.half) for curve in curves]
+        )
         which = np.repeat(np.arange(channels), len(curves))
 
         def columns(slopes: Floats) -> Columns:
@@ -239,42 +302,65 @@ class _Asked:
     def any_reaches(self, laws: list[Law]) -> bool:
         """Whether one of the laws does what the family can do."""
         explained = float(self.before.sum()) - self.representative.left
-        return any(rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
+        return any(
+            rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws
+        )
 
     def answer_of(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
         best = min((self.representative.loss, *(law.loss for law in laws)), key=np.sum)
         explained = float(self.before.sum() - best.sum())
-        able = sorted((law for law in laws if rule.reaches(law.loss, best, explained, self.form)), key=_simplest)
+        able = sorted(
+            (law for law in laws if rule.reaches(law.loss, best, explained, self.form)),
+            key=_simplest,
+        )
         named = [law for law in able if law.effects and not self._any_map(law)]
         generic = [law for law in able if law not in named]
         # With a number for each cable, a smooth law follows maps of any form.
-        is_open = any(named[0].of_cables or law.numbers <= named[0].numbers for law in generic if named)
+        is_open = any(
+            named[0].of_cables or law.numbers <= named[0].numbers for law in generic if named
+        )
         is_open = is_open or bool(generic and not named)
         same = self._equal(named, 0.5 * self.form * explained)
         if not named and (candidate := self._main(laws, explained)) is not None:
             is_open, same = is_open or self.representative.family.kind in MANY_LAWS, [candidate]
         tried = tuple(sorted(laws, key=lambda law: law.left))
         return Answer(
-            self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
-            is_open, tuple(able), tried,
-        )  # fmt: skip
+            self.representative.family,
+            self.representative,
+            self.before,
+            same[0] if same else None,
+            tuple(same[1:]),
+            is_open,
+            tuple(able),
+            tried,
+        )
 
     def _main(self, laws: list[Law], explained: float) -> Law | None:
-        """Return the member that explains most of what the family does: the form of its law may be off.
+        """Return the member that explains most of what the family does: the form of its law may be
+        off.
 
-        A rod's own error is part of its noise: there, shares of a memory are too unsure for a candidate.
+        A rod's own error is part of its noise: there, shares of a memory are too unsure for a
+        candidate.
         """
         if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None
-        members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
+        members = sorted(
+            (law for law in laws if law.effects and not self._any_map(law)),
+            key=lambda law: law.left,
+        )
         done = float(self.before.sum()) - members[0].left if members else 0.0
         if not done >= rule.STANDS_FOR * explained > 0.0:
             return None
-        return min((law for law in members if rule.near(law.loss, members[0].loss, self.before)), key=_simplest)
+        return min(
+            (law for law in members if rule.near(law.loss, members[0].loss, self.before)),
+            key=_simplest,
+        )
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
-        """Return the simplest of the laws and its equals with as few numbers: the best, then the first to act."""
+        """Return the simplest of the laws and its equals with as few numbers: the best, then the
+        first to act.
+        """
         if not candidates:
             return []
         first, *others = candidates
@@ -291,18 +377,24 @@ class _Asked:
             fall = rule.difference(law.loss, first.loss)
             return rule.seen_to_fall(fall) and fall.fall >= rule.FALL * law.left
 
-        return sorted([first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law)))
+        return sorted(
+            [first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law))
+        )
 
     def _stage(self, law: Law) -> int:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
 
     def _any_map(self, law: Law) -> bool:
-        """Whether a law has an eccentric pulley that turns less than once, or in a pair: any smooth map can be one."""
+        """Whether a law has an eccentric pulley that turns less than once, or in a pair: any smooth
+        map can be one.
+        """
         return WINDING in law.effects and (law.effects != (WINDING,) or not winds(law, self.body))
 
 
 def winds(law: Law, body: FeatureBody) -> bool:
-    """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is known."""
+    """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is
+    known.
+    """
     assert law.fit is not None
     turns = np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half))
     return bool(turns) or body.record.spool is not None

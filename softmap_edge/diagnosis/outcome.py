@@ -1,7 +1,8 @@
-"""What a search holds and returns: the families it took, their joint fit, and the representatives alongside.
+"""What a search holds and returns: the families it took, their joint fit, and the representatives
+alongside.
 
-A resolved law joins the fit. A family without a law stays as its representative: what that explains is taken off what
-is seen before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
+A resolved law joins the fit. A family without a law stays as its representative: what that explains
+is taken off what is seen before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One family that was taken: its answer at level 2, and the families that this run cannot distinguish from it."""
+    """One family that was taken: its answer at level 2, and the families that this run cannot
+    distinguish from it.
+    """
 
     answer: Answer
     others: tuple[Answer, ...]
@@ -37,7 +40,9 @@ class Step:
 
 @dataclass(eq=False)
 class Outcome:
-    """What a search found: its steps in order, the joint fit with the representatives alongside, and a hint at more."""
+    """What a search found: its steps in order, the joint fit with the representatives alongside,
+    and a hint at more.
+    """
 
     body: FeatureBody
     fits: Fits
@@ -60,24 +65,35 @@ class Outcome:
 
     @property
     def left(self) -> float:
-        """Unexplained share of what stood above the noise, in loss or in mean square, whichever is larger."""
+        """Unexplained share of what stood above the noise, in loss or in mean square, whichever is
+        larger.
+        """
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
-        own = max(record.form_mm**2 + self.body.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
+        own = max(
+            record.form_mm**2 + self.body.ordinary_mm**2,
+            problem.noise.rms_mm(record.positions) ** 2,
+        )
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
-        residual = self.state.residual  # it is whitened: in mm, imperfections may explain more than is there
+        # it is whitened: in mm, imperfections may explain more than is there
+        residual = self.state.residual
         now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
         return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
 
 def held_out_loss(outcome: Outcome) -> Floats:
-    """Return the held-out loss (folds,) of what was found, with the families of imperfections where they lower it.
+    """Return the held-out loss (folds,) of what was found, with the families of imperfections where
+    they lower it.
 
     A family without a law counts with its columns, whether a candidate is in the fit or not.
     """
     state = outcome.state
-    ways = [state, State(state.body, state.fit, state.representatives)] if state.background else [state]
+    ways = (
+        [state, State(state.body, state.fit, state.representatives)]
+        if state.background
+        else [state]
+    )
     open_ = [step.family for step in outcome.steps if not step.answer.resolved]
     loss = min((ranked(way, open_, open_).before for way in ways), key=np.sum)
     for step in outcome.steps:
@@ -87,20 +103,29 @@ def held_out_loss(outcome: Outcome) -> Floats:
 
 
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
-    """Return state and fits with a family taken: its law joins the fit, or else its representative stands alongside."""
+    """Return state and fits with a family taken: its law joins the fit, or else its representative
+    stands alongside.
+    """
     if answer.law is not None and answer.law.fit is not None and not answer.rough:
         return State(state.body, answer.law.fit, state.representatives, state.background), fits
     representatives = (*state.representatives, answer.representative)
     fits = fits_alongside(Fits(state.body.problem, fits.candidates), state, representatives)
     return State(
-        state.body, fits.get(state.fit.effects, state.fit.space.split), representatives, state.background
+        state.body,
+        fits.get(state.fit.effects, state.fit.space.split),
+        representatives,
+        state.background,
     ), fits
 
 
 def name_candidates(outcome: Outcome) -> None:
     """Put candidates in the place of the representatives that stood for their families."""
     state, rough = outcome.state, [step.answer for step in outcome.steps if step.answer.rough]
-    laws = [a.law for a in rough if a.law is not None and not set(a.law.effects) <= set(state.fit.effects)]
+    laws = [
+        a.law
+        for a in rough
+        if a.law is not None and not set(a.law.effects) <= set(state.fit.effects)
+    ]
     if not laws:
         return
     replaced = {answer.family.name for answer in rough}
@@ -112,10 +137,14 @@ def name_candidates(outcome: Outcome) -> None:
 
 
 def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative]) -> Fits:
-    """Return fits of what is seen less what representatives explain about a state; `plain` are those without any."""
+    """Return fits of what is seen less what representatives explain about a state; `plain` are
+    those without any.
+    """
     if not alongside:
         return plain
-    return Fits(_shifted(plain.problem, State(state.body, state.fit, alongside).shift), plain.candidates)
+    return Fits(
+        _shifted(plain.problem, State(state.body, state.fit, alongside).shift), plain.candidates
+    )
 
 
 def _shifted(problem: Problem, shift: Floats) -> Problem:

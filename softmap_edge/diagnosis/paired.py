@@ -2,21 +2,24 @@
 
     seen'(t) = seen(t) - [reference(t + s) - model(reference)(t + s)]
 
-What the model misses on the reference at the same place of the replay (same command, same past) is taken off what is
-seen, so that its own error cancels out, and so does every effect that acts alike in both runs. The reference is read
-linearly between frames; s is the shift in time at which the commands agree.
-Of several references a run meets the one whose commands it plays best. What the model has been given that the reference
-lacks (a weight that was found relative to it) is left out of model(reference): an effect that makes the reference worse
-and the run better.
-What is left to doubt:
-- the camera: the noise of a difference, twice that of one run where frames meet, comes out of the replicates as it is;
-- a table: KEPT of its form error. Where an effect moves the acting command by 1-2 of 32 mm, an error that varies over
-  0.4 of the range changes by about a sixth; and what another gravity or load adds to it;
-- a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a - cov(a, b)) of the
-  residuals a of the reference and b of the run, what the reference does not share with the run, twice.
-Units: those of the commands, mm, s. Limits: an effect in both runs is never seen; one that acts on top of another
-(more load on a softened body) is seen to first order. Pinned by tests/diagnosis/test_paired.py and
-tests/rod/test_trunk.py.
+What the model misses on the reference at the same place of the replay (same command, same past) is
+taken off what is seen, so that its own error cancels out, and so does every effect that acts alike
+in both runs. The reference is read linearly between frames; s is the shift in time at which the
+commands agree. Of several references a run meets the one whose commands it plays best. What the
+model has been given that the reference lacks (a weight that was found relative to it) is left out
+of model(reference): an effect that makes the reference worse and the run better. What is left to
+doubt:
+- the camera: the noise of a difference, twice that of one run where frames meet, comes out of the
+replicates as it is;
+- a table: KEPT of its form error. Where an effect moves the acting command by 1-2 of 32 mm, an
+  error that varies over 0.4 of the range changes by about a sixth; and what another gravity or load
+  adds to it;
+- a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a -
+  cov(a, b)) of the residuals a of the reference and b of the run, what the reference does not share
+  with the run, twice.
+Units: those of the commands, mm, s. Limits: an effect in both runs is never seen; one that acts on
+top of another (more load on a softened body) is seen to first order. Pinned by
+tests/diagnosis/test_paired.py and tests/rod/test_trunk.py.
 """
 
 from __future__ import annotations
@@ -42,12 +45,15 @@ GAPS = 3.0  # median periods of the reference: it is not read across longer gaps
 LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have seen too
 GRID = 200_000  # rows at most that are looked at for the shift in time
 FLOOR = 0.01  # mm: no robot repeats itself better than this
-ABSENT = 0.9  # of the reference's error that must be left at most without an effect that only the run has
+# of the reference's error that must be left at most without an effect that only the run has
+ABSENT = 0.9
 
 
 @dataclass(frozen=True)
 class Replay:
-    """How a reference run meets a run: by what its time is shifted, and how far the commands differ (RMS)."""
+    """How a reference run meets a run: by what its time is shifted, and how far the commands differ
+    (RMS).
+    """
 
     run: str | list[str]  # hash of the reference, or of each where several runs met different ones
     shift_s: float
@@ -60,9 +66,14 @@ class Replay:
     def __str__(self) -> str:
         own = " and ".join(self.absent)
         return (
-            f"All of this is relative to the reference run, whose commands agree within {self.differ:.2g} {self.unit} "
-            f"RMS ({100 * self.share:.2g} % of their range): what acts alike in both runs cancels out and is not seen"
-            + (f"; the model's own {own} is taken as absent there, where it raises the error" if own else "")
+            "All of this is relative to the reference run, whose commands agree within "
+            f"{self.differ:.2g} {self.unit} RMS ({100 * self.share:.2g} % of their range): what "
+            "acts alike in both runs cancels out and is not seen"
+            + (
+                f"; the model's own {own} is taken as absent there, where it raises the error"
+                if own
+                else ""
+            )
         )
 
 
@@ -70,11 +81,13 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
     """Bring a run and its reference together: of several, the one whose commands agree best.
 
     Args:
-        record: the run, K frames of F features. references: runs that may stand for the model, seen in the same way.
+        record: the run, K frames of F features. references: runs that may stand for the model, seen
+            in the same way.
 
     Returns:
-        tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm, NaN where the
-        reference has no data; and the form error (V, 3) mm that is left of the model's own.
+        tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm,
+        NaN where the reference has no data; and the form error (V, 3) mm that is left of the
+        model's own.
 
     Raises:
         SoftmapError: points of another kind or place, commands that differ, too little in common.
@@ -88,42 +101,59 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
     if found:
         return min(found, key=lambda met: met[0].share)
     if len(refused) > 1:
-        raise SoftmapError(f"none of the {len(refused)} reference runs stands for this run; of the last, {refused[-1]}")
+        raise SoftmapError(
+            f"none of the {len(refused)} reference runs stands for this run; of the last, "
+            f"{refused[-1]}"
+        )
     raise SoftmapError(refused[0])
 
 
 def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
     """Bring a run and one reference together."""
     _check_points(record, reference)
-    played = all(r.run.command is not None for r in (record, reference))  # else what encoders say of it
-    ours, theirs = (np.asarray(r.run.command if played else r.u, float) for r in (record, reference))
-    shift = _shift(np.asarray(record.run.t, float), ours, np.asarray(reference.run.t, float), theirs)
+    # else what encoders say of it
+    played = all(r.run.command is not None for r in (record, reference))
+    ours, theirs = (
+        np.asarray(r.run.command if played else r.u, float) for r in (record, reference)
+    )
+    shift = _shift(
+        np.asarray(record.run.t, float), ours, np.asarray(reference.run.t, float), theirs
+    )
     at = record.t_seen + shift
     differ, share = _differ(record.t_seen, at, record, reference, ours, theirs)
     inside = _read(at, reference.t_seen, reference.seen)
     met = np.isfinite(inside).any(axis=1)
     if met.sum() < max(LEAST_FRAMES, LEAST_OVERLAP * len(record)):
         raise SoftmapError(
-            f"the reference run was seen at {int(met.sum())} of the {len(record)} frames of this run, at least "
-            f"{max(LEAST_FRAMES, int(LEAST_OVERLAP * len(record)))} are needed; record both for as long, with the "
-            "camera on, or diagnose without --reference"
+            f"the reference run was seen at {int(met.sum())} of the {len(record)} frames of this "
+            f"run, at least {max(LEAST_FRAMES, int(LEAST_OVERLAP * len(record)))} are needed; "
+            "record both for as long, with the camera on, or diagnose without --reference"
         )
     absent = _absent(record, reference)
     base = _without(reference, absent)
     missed = _read(at, reference.t_seen, reference.seen - base)
     replay = Replay(
-        reference.recorded_runs[0].hash(), shift, differ, share, record.model.command_unit,
-        int(met.sum()), absent,
-    )  # fmt: skip
+        reference.recorded_runs[0].hash(),
+        shift,
+        differ,
+        share,
+        record.model.command_unit,
+        int(met.sum()),
+        absent,
+    )
     return replay, missed, _form_left(record, reference, missed)
 
 
 def _absent(record: Record, reference: Record) -> tuple[str, ...]:
-    """Return which of the model's own effects only the run has: each makes the reference worse and the run better."""
+    """Return which of the model's own effects only the run has: each makes the reference worse and
+    the run better.
+    """
     absent: tuple[str, ...] = ()
     for name in record.model.chain_names:
-        ours, theirs = ([r.rms_mm(r.seen - _without(r, out)) for out in (absent, (*absent, name))]
-                        for r in (record, reference))  # fmt: skip
+        ours, theirs = (
+            [r.rms_mm(r.seen - _without(r, out)) for out in (absent, (*absent, name))]
+            for r in (record, reference)
+        )
         if theirs[1] < ABSENT * theirs[0] and ours[1] > ours[0]:
             absent = (*absent, name)
     return absent
@@ -138,35 +168,46 @@ def _without(record: Record, absent: Sequence[str]) -> Floats:
 
 
 def _check_points(record: Record, reference: Record) -> None:
-    if record.features != reference.features or not np.array_equal(record.positions, reference.positions):
+    if record.features != reference.features or not np.array_equal(
+        record.positions, reference.positions
+    ):
         raise SoftmapError(
-            f"the reference run shows {reference.features} features a frame, this run {record.features}; both must be "
-            "seen in the same way (vertices, or the same markers)"
+            f"the reference run shows {reference.features} features a frame, this run "
+            f"{record.features}; both must be seen in the same way (vertices, or the same markers)"
         )
     rests = [r.run.marker_rest for r in (record, reference)]
     if rests[0] is not None and rests[1] is not None:
-        apart = float(np.abs(np.asarray(rests[0], float) - np.asarray(rests[1], float)).max(initial=0.0))
+        apart = float(
+            np.abs(np.asarray(rests[0], float) - np.asarray(rests[1], float)).max(initial=0.0)
+        )
         if apart > 1.0:
             raise SoftmapError(
-                f"the markers of the reference run sit up to {apart:.2g} mm from those of this run, 1 mm is allowed; "
-                "record both with the markers in place, or diagnose without --reference"
+                f"the markers of the reference run sit up to {apart:.2g} mm from those of this "
+                "run, 1 mm is allowed; record both with the markers in place, or diagnose "
+                "without --reference"
             )
 
 
 def _differ(
     t: Floats, at: Floats, record: Record, reference: Record, ours: Floats, theirs: Floats
 ) -> tuple[float, float]:
-    """Return how far the commands of the worst channel differ at the frames, RMS, and as a share of the range."""
+    """Return how far the commands of the worst channel differ at the frames, RMS, and as a share of
+    the range.
+    """
     if ours.shape[1] != theirs.shape[1]:
         raise SoftmapError(
-            f"the reference run has {theirs.shape[1]} commands a sample, this run {ours.shape[1]}; it is another robot"
+            f"the reference run has {theirs.shape[1]} commands a sample, this run "
+            f"{ours.shape[1]}; it is another robot"
         )
     inside = (at >= reference.run.t[0]) & (at <= reference.run.t[-1])
     if not ours.shape[1] or not inside.any():
         return 0.0, 0.0
     t, at = t[inside], at[inside]
     columns = zip(ours.T, theirs.T)
-    off = [np.interp(t, record.run.t, mine) - np.interp(at, reference.run.t, other) for mine, other in columns]
+    off = [
+        np.interp(t, record.run.t, mine) - np.interp(at, reference.run.t, other)
+        for mine, other in columns
+    ]
     apart = np.sqrt(np.mean(np.square(off), axis=1))
     span = np.ptp(theirs, axis=0)
     share = apart / np.maximum(np.where(span > 1e-9, span, span.max(initial=0.0)), 1e-9)
@@ -174,18 +215,21 @@ def _differ(
     if not share[worst] <= AGREE:
         unit = record.model.command_unit
         raise SoftmapError(
-            f"the reference run does not play the commands of this run: channel {worst} differs by "
-            f"{apart[worst]:.3g} {unit} RMS, {100 * share[worst]:.2g} % of its range, allowed are {100 * AGREE:g} %; "
-            "record both from one command file (`softmap next` writes one), give a reference that plays these commands "
-            "(--reference takes several), or diagnose without --reference"
+            f"the reference run does not play the commands of this run: channel {worst} differs "
+            f"by {apart[worst]:.3g} {unit} RMS, {100 * share[worst]:.2g} % of its range, allowed "
+            f"are {100 * AGREE:g} %; record both from one command file (`softmap next` writes "
+            "one), give a reference that plays these commands (--reference takes several), or "
+            "diagnose without --reference"
         )
     return float(apart[worst]), float(share[worst])
 
 
 def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
-    """Return by what (s) to shift times of the run so that the commands of the reference agree best.
+    """Return by what (s) to shift times of the run so that the commands of the reference agree
+    best.
 
-    Time stamps as they are, if those agree; else the lag with the least mean square difference over the overlap.
+    Time stamps as they are, if those agree; else the lag with the least mean square difference over
+    the overlap.
     """
     if not u.shape[1] or u.shape[1] != u_ref.shape[1] or min(len(t), len(t_ref)) < 2:
         return 0.0
@@ -193,17 +237,27 @@ def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
     inside = (t >= t_ref[0]) & (t <= t_ref[-1])
     if inside.mean() >= LEAST_OVERLAP:
         columns = zip(u.T, u_ref.T)
-        off = np.stack([np.interp(t[inside], t_ref, theirs) - mine[inside] for mine, theirs in columns], axis=1)
+        off = np.stack(
+            [np.interp(t[inside], t_ref, theirs) - mine[inside] for mine, theirs in columns], axis=1
+        )
         if np.all(np.sqrt(np.mean((off / span) ** 2, axis=0)) <= AGREE):
             return 0.0
     step = max(float(np.median(np.diff(t_ref))), (np.ptp(t) + np.ptp(t_ref)) / GRID, 1e-6)
     a, b = (_gridded(*pair, step) / span for pair in ((t, u), (t_ref, u_ref)))
     size = 1 << (len(a) + len(b) - 1).bit_length()
     lags = np.arange(-(len(a) - 1), len(b))  # row k of the run meets row k + lag of the reference
-    both = np.fft.irfft(np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0)), size, axis=0).sum(axis=1)
+    both = np.fft.irfft(
+        np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0)), size, axis=0
+    ).sum(axis=1)
     first, last = np.maximum(0, -lags), np.minimum(len(a), len(b) - lags)
     sums = [np.r_[0.0, np.cumsum(np.sum(x**2, axis=1))] for x in (a, b)]
-    squares = sums[0][last] - sums[0][first] + sums[1][last + lags] - sums[1][first + lags] - 2.0 * both[lags]
+    squares = (
+        sums[0][last]
+        - sums[0][first]
+        + sums[1][last + lags]
+        - sums[1][first + lags]
+        - 2.0 * both[lags]
+    )
     count = last - first
     mean = np.where(count >= LEAST_OVERLAP * len(a), squares / np.maximum(count, 1), np.inf)
     if not np.isfinite(mean).any():
@@ -218,7 +272,9 @@ def _gridded(t: Floats, u: Floats, step: float) -> Floats:
 
 
 def _read(at: Floats, t: Floats, values: Floats) -> Floats:
-    """Return `values` (K, F) seen at t (K,) at other times (n,): linear; NaN beyond the ends and across gaps."""
+    """Return `values` (K, F) seen at t (K,) at other times (n,): linear; NaN beyond the ends and
+    across gaps.
+    """
     if len(t) < 2:
         return np.where((at == t[:1])[:, None], values, np.nan)
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)

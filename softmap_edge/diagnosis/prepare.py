@@ -1,4 +1,5 @@
-"""What a search needs before it begins: which effects are candidates, and a run with its noise and form error.
+"""What a search needs before it begins: which effects are candidates, and a run with its noise and
+form error.
 
 Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 """
@@ -16,7 +17,14 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.model.effect_info import registry
 from softmap_edge.noise.memoryless import repeats_of
-from softmap_edge.noise.noise_model import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
+from softmap_edge.noise.noise_model import (
+    Noise,
+    command_kernel,
+    form_covariance,
+    measure_noise,
+    rod_noise,
+    whitener,
+)
 from softmap_edge.run.conditions import orientations
 from softmap_edge.run.folds import LEAST_FRAMES
 
@@ -25,8 +33,11 @@ Floats = NDArray[np.float64]
 SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 
 
-def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list[str], list[Untestable]]:
-    """Return all effects, or those `requested`, that can be looked for in a run, and why the others cannot.
+def candidates_of(
+    record: Record, requested: Sequence[str] | None
+) -> tuple[list[str], list[Untestable]]:
+    """Return all effects, or those `requested`, that can be looked for in a run, and why the others
+    cannot.
 
     Raises:
         SoftmapError: an unknown effect, or none that is left.
@@ -35,7 +46,11 @@ def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list
     unknown = [name for name in requested or () if name not in known]
     if unknown:
         raise SoftmapError(no_effect(unknown[0], known))
-    names = [n for n in known if (requested is None or n in requested) and n not in record.model.chain_names]
+    names = [
+        n
+        for n in known
+        if (requested is None or n in requested) and n not in record.model.chain_names
+    ]
     if record.model.output is not None and requested is None:
         names = [n for n in names if known[n].on_outputs]
     if not names:
@@ -46,11 +61,17 @@ def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list
     impossible = []
     for name in names:
         missing = record.missing(known[name].needs)
-        if record.model.channels == 0 and (known[name].on_commands or not record.layout((name,)).labels):
-            impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        if record.model.channels == 0 and (
+            known[name].on_commands or not record.layout((name,)).labels
+        ):
+            impossible.append(
+                Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0)
+            )
         elif known[name].needs_time and any(run.timeless for run in record.recorded_runs):
             impossible.append(
-                Untestable(name, "the log has no time", "the same moves, the time of each row logged", 1.0)
+                Untestable(
+                    name, "the log has no time", "the same moves, the time of each row logged", 1.0
+                )
             )
         elif not record.layout((name,)).labels:
             why = f"it is between channels, and the model has {record.model.channels}"
@@ -58,33 +79,59 @@ def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list
         elif name in lawless:
             why = "the model has no such law to change: its tendons do not push, or it has none"
             impossible.append(
-                Untestable(name, why, "a model learned with a robot.toml whose tendons push", of_model=True)
+                Untestable(
+                    name, why, "a model learned with a robot.toml whose tendons push", of_model=True
+                )
             )
         elif lacking := record.model.missing_for(name):
             why = f"this model has no field {lacking[0]}"
-            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", of_model=True))
+            impossible.append(
+                Untestable(
+                    name, why, "a model built from a finger.toml by this version", of_model=True
+                )
+            )
         elif name == "twist" and not record.roll_seen:
             why = "clouds of a round finger do not show what it does about its own axis"
-            impossible.append(Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0))
+            impossible.append(
+                Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0)
+            )
         elif missing:
             block, minutes = known[name].experiment
             absent = ", ".join(missing)
             impossible.append(
-                Untestable(name, f"the run does not declare {absent}", f"{block}; {absent} declared", minutes)
+                Untestable(
+                    name,
+                    f"the run does not declare {absent}",
+                    f"{block}; {absent} declared",
+                    minutes,
+                )
             )
-    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.state.gravity) == 1:
-        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
-        # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
+    if (
+        record.model.kind == "rod"
+        and {"gravity", "payload"} <= set(names)
+        and orientations(record.state.gravity) == 1
+    ):
+        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load
+        # differ by less than its form error, and a tilt of gravity is an offset. The simpler member
+        # stands for the family.
         block, minutes = known["gravity"].experiment
         impossible.append(
-            Untestable("gravity", "in one orientation a rod cannot distinguish it from payload", block, minutes)
+            Untestable(
+                "gravity",
+                "in one orientation a rod cannot distinguish it from payload",
+                block,
+                minutes,
+            )
         )
     out = {h.name for h in impossible}
     return [n for n in names if n not in out], impossible
 
 
-def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True) -> Problem:
-    """Measure the noise (if none is given), set up the form error and whiten along the candidates' signatures.
+def problem_of(
+    record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True
+) -> Problem:
+    """Measure the noise (if none is given), set up the form error and whiten along the candidates'
+    signatures.
 
     If a residual was taken out, the model may err by as much, unless `residual` is false.
 
@@ -94,7 +141,8 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
     base = record.predict(record.model.chain_names, record.own()[None])[0]
     if len(record) < LEAST_FRAMES:
         raise SoftmapError(
-            f"{len(record)} seen frames are too few to diagnose; record {LEAST_FRAMES} or more, better 60"
+            f"{len(record)} seen frames are too few to diagnose; record {LEAST_FRAMES} or more, "
+            "better 60"
         )
     thin = np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(np.intp)
     thin = np.union1d(record.begins, thin)
@@ -107,7 +155,8 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
-        if residual and record.static is not None:  # it may be the model's own error or an effect: allow for both
+        # it may be the model's own error or an effect: allow for both
+        if residual and record.static is not None:
             form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
 
@@ -122,7 +171,9 @@ def noise_of(record: Record, residual: Floats) -> Noise:
 
 
 def load_seen(record: Record) -> Floats | None:
-    """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run does."""
+    """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run
+    does.
+    """
     if record.load is None:
         return None
     parts = record.parts
@@ -130,14 +181,18 @@ def load_seen(record: Record) -> Floats | None:
         [
             np.zeros(p.frames)
             if p.load is None
-            else np.interp(np.asarray(p.run.t_seen, float), p.run.t, np.broadcast_to(p.load, p.run.t.shape))
+            else np.interp(
+                np.asarray(p.run.t_seen, float), p.run.t, np.broadcast_to(p.load, p.run.t.shape)
+            )
             for p in parts
         ]
     )
 
 
 def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
-    """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each parameter alone."""
+    """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each
+    parameter alone.
+    """
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
     layout, own = record.layout(names), record.own_values()
     null = np.array([own.get(label, n) for label, n in zip(layout.labels, layout.null)])

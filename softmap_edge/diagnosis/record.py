@@ -1,7 +1,8 @@
-"""A run as a fit sees it: measured features, commands, what the run declares, and predictions for any chain.
+"""A run as a fit sees it: measured features, commands, what the run declares, and predictions for
+any chain.
 
-Several runs have the same face (`records.py`), so that nothing else in a diagnosis counts runs. Units: mm, s, g.
-Pinned by tests/diagnosis/test_fit.py.
+Several runs have the same face (`records.py`), so that nothing else in a diagnosis counts runs.
+Units: mm, s, g. Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations
@@ -36,32 +37,41 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
-ROLLS = ("mount.turn_z",)  # clouds of a round finger do not show it: there turned tendons look the same
+# clouds of a round finger do not show it: there turned tendons look the same
+ROLLS = ("mount.turn_z",)
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
 class Record:
-    """One run: measured features (K, F) mm, the commands behind them, and predictions for any chain of effects."""
+    """One run: measured features (K, F) mm, the commands behind them, and predictions for any chain
+    of effects.
+    """
 
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
     _leaning: Floats  # (K, d)
     roll_seen: bool  # whether frames show the rotation of the body about its own axis
-    doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
+    # about the runs, sentences without a stop, which go with any verdict
+    doubts: tuple[str, ...] = ()
     remapped: bool = False  # whether a learned static map is solved again with every law
-    static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
+    # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
+    static: Floats | None = None
 
-    def __init__(self, model: Model, run: Run, reference: Run | Sequence[Run] | None = None) -> None:
+    def __init__(
+        self, model: Model, run: Run, reference: Run | Sequence[Run] | None = None
+    ) -> None:
         """Bind a model to a run.
 
-        With a `reference` that plays the same commands (one of several), what the model misses there is taken off what
-        is seen.
+        With a `reference` that plays the same commands (one of several), what the model misses
+        there is taken off what is seen.
         """
         adapted = model.residual is not None
         self.model = model.with_residual(None) if adapted else model
         self.recorded_runs: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
-        self.bases: tuple[BaseMotion | None, ...] = (base_of(model, converted(model, run), reference),)
+        self.bases: tuple[BaseMotion | None, ...] = (
+            base_of(model, converted(model, run), reference),
+        )
         self._bind(run)
         if reference is not None:
             several = reference if isinstance(reference, Sequence) else [reference]
@@ -70,9 +80,12 @@ class Record:
             if not met.all():
                 self._bind(self.run.at(met))
             self.seen, self.form_error = self.seen - missed[met], form
-            self._leaning = np.ones((self.frames, 1))  # what the model errs for a lean was seen in the reference
+            # what the model errs for a lean was seen in the reference
+            self._leaning = np.ones((self.frames, 1))
         elif adapted:
-            self.static = (model.features(self.run) - self.model.features(self.run)).reshape(self.seen.shape)
+            self.static = (model.features(self.run) - self.model.features(self.run)).reshape(
+                self.seen.shape
+            )
 
     def _bind(self, run: Run) -> None:
         """Take the frames of a run in which anything is seen: the others carry no information."""
@@ -84,7 +97,8 @@ class Record:
         if len(some) and not some.any():
             raise SoftmapError(
                 f"none of the {len(some)} frames shows enough of '{model.robot}': a section "
-                "counts where six of its points are seen, a marker where it is seen; look at `visible`"
+                "counts where six of its points are seen, a marker where it is seen; look at "
+                "`visible`"
             )
         if not some.all():
             run, seen = run.at(some), seen[some]
@@ -122,11 +136,16 @@ class Record:
             self.__dict__.pop(name, None)
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
-        """Return the numbers of about `most` frames, evenly spread, the first and the last of a run among them."""
-        return np.unique(np.linspace(0, self.frames - 1, min(self.frames, max(2, most))).astype(np.intp))
+        """Return the numbers of about `most` frames, evenly spread, the first and the last of a run
+        among them.
+        """
+        return np.unique(
+            np.linspace(0, self.frames - 1, min(self.frames, max(2, most))).astype(np.intp)
+        )
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising, the first among them: time is counted from there.
+        """Return the same with some of its frames, `rows` rising, the first among them: time is
+        counted from there.
 
         What the run declares and its parameters stay.
         """
@@ -154,8 +173,12 @@ class Record:
 
     @cached_property
     def leaning(self) -> Floats:
-        """How the model's own error depends on the orientation, (K, 4) with rows of length 1 on average."""
-        return self._leaning / max(float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300)
+        """How the model's own error depends on the orientation, (K, 4) with rows of length 1 on
+        average.
+        """
+        return self._leaning / max(
+            float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300
+        )
 
     @property
     def load(self) -> Floats | None:
@@ -170,7 +193,9 @@ class Record:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that are not fitted, because nothing seen here determines them or they are known."""
+        """Parameters that are not fitted, because nothing seen here determines them or they are
+        known.
+        """
         rolls = () if self.roll_seen else ROLLS
         return (*rolls, *self.across, *(() if self.spool is None else (RADIUS,)))
 
@@ -180,20 +205,25 @@ class Record:
         return spool_of(self.model, self.recorded_runs)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain of `names`; effects in `split` have a number for each channel.
+        """Return the parameters of a chain of `names`; effects in `split` have a number for each
+        channel.
 
         So have the model's own effects whose channels already differ.
         """
         return self._layout(names, 1, split)
 
     def _layout(self, names: Sequence[str], runs: int, split: Collection[str]) -> Layout:
-        """Return the parameters of a chain, those of the effects in PER_RUN once for each run; made once."""
+        """Return the parameters of a chain, those of the effects in PER_RUN once for each run; made
+        once.
+        """
         apart = self._differing.union(split).intersection(names)
         key = (tuple(names), runs, apart)
         if key not in self._layouts:
             chain = _core.Chain(list(names), self.model.channels)
             ranges = ranges_of(self.model, chain)
-            made = layout_of(names, chain, self.model.changes(names), ranges, runs, self._within, apart)
+            made = layout_of(
+                names, chain, self.model.changes(names), ranges, runs, self._within, apart
+            )
             made = bounded(made, self.bases)
             self._layouts[key] = made if self.spool is None else with_radius(made, self.spool)
         return self._layouts[key]
@@ -204,17 +234,27 @@ class Record:
         return differing(self.model.chain, np.asarray(self.model.chain_params))
 
     def full(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the full sets (B, N) of parameter sets of the layout of `names`; full sets unchanged."""
+        """Return the full sets (B, N) of parameter sets of the layout of `names`; full sets
+        unchanged.
+        """
         return self.layout(names).full(params)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """The seconds since the first command between which an instant has enough of the run on both sides."""
-        begin, end = (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
+        """The seconds since the first command between which an instant has enough of the run on
+        both sides.
+        """
+        begin, end = (
+            (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
+        )
         return begin + ENDS * (end - begin), end - ENDS * (end - begin)
 
-    def _models(self, names: Sequence[str], params: Floats) -> list[tuple[Model, NDArray[np.intp], Floats]]:
-        """Return the models that sets (B, P) ask for: each with its rows and their parameters of the chain."""
+    def _models(
+        self, names: Sequence[str], params: Floats
+    ) -> list[tuple[Model, NDArray[np.intp], Floats]]:
+        """Return the models that sets (B, P) ask for: each with its rows and their parameters of
+        the chain.
+        """
         changes = self.model.changes(names)
         if not changes:
             return [(self.model, np.arange(len(params)), np.ascontiguousarray(params))]
@@ -243,20 +283,26 @@ class Record:
         return self.model.inputs(self.run)
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, K, F) mm for parameter sets (B, L) of the layout of `names`, or full (B, N)."""
+        """Return predicted features (B, K, F) mm for parameter sets (B, L) of the layout of
+        `names`, or full (B, N).
+        """
         params = self.full(names, params)
         chunk = max(1, CHUNK // max(1, self.frames * self.features))
         out = np.empty((len(params), self.frames, self.features))
         for model, rows, sets in self._models(names, params):
             for i in range(0, len(rows), chunk):
-                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, self._inputs)
+                part = model.predict_features(
+                    tuple(names), sets[i : i + chunk], self.run, self._inputs
+                )
                 out[rows[i : i + chunk]] = np.reshape(part, (len(part), self.frames, self.features))
         return out
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, K, M) of the features, `weights` (F, M), as `predict` does these.
+        """Return what predicts linear forms (B, K, M) of the features, `weights` (F, M), as
+        `predict` does these.
 
-        Tables give the forms at once, at a fraction of the price. What senses moves points, and knows no forms.
+        Tables give the forms at once, at a fraction of the price. What senses moves points, and
+        knows no forms.
         """
         forms = self.model.through(weights, self.run)
         senses = effects_that("sensing")
@@ -284,13 +330,17 @@ class Record:
         return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))
 
     def squares(self, difference: Floats) -> Floats:
-        """Return squared distances (K, places) mm² of feature differences (K, F); NaN where unseen."""
+        """Return squared distances (K, places) mm² of feature differences (K, F); NaN where
+        unseen.
+        """
         places = difference.reshape(len(difference), -1, 3)[:, self.positions]
         return np.asarray(np.sum(places**2, axis=2))
 
     @property
     def error_is_noise(self) -> bool:
-        """Whether the model's own error counts as noise: that of a rod is not smooth in its commands."""
+        """Whether the model's own error counts as noise: that of a rod is not smooth in its
+        commands.
+        """
         return bool(self.model.kind == "rod")
 
     @property
@@ -300,7 +350,9 @@ class Record:
 
     @cached_property
     def frame_mm(self) -> float:
-        """RMS error of the points from the uncertainty of the alignment's frame (`frame_sigma`), mm."""
+        """RMS error of the points from the uncertainty of the alignment's frame (`frame_sigma`),
+        mm.
+        """
         sigma = self.run.frame_sigma
         if sigma is None:
             return 0.0
@@ -309,7 +361,9 @@ class Record:
         layout = self.layout(names)
         at = layout.values(self.own_values(), layout.null)
         labels = np.array(layout.labels)
-        moved = [at + each * (labels == label) for label, each in zip(FRAME, np.asarray(sigma, float))]
+        moved = [
+            at + each * (labels == label) for label, each in zip(FRAME, np.asarray(sigma, float))
+        ]
         seen = self.predict(names, np.stack([at, *moved]))
         return float(np.sqrt(sum(self.rms_mm(one - seen[0]) ** 2 for one in seen[1:])))
 

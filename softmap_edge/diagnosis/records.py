@@ -1,8 +1,8 @@
 """Several runs of one robot as a fit sees them: frame after frame, under shared parameters.
 
-Memory starts in equilibrium in each run, and what belongs to a session has numbers of its own for each (`layout.py`).
-Units: mm, s, g. Limit: the runs must be seen in the same way
-(vertices, or the same number of markers). Pinned by tests/diagnosis/test_several_runs.py.
+Memory starts in equilibrium in each run, and what belongs to a session has numbers of its own for
+each (`layout.py`). Units: mm, s, g. Limit: the runs must be seen in the same way (vertices, or the
+same number of markers). Pinned by tests/diagnosis/test_several_runs.py.
 """
 
 from __future__ import annotations
@@ -34,8 +34,11 @@ APART = 60.0  # s between the runs: none is within a gap of another
 class Records(Record):
     """Several runs of one robot, one after the other."""
 
-    def __init__(self, model: Model, runs: Sequence[Run], reference: Run | Sequence[Run] | None = None) -> None:
-        """Bind a model to several runs, each of which plays the commands of a `reference` if there is any.
+    def __init__(
+        self, model: Model, runs: Sequence[Run], reference: Run | Sequence[Run] | None = None
+    ) -> None:
+        """Bind a model to several runs, each of which plays the commands of a `reference` if there
+        is any.
 
         Raises:
             SoftmapError: the runs are not seen in the same way.
@@ -45,8 +48,8 @@ class Records(Record):
         kinds = [(part.features, len(part.positions)) for part in parts]
         if len(set(kinds)) > 1:
             raise SoftmapError(
-                f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that are diagnosed "
-                "together must be seen in the same way, so diagnose them apart"
+                f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that "
+                "are diagnosed together must be seen in the same way, so diagnose them apart"
             )
         self.model = model
         replays = [p.replay for p in parts if p.replay is not None]
@@ -80,7 +83,11 @@ class Records(Record):
             end = (float(begins[-1][-1]) if part.frames else end) + APART
         self.t_seen = np.concatenate(begins)
         labels = [part.block for part in parts]
-        self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
+        self.block = (
+            None
+            if any(b is None for b in labels)
+            else np.concatenate([np.asarray(b) for b in labels])
+        )
 
     @property
     def parts(self) -> Sequence[Record]:
@@ -90,7 +97,11 @@ class Records(Record):
     @property
     def begins(self) -> NDArray[np.intp]:
         """Number of the first frame of each run."""
-        return np.unique(np.array([e - part.frames for e, part in zip(self.ends, self.parts) if part.frames], np.intp))
+        return np.unique(
+            np.array(
+                [e - part.frames for e, part in zip(self.ends, self.parts) if part.frames], np.intp
+            )
+        )
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
         """Return the numbers of about `most` frames, of each run its share."""
@@ -100,7 +111,9 @@ class Records(Record):
         return np.concatenate([begin + part.spread_rows(share) for begin, part, share in each])
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising, the first of each run among them."""
+        """Return the same with some of its frames, `rows` rising, the first of each run among
+        them.
+        """
         few = copy(self)
         few.__dict__["_within"] = self._within
         few._forget()
@@ -132,7 +145,11 @@ class Records(Record):
     def load(self) -> Floats | None:
         """Loads (n,) g, 0 in runs that declare none; None if no run does."""
         rows = [part.load for part in self.parts]
-        return None if all(r is None for r in rows) else np.concatenate([np.zeros(1) if r is None else r for r in rows])
+        return (
+            None
+            if all(r is None for r in rows)
+            else np.concatenate([np.zeros(1) if r is None else r for r in rows])
+        )
 
     @cached_property
     def frame_mm(self) -> float:
@@ -145,25 +162,38 @@ class Records(Record):
         return [name for name in required if any(part.missing([name]) for part in self.parts)]
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
+        """Return the parameters of a chain, with numbers of its own for each run where they belong
+        to a session.
+        """
         return self._layout(names, len(self.parts), split)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """The seconds since the first command between which an instant has enough of every run on both sides."""
+        """The seconds since the first command between which an instant has enough of every run on
+        both sides.
+        """
         begins, ends = zip(*(part._within for part in self.parts))
         return max(begins), min(ends)
 
     def _each(self, names: Sequence[str], params: Floats) -> list[tuple[Record, Floats]]:
         full = self.full(names, params)
-        return [(part, full[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
+        return [
+            (part, full[..., column])
+            for part, column in zip(self.parts, self.layout(names).columns)
+        ]
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, ΣK, F) mm for sets (B, L) of the layout of `names`, or full (B, N)."""
-        return np.concatenate([part.predict(names, own) for part, own in self._each(names, params)], axis=1)
+        """Return predicted features (B, ΣK, F) mm for sets (B, L) of the layout of `names`, or full
+        (B, N).
+        """
+        return np.concatenate(
+            [part.predict(names, own) for part, own in self._each(names, params)], axis=1
+        )
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, ΣK, M) of the features, `weights` (F, M), as `predict` does these."""
+        """Return what predicts linear forms (B, ΣK, M) of the features, `weights` (F, M), as
+        `predict` does these.
+        """
         each = [part.forms(weights) for part in self.parts]
 
         def predict(names: Sequence[str], params: Floats) -> Floats:
@@ -173,11 +203,14 @@ class Records(Record):
         return predict
 
 
-def record_of(model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None) -> Record:
+def record_of(
+    model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
+) -> Record:
     """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
 
     Raises:
-        SoftmapError: no run at all, runs that are not seen in the same way, a reference of other commands.
+        SoftmapError: no run at all, runs that are not seen in the same way, a reference of other
+            commands.
     """
     runs = list(run) if isinstance(run, Sequence) else [run]
     if not runs:

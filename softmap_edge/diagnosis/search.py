@@ -1,9 +1,12 @@
-"""The search in two levels: family after family, each with its law where one is resolved, then all together again.
+"""The search in two levels: family after family, each with its law where one is resolved, then all
+together again.
 
-    rank families about what is known -> accept the best -> ask those near it for their laws -> take one -> again
+    rank families about what is known -> accept the best -> ask those near it for their laws -> take
+    one -> again
 
-If the best family is not accepted, none is: the next best would only stand in for it. Where a family stays open, one
-law or two at once are tried instead (`together.py`). Pinned by tests/diagnosis/test_two_levels.py, test_decision.py.
+If the best family is not accepted, none is: the next best would only stand in for it. Where a
+family stays open, one law or two at once are tried instead (`together.py`). Pinned by
+tests/diagnosis/test_two_levels.py, test_decision.py.
 """
 
 from __future__ import annotations
@@ -32,7 +35,14 @@ from softmap_edge.diagnosis.families import (
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, Law, answered, law_of
-from softmap_edge.diagnosis.outcome import Outcome, Step, fits_alongside, held_out_loss, name_candidates, with_family
+from softmap_edge.diagnosis.outcome import (
+    Outcome,
+    Step,
+    fits_alongside,
+    held_out_loss,
+    name_candidates,
+    with_family,
+)
 from softmap_edge.diagnosis.together import completed
 
 HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
@@ -50,7 +60,8 @@ def search(
         problem: the record with its noise.
         candidates: names of the effects that may be a law.
         progress: is called with one line for each family.
-        visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by default.
+        visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by
+            default.
     """
     report = progress or (lambda _: None)
     visible = rule.VISIBLE_MM if visible is None else visible
@@ -62,7 +73,8 @@ def search(
     more(outcome, 1)
     outcome = completed(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        more(outcome, acceptance.MOST)  # with other laws, the static remainder may be more than ordinary
+        # with other laws, the static remainder may be more than ordinary
+        more(outcome, acceptance.MOST)
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
@@ -75,11 +87,17 @@ def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visi
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        if body.free_map or not body.record.error_is_noise:  # a rod of known tendons has no level of its own
+        # a rod of known tendons has no level of its own
+        if body.free_map or not body.record.error_is_noise:
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
         ordinary = acceptance.is_ordinary(ranking, state)
         if ordinary or (state is not before and not acceptance.beyond_ordinary(ranking, state)):
-            state = State(body, state.fit, state.representatives, [f for f in every if f.name in acceptance.BACKGROUND])
+            state = State(
+                body,
+                state.fit,
+                state.representatives,
+                [f for f in every if f.name in acceptance.BACKGROUND],
+            )
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found
         step = None if outcome.steps else _miswired(ranking, state, outcome.fits)
@@ -93,10 +111,16 @@ def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visi
             outcome.state, outcome.fits = with_family(state, outcome.fits, step.answer)
 
 
-def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
-    """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
+def _next(
+    ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float
+) -> Step | None:
+    """Return the next family to take, or None; the outcome keeps a hint where the best was not
+    accepted.
+    """
     single = acceptance.one_pose(state.body)
-    rows = _in_order(_laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking)
+    rows = _in_order(
+        _laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking
+    )
     if not rows:
         return None
     later, best = bool(outcome.steps), rows[0]
@@ -112,7 +136,10 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not able or (able[0] is not best and able[0].left - best.left > HINT * gain):
         outcome.hint = best if gain > HINT * float(ranking.before.sum()) else None
         return None
-    answers = [answered(state, fits, row, ranking.found, pairs=False) for row in _tied(able, ranking, state, single)]
+    answers = [
+        answered(state, fits, row, ranking.found, pairs=False)
+        for row in _tied(able, ranking, state, single)
+    ]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
     answers = [a for a in answers if float(ranking.found.sum()) - a.left >= least]
@@ -124,68 +151,114 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
     answers = [a for a in answers if not _static_alone(a, answers, ranking, state)]
-    first, *rest = sorted(answers, key=lambda a: (
-        not a.resolved, _beaten(a, answers), acceptance.order_of(a.family), a.numbers, a.left
-    ))  # fmt: skip
+    first, *rest = sorted(
+        answers,
+        key=lambda a: (
+            not a.resolved,
+            _beaten(a, answers),
+            acceptance.order_of(a.family),
+            a.numbers,
+            a.left,
+        ),
+    )
     return Step(first, tuple(a for a in rest if acceptance.indistinct(a, first, ranking, state)))
 
 
 def _split(answer: Answer, state: State, fits: Fits) -> Answer:
-    """Return an answer whose law has a number for each channel or cable, if that law leaves far less."""
+    """Return an answer whose law has a number for each channel or cable, if that law leaves far
+    less.
+    """
     law, body = answer.law, state.body
-    if law is None or not answer.resolved or law.split or not acceptance.stands_out(law.loss, body, laws=True):
+    if (
+        law is None
+        or not answer.resolved
+        or law.split
+        or not acceptance.stands_out(law.loss, body, laws=True)
+    ):
         return answer
     each = law_of(state, fits, law.effects, answer.before, law.effects)
     if each.numbers == law.numbers or not acceptance.falls_on(law.loss, each.loss, body, laws=True):
         return answer
-    equals = tuple(one for one in answer.equals if not acceptance.falls_on(one.loss, each.loss, body, laws=True))
-    return replace(answer, law=each, equals=equals, reaching=(*answer.reaching, each), tried=(each, *answer.tried))
+    equals = tuple(
+        one
+        for one in answer.equals
+        if not acceptance.falls_on(one.loss, each.loss, body, laws=True)
+    )
+    return replace(
+        answer,
+        law=each,
+        equals=equals,
+        reaching=(*answer.reaching, each),
+        tried=(each, *answer.tried),
+    )
 
 
 def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
-    """Return the families of a ranking, static ones linearised about themselves if they may do more than they seem to.
+    """Return the families of a ranking, static ones linearised about themselves if they may do more
+    than they seem to.
 
-    A large effect on commands is not linear in its columns. Another family, which is, would replace it.
+    A large effect on commands is not linear in its columns. Another family, which is, would replace
+    it.
     """
     rows, body = ranking.rows, state.body
     doubtful = [rows[0].loss if rows[0].family.kind == "static" else ranking.before] if rows else []
     if not any(acceptance.stands_out(loss, body, laws=True) for loss in doubtful):
         return rows
-    static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
+    static = [
+        row
+        for row in rows
+        if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)
+    ]
     settled = {row.family: linearised(state, row)[0] for row in static}
     return [min((row, settled.get(row.family, row)), key=lambda one: one.left) for row in rows]
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:
-    """Return the best single law of each family in place of its representative: one pose fits any free shape."""
+    """Return the best single law of each family in place of its representative: one pose fits any
+    free shape.
+    """
     laws = [(row.family, _best_law(row.family, ranking, state, fits)) for row in ranking.rows]
     return [_stand_in(family, law, fits) for family, law in laws if law is not None]
 
 
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
-    """Return rows with the least loss first; the free static shape is last, unless it does far more than the others."""
+    """Return rows with the least loss first; the free static shape is last, unless it does far more
+    than the others.
+    """
     ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, row.left))
     gains = [float(ranking.before.sum()) - row.left for row in ordered]
-    if ordered and ordered[-1].family.name == acceptance.CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
+    if (
+        ordered
+        and ordered[-1].family.name == acceptance.CATCH_ALL
+        and gains[-1] > rule.DOMINATES * gains[0]
+    ):
         ordered = [ordered[-1], *ordered[:-1]]
     return ordered
 
 
-def _tied(able: list[Representative], ranking: Ranking, state: State, single: bool) -> list[Representative]:
+def _tied(
+    able: list[Representative], ranking: Ranking, state: State, single: bool
+) -> list[Representative]:
     """Return the accepted families that are near the best: those whose laws are asked."""
     best = able[0].loss
     if single:  # imperfections of the robot and a law look alike in one pose
         explained = float(ranking.before.sum() - best.sum())
         tied = [row for row in able if rule.reaches(row.loss, best, explained, rule.FORM_MOST)]
     else:
-        tied = [row for row in able if near(row.loss, best, ranking.before) or _ordinary_apart(row, able[0], state)]
-    if any(row.family.name == acceptance.CATCH_ALL for row in tied):  # a law may bend more sharply than a spline
+        tied = [
+            row
+            for row in able
+            if near(row.loss, best, ranking.before) or _ordinary_apart(row, able[0], state)
+        ]
+    # a law may bend more sharply than a spline
+    if any(row.family.name == acceptance.CATCH_ALL for row in tied):
         tied += [row for row in able if row.family.kind == "static" and row not in tied]
     return tied
 
 
 def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
-    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to take this one.
+    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to
+    take this one.
 
     Nor is it among families without a law that depend on different things.
     """
@@ -196,7 +269,8 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
 
 
 def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family leaves more than noise, whatever its law, and one that depends on something else does not.
+    """Whether a family leaves more than noise, whatever its law, and one that depends on something
+    else does not.
 
     One that does here what static columns can do does not exclude a static family.
     """
@@ -204,13 +278,20 @@ def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: St
         return False
     clear = [a for a in others if rule.clears(a.least, one.least, state.body.problem.numbers)]
     apart = [a for a in clear if a.family.kind != one.family.kind]
-    return any(one.family.kind != "static" or not acceptance.does_the_same(a, one, ranking, state) for a in apart)
+    return any(
+        one.family.kind != "static" or not acceptance.does_the_same(a, one, ranking, state)
+        for a in apart
+    )
 
 
 def _static_alone(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family that is not static does here only what a static map does, and a static family is near."""
+    """Whether a family that is not static does here only what a static map does, and a static
+    family is near.
+    """
     static = [a for a in others if a.family.kind == "static"]
-    return one not in static and any(acceptance.does_the_same(one, other, ranking, state) for other in static)
+    return one not in static and any(
+        acceptance.does_the_same(one, other, ranking, state) for other in static
+    )
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
@@ -219,15 +300,21 @@ def _ordinary_apart(one: Representative, other: Representative, state: State) ->
         return False
     record = state.body.record
     apart = one.columns.shift(one.theta) - other.columns.shift(other.theta)
-    return record.rms_mm(np.where(np.isfinite(record.seen), apart, np.nan)) <= state.body.ordinary_mm
+    return (
+        record.rms_mm(np.where(np.isfinite(record.seen), apart, np.nan)) <= state.body.ordinary_mm
+    )
 
 
 def _ask_again(outcome: Outcome) -> bool:
-    """Ask families without a law once more, now that all others are in place; return whether one has another answer."""
+    """Ask families without a law once more, now that all others are in place; return whether one
+    has another answer.
+    """
     changed = False
     for i, step in enumerate(outcome.steps):
         state, family, law = outcome.state, step.family, step.answer.law
-        if law is not None and (not step.answer.rough or set(law.effects) <= set(state.fit.effects)):
+        if law is not None and (
+            not step.answer.rough or set(law.effects) <= set(state.fit.effects)
+        ):
             continue
         others = [one for one in state.representatives if one.family.name != family.name]
         fits = fits_alongside(outcome.plain, state, others)
@@ -245,7 +332,8 @@ def _ask_again(outcome: Outcome) -> bool:
 
 
 def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
-    """Return exchanged or turned servos as a step where they explain as much as the best family without a free number.
+    """Return exchanged or turned servos as a step where they explain as much as the best family
+    without a free number.
 
     They are asked for only where the model is off by a good part of the motion.
     """
@@ -265,7 +353,9 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
 def _stand_in(family: Family, law: Law, fits: Fits) -> Representative:
     """Return a law in the place of the representative of its family."""
     record = fits.problem.record
-    none = Columns(np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0)
+    none = Columns(
+        np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0
+    )
     assert law.fit is not None
     moved = record.rms_mm(fits.displacement(law.fit, law.effects[0]))
     return Representative(family, np.zeros(0), RIDGES[0], law.loss, law.numbers, none, moved)
@@ -279,7 +369,9 @@ def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law
 
 
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
-    """Return a family with its best single law in the place of its representative, where that leaves less."""
+    """Return a family with its best single law in the place of its representative, where that
+    leaves less.
+    """
     best = _best_law(row.family, ranking, state, fits)
     if best is None or best.fit is None or best.left >= row.left:
         return row

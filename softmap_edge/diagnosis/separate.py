@@ -1,10 +1,11 @@
-"""What to record next: the experiment that separates two families, and the blocks that settle what is open.
+"""What to record next: the experiment that separates two families, and the blocks that settle what
+is open.
 
-Each family declares an experiment (`rust/families/`), which varies what only this family depends on. Of two families,
-the one of the more special input is varied: a declared condition before time, time before the history of the commands.
-Of two families of one kind it is the one declared later. So two speeds separate delay from play, a repeat after a rest
-separates creep from time, and two orientations separate a load from the shape at rest.
-Pinned by tests/diagnosis/test_separate.py.
+Each family declares an experiment (`rust/families/`), which varies what only this family depends
+on. Of two families, the one of the more special input is varied: a declared condition before time,
+time before the history of the commands. Of two families of one kind it is the one declared later.
+So two speeds separate delay from play, a repeat after a rest separates creep from time, and two
+orientations separate a load from the shape at rest. Pinned by tests/diagnosis/test_separate.py.
 """
 
 from __future__ import annotations
@@ -12,24 +13,36 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from softmap_edge.diagnosis.families import families, home
-from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Finding, NextBlock, Untestable
+from softmap_edge.diagnosis.findings import (
+    Alternative,
+    FamilyFinding,
+    Finding,
+    NextBlock,
+    Untestable,
+)
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.model.effect_info import Registry
 
 REFIT = "`softmap model refit` on this run, then diagnose again"
 
-SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
+# kinds of input; a later one is varied by itself more easily
+SPECIAL = ("static", "memory", "time", "condition")
 
 
 def separating(one: str, other: str) -> tuple[str, float] | None:
-    """Return what to record so that two families are separated, and the minutes it takes; None where none declares it.
+    """Return what to record so that two families are separated, and the minutes it takes; None
+    where none declares it.
 
     Args:
         one: name of a family.
         other: name of another one.
     """
     every = families()
-    rows = [(SPECIAL.index(f.kind), i, f) for i, f in enumerate(every) if f.name in (one, other) and f.experiment[0]]
+    rows = [
+        (SPECIAL.index(f.kind), i, f)
+        for i, f in enumerate(every)
+        if f.name in (one, other) and f.experiment[0]
+    ]
     return max(rows, key=lambda row: row[:2])[2].experiment if rows and one != other else None
 
 
@@ -77,12 +90,18 @@ def next_blocks(
             add(*registry[asked].experiment, (one.member, other))
     for item in hidden:
         add(item.experiment, item.minutes, (item.name,))
-    return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]
+    return [
+        NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()
+    ]
 
 
-def _near_families(found: Sequence[FamilyFinding], alternatives: Sequence[Alternative]) -> list[tuple[str, str]]:
+def _near_families(
+    found: Sequence[FamilyFinding], alternatives: Sequence[Alternative]
+) -> list[tuple[str, str]]:
     """Return each family that was detected with each that cannot be distinguished from it."""
     own = {effect: family.name for family in found for effect in family.effects}
     pairs = [(family.name, other) for family in found for other in family.alternatives]
-    pairs += [(own[one.member], one.family) for one in alternatives if one.family and one.member in own]
+    pairs += [
+        (own[one.member], one.family) for one in alternatives if one.family and one.member in own
+    ]
     return [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]

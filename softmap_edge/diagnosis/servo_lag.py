@@ -1,10 +1,12 @@
-"""Effects of the servo, apart from those of the tendon: what lies between command and encoder, where a run has both.
+"""Effects of the servo, apart from those of the tendon: what lies between command and encoder,
+where a run has both.
 
-Each channel is a model of its own whose shape is the command itself, so the same search that looks for what the robot
-lacks finds what the servo does: command → chain of command effects → encoder. A delay that is found here is the
-servo's, and neither the tendon's nor the camera's. Units: those of the command, s. Limits: one channel is 1 number a
-sample, and so at most THINNED samples, evenly thinned, are looked at; what acts behind the encoder is not seen.
-Pinned by tests/diagnosis/test_servo.py.
+Each channel is a model of its own whose shape is the command itself, so the same search that looks
+for what the robot lacks finds what the servo does: command → chain of command effects → encoder. A
+delay that is found here is the servo's, and neither the tendon's nor the camera's. Units: those of
+the command, s. Limits: one channel is 1 number a sample, and so at most THINNED samples, evenly
+thinned, are looked at; what acts behind the encoder is not seen. Pinned by
+tests/diagnosis/test_servo.py.
 """
 
 from __future__ import annotations
@@ -27,11 +29,13 @@ from softmap_edge.run.run import Run
 Floats = NDArray[np.float64]
 
 THINNED = 1500
-VISIBLE = 0.006  # of the range of the commands: the least RMS that counts, if the encoder's step is finer
+# of the range of the commands: the least RMS that counts, if the encoder's step is finer
+VISIBLE = 0.006
 
 
 def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
-    """Return one servo as a model: a marker whose x is what the encoder reads, equal to the effective command.
+    """Return one servo as a model: a marker whose x is what the encoder reads, equal to the
+    effective command.
 
     Args:
         step: resolution of the encoder, in the unit of the command.
@@ -48,11 +52,15 @@ def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
         gravity_reference=np.array([0.0, 0.0, 1.0]),
         command_range=np.asarray(command_range, float),
     )
-    return Model("table", structure, np.array([[step, 0.0, 0.0]]), step, robot="servo", command_unit=unit)
+    return Model(
+        "table", structure, np.array([[step, 0.0, 0.0]]), step, robot="servo", command_unit=unit
+    )
 
 
 def encoder_run(run: Run, channel: int, t_seen: Floats) -> Run:
-    """Return the commands of one servo (T, 1) with its encoder at times `t_seen` (K,) as the x of a marker."""
+    """Return the commands of one servo (T, 1) with its encoder at times `t_seen` (K,) as the x of a
+    marker.
+    """
     markers = np.zeros((len(t_seen), 1, 3))
     markers[:, 0, 0] = np.interp(t_seen, run.t, run.commands("present")[:, channel])
     goal = np.ascontiguousarray(run.commands("goal")[:, channel : channel + 1])
@@ -64,11 +72,12 @@ def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
 
     Args:
         run: a run with commands (T, C) and encoder positions (T, C) in the same unit.
-        effects: names of the candidates; those that act on the command before the encoder are tested.
+        effects: names of the candidates; those that act on the command before the encoder are
+            tested.
 
     Returns:
-        list: the effects between command and encoder of each channel that moves, with errors held out on blocks; empty
-            where the run has no commands or no encoders.
+        list: the effects between command and encoder of each channel that moves, with errors held
+            out on blocks; empty where the run has no commands or no encoders.
     """
     if run.command is None or run.present is None or not len(run.t):
         return []
@@ -80,7 +89,8 @@ def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
     return [
         found
         for channel in range(run.present.shape[1])
-        if (found := _servo(run, channel, t_seen, [name for name in requested if name in effects])) is not None
+        if (found := _servo(run, channel, t_seen, [name for name in requested if name in effects]))
+        is not None
     ]
 
 

@@ -1,11 +1,12 @@
 """The radius of the spools, where it is known: an eccentric pulley then has no free period.
 
-    R = |A_kk| · 4096 / 2π       A (C, C) commands a tick (the model's calibration), 4096 ticks a turn of the horn
+    R = |A_kk| · 4096 / 2π       A (C, C) commands a tick (the model's calibration), 4096 ticks a
+                                 turn of the horn
 
-An eccentric pulley repeats after one turn, 2πR of the command. A run can also declare R (`spool_radius_mm`, which an
-import keeps from its mapping). The calibration comes first, because it was measured in the model's own commands.
-Limits: one radius for all spools, on the horn itself without gears, and each servo moves its own channel.
-Pinned by tests/diagnosis/test_spools.py.
+An eccentric pulley repeats after one turn, 2πR of the command. A run can also declare R
+(`spool_radius_mm`, which an import keeps from its mapping). The calibration comes first, because it
+was measured in the model's own commands. Limits: one radius for all spools, on the horn itself
+without gears, and each servo moves its own channel. Pinned by tests/diagnosis/test_spools.py.
 """
 
 from __future__ import annotations
@@ -28,12 +29,15 @@ Floats = NDArray[np.float64]
 
 RADIUS = "eccentric_pulley.radius"
 ALIKE = 0.05  # of their mean: spools whose radii differ by less have one radius
-CROSSED = 0.1  # of its own slope: a channel that other servos move by more is not wound on one spool
+# of its own slope: a channel that other servos move by more is not wound on one spool
+CROSSED = 0.1
 
 
 @dataclass(frozen=True)
 class Spool:
-    """The radius of the spools in the unit of the commands, one standard deviation, and where it is from."""
+    """The radius of the spools in the unit of the commands, one standard deviation, and where it is
+    from.
+    """
 
     radius: float
     sigma: float | None
@@ -41,7 +45,9 @@ class Spool:
 
 
 def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
-    """Return the radius of the spools of a robot; None if neither its calibration nor every run gives it."""
+    """Return the radius of the spools of a robot; None if neither its calibration nor every run
+    gives it.
+    """
     calibration = model.calibration
     if calibration is not None and calibration.unit == model.command_unit:
         return _calibrated(calibration)
@@ -55,7 +61,9 @@ def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
 
 
 def _calibrated(calibration: Calibration) -> Spool | None:
-    """Return the radius that a calibration gives; None where channels have several servos or different spools."""
+    """Return the radius that a calibration gives; None where channels have several servos or
+    different spools.
+    """
     slopes, own = np.abs(calibration.A), np.abs(np.diag(calibration.A))
     radii, sigma = own * TURN / (2.0 * np.pi), np.diag(calibration.sigma_A) * TURN / (2.0 * np.pi)
     if np.any(slopes.sum(axis=1) - own > CROSSED * own) or np.ptp(radii) > ALIKE * radii.mean():
@@ -71,6 +79,10 @@ def with_radius(layout: Layout, spool: Spool) -> Layout:
         return np.where(known, spool.radius, values)
 
     return replace(
-        layout, null=fixed(layout.null), start=fixed(layout.start), low=fixed(layout.low), high=fixed(layout.high),
+        layout,
+        null=fixed(layout.null),
+        start=fixed(layout.start),
+        low=fixed(layout.low),
+        high=fixed(layout.high),
         limit=fixed(layout.limit),
-    )  # fmt: skip
+    )

@@ -1,9 +1,10 @@
 """Runs that taught the model: what the model holds already, and what such a run can still show.
 
-A learned model was fitted to its runs. What was static in the robot then is part of its static map, so these runs show
-no static effect. `softmap learn` also puts the memory that it finds into the chain (`Model.learned_in`); with --static
-it leaves all memory to the diagnosis. That memory has bent the static map, so each law is fitted with the map solved
-again (`Record.remapped`, `families.State`). Pinned by tests/diagnosis/test_taught.py.
+A learned model was fitted to its runs. What was static in the robot then is part of its static map,
+so these runs show no static effect. `softmap learn` also puts the memory that it finds into the
+chain (`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has
+bent the static map, so each law is fitted with the map solved again (`Record.remapped`,
+`families.State`). Pinned by tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations
@@ -25,18 +26,25 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
-WHY = "the model was learned from this run, so its static map contains what was static in the robot then"
+WHY = (
+    "the model was learned from this run, so its static map contains what was static in the robot "
+    "then"
+)
 LATER = "the same moves after the change, in a run that takes no part in learning", 4.0
 BENT = "the static map was learned while the memory acted, so it is fitted again here"
-AGAIN = "`softmap learn` without --static: the memory has bent the static map, so the numbers found here are biased"
+AGAIN = (
+    "`softmap learn` without --static: the memory has bent the static map, so the numbers found "
+    "here are biased"
+)
 
 
 @dataclass(frozen=True)
 class TaughtRuns:
-    """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what.
+    """Which of `count` runs taught the model (numbers from 1), whether it was learned with
+    --static, and with what.
 
-    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so
-    static effects show even in the runs that taught it.
+    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows
+    few of them, so static effects show even in the runs that taught it.
     """
 
     runs: tuple[int, ...] = ()
@@ -63,7 +71,8 @@ class TaughtRuns:
 
     @property
     def remaps(self) -> bool:
-        """Whether the static map is solved again with every law, at least at first: memory has bent it.
+        """Whether the static map is solved again with every law, at least at first: memory has bent
+        it.
 
         Without --static `learn` solved it with the memory that it found.
         """
@@ -77,49 +86,79 @@ class TaughtRuns:
             memory = f"memory was learned as well: {', '.join(self.learned_in)} (in its chain)"
         else:
             memory = "memory was tested as well, and none was added to its chain"
-        who = "this run" if self.count == 1 else "these runs" if self.all else f"run {', '.join(map(str, self.runs))}"
+        who = (
+            "this run"
+            if self.count == 1
+            else "these runs"
+            if self.all
+            else f"run {', '.join(map(str, self.runs))}"
+        )
         held = "its static map holds what was static then, so no static effect can show"
         if not self.free:
-            held = "static effects can show only as far as the rod of its robot.toml does not follow them"
+            held = (
+                "static effects can show only as far as the rod of its robot.toml does not follow "
+                "them"
+            )
         elif not self.all:
             held = "only the other runs can show a static effect"
         return f"{who} taught the model: {held}; {memory}"
 
     def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
-        """Return the candidates that cannot be found because the static map holds them, or is solved again."""
+        """Return the candidates that cannot be found because the static map holds them, or is
+        solved again.
+        """
         if not record.remapped and not (self.free and self.all):
             return []
         loaded = record.load is not None and float(np.ptp(record.load)) > 0
         varied = loaded or orientations(record.state.gravity) > 1
-        static = {n for f in families() if f.kind == "static" and not (f.name == "load" and varied) for n in f.members}
+        static = {
+            n
+            for f in families()
+            if f.kind == "static" and not (f.name == "load" and varied)
+            for n in f.members
+        }
         found = (WHY, *LATER) if self.all else (BENT, AGAIN, 0.0)
         return [Untestable(name, *found) for name in candidates if name in static]
 
     def next(self, found: Sequence[Finding]) -> list[NextBlock]:
         """Return how to fit memory that was found with the static map solved again."""
-        return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []
+        return (
+            [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))]
+            if self.static and found
+            else []
+        )
 
 
 def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Document:
-    """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a law.
+    """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a
+    law.
 
-    The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught
-    the model a family that was found with a fixed map does not count: `learn` solved the map again with each of them.
+    The error of a learned model is part of its noise, and such a memory is part of this error. In
+    the runs that taught the model a family that was found with a fixed map does not count: `learn`
+    solved the map again with each of them.
     """
     unknown = next((one for one in model.learned_in if not one.name), None)
     silent = values["verdict"] in ("nothing", "cannot_tell")
-    lawless = values["verdict"] == "partly_explained" and not values["effects"] and not values["faults"]
+    lawless = (
+        values["verdict"] == "partly_explained" and not values["effects"] and not values["faults"]
+    )
     if unknown is None or not (silent or (lawless and teacher.all)):
         return {}
     kinds, before, after = {f.name: f.kind for f in families()}, unknown.before_mm, unknown.after_mm
     moved = float(np.sqrt(max(0.0, before**2 - after**2)))
     others = tuple(dict.fromkeys(one.family for one in unknown.alternatives))
     family = FamilyFinding(
-        unknown.family, kinds.get(unknown.family, "memory"), "unknown", (), (moved / before) ** 2, moved,
+        unknown.family,
+        kinds.get(unknown.family, "memory"),
+        "unknown",
+        (),
+        (moved / before) ** 2,
+        moved,
         alternatives=others,
-    )  # fmt: skip
+    )
     sentence = (
-        f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was detected while the model was learned; "
-        f"the model does not contain it.{' ' + values['sentence'] if silent else ''}"
+        f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was detected while "
+        "the model was learned; the model does not contain "
+        f"it.{' ' + values['sentence'] if silent else ''}"
     )
     return {"verdict": "partly_explained", "families": (family,), "sentence": sentence}

@@ -1,7 +1,7 @@
 """The report of a diagnosis for a terminal, from its document. Text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number says its unit, and every error
-what it was measured on.
+Bars of one block share one scale, so that their lengths may be compared; every number says its
+unit, and every error what it was measured on.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ def diagnosis_text(document: Document) -> str:
     lines += _noise_lines(known["made_from"], unit)
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
-    lines += _list_lines("Alternatives: other explanations of these data", document["alternatives"], _alternative)
+    lines += _list_lines(
+        "Alternatives: other explanations of these data", document["alternatives"], _alternative
+    )
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {}, unit)
@@ -64,7 +66,8 @@ STATIC_NOTE = (
 )
 OUTPUT_NOTE = f"Measured over all outputs. {STATIC_NOTE}"
 LADDER_NOTE = (
-    f"Measured at the middles of the body's sections, or at the markers; a comparison takes every point. {STATIC_NOTE}"
+    "Measured at the middles of the body's sections, or at the markers; a comparison takes every "
+    f"point. {STATIC_NOTE}"
 )
 
 
@@ -77,7 +80,10 @@ def ladder_steps(error: Document) -> list[tuple[str, float]]:
     Returns:
         list: steps whose value is a finite number, in the order in which things were added.
     """
-    steps = [("model alone", error.get("model")), ("static baseline only", error.get("static_residual"))]
+    steps = [
+        ("model alone", error.get("model")),
+        ("static baseline only", error.get("static_residual")),
+    ]
     steps += [(f"+ {row.get('added', '?')}", row.get("value")) for row in error.get("ladder") or []]
     steps.append((STATIC_ADDED, error.get("with_static_residual")))
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
@@ -88,7 +94,11 @@ def _effect_lines(row: Document, place_unit: str) -> list[str]:
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
     held = shift.get("held_out")
     facts = [
-        *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
+        *(
+            []
+            if row.get("probability") is None
+            else [f"probability {percent(row['probability'])} (fitted)"]
+        ),
         f"{percent(row.get('share'))} of the explained error",
         f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
@@ -106,21 +116,37 @@ def moved_by(unit: str) -> str:
 
 
 def again(row: Document) -> list[str]:
-    """Return a sentence on the numbers of the model that were fitted again with an effect, if there are any."""
+    """Return a sentence on the numbers of the model that were fitted again with an effect, if there
+    are any.
+    """
     changed = (row.get("refitted") or {}).get("params") or {}
     return (
-        [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"] if changed else []
+        [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"]
+        if changed
+        else []
     )
 
 
 def confirmed(row: Document) -> list[str]:
-    """Return a sentence on what the withheld blocks of the run say of an effect, if that is known."""
-    return [str(read(Certificate, row["certificate"], "certificate"))] if row.get("certificate") else []
+    """Return a sentence on what the withheld blocks of the run say of an effect, if that is
+    known.
+    """
+    return (
+        [str(read(Certificate, row["certificate"], "certificate"))]
+        if row.get("certificate")
+        else []
+    )
 
 
 def parameter(value: Document) -> str:
-    """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma allows."""
-    best, sigma, unit = number(value.get("value")), value.get("sigma") or 0.0, str(value.get("unit") or "")
+    """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma
+    allows.
+    """
+    best, sigma, unit = (
+        number(value.get("value")),
+        value.get("sigma") or 0.0,
+        str(value.get("unit") or ""),
+    )
     unit = "" if unit == "1" else unit  # a plain number
     if best is None:
         return "–"
@@ -135,7 +161,9 @@ def parameter(value: Document) -> str:
 
 
 def servo_row(row: Document) -> tuple[str, str]:
-    """Return what an entry of `servo` says as (channel, effects and the held-out error before and after)."""
+    """Return what an entry of `servo` says as (channel, effects and the held-out error before and
+    after).
+    """
     error, unit = row.get("error") or {}, str(row.get("unit") or "")
     found = [
         f"{label.split('[')[0]} {parameter(value)}"
@@ -143,7 +171,9 @@ def servo_row(row: Document) -> tuple[str, str]:
         for label, value in effect["params"].items()
     ]
     before, after = f"{mm(error.get('model'))} {unit}", f"{mm(error.get('value'))} {unit}"
-    what = f"{', '.join(found)}; {before} to {after}" if found else f"follows its command to {before}"
+    what = (
+        f"{', '.join(found)}; {before} to {after}" if found else f"follows its command to {before}"
+    )
     return f"channel {row.get('channel', '?')}", f"{what} (held-out RMS)"
 
 
@@ -161,7 +191,10 @@ def _ladder_lines(error: Document) -> list[str]:
         lines.append(f"  {'floor':<30}{mm(floor):>8}  {'░' * len(bar(floor, scale, 40))}")
         lines += folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
     lines += folded(LADDER_NOTE if unit == PLACES else OUTPUT_NOTE, 2)
-    known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
+    known = [
+        ("noise floor", error.get("noise_floor")),
+        ("model's own held-out error", error.get("model_floor")),
+    ]
     parts = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
     return [*lines, *([f"  {' · '.join(parts)}"] if parts else [])]
 
@@ -169,11 +202,16 @@ def _ladder_lines(error: Document) -> list[str]:
 def _noise_lines(made_from: Document, unit: str) -> list[str]:
     """Return the noise of a point of each run, the number that `check` and `compare` report."""
     output, values = output_of(made_from), made_from.get("noise_of_points_mm")
-    given = [value for value in values if number(value) is not None] if isinstance(values, list) else []
+    given = (
+        [value for value in values if number(value) is not None] if isinstance(values, list) else []
+    )
     if not given:
         return []
     sizes = ", ".join(mm(value if output is None else output.value(value)) for value in given)
-    return folded(f"noise of a point, as `softmap check` and `softmap compare` report it: {sizes} {unit} RMS", 2)
+    return folded(
+        f"noise of a point, as `softmap check` and `softmap compare` report it: {sizes} {unit} RMS",
+        2,
+    )
 
 
 def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
@@ -196,7 +234,9 @@ def _alternative(row: Document) -> str:
 
 
 def untestable_rows(document: Document) -> list[tuple[str, str, str]]:
-    """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in one row."""
+    """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in
+    one row.
+    """
     rows: dict[tuple[str, str], list[str]] = {}
     for row in document.get("not_testable") or []:
         reason = (str(row.get("why") or ""), str(row.get("experiment") or ""))
@@ -212,10 +252,17 @@ def _untestable(row: tuple[str, str, str]) -> str:
 
 def _next(row: Document) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
-    took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""  # no recording takes none
-    apart = f", expected separation {separation:.3g} (chi², simulated)" if isinstance(separation, (int, float)) else ""
+    # no recording takes none
+    took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""
+    apart = (
+        f", expected separation {separation:.3g} (chi², simulated)"
+        if isinstance(separation, (int, float))
+        else ""
+    )
     settles = row.get("settles")
-    named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    named = (
+        ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    )
     return f"{row.get('block', '?')}{took}{': settles ' + named if named else ''}{apart}"
 
 
@@ -224,10 +271,18 @@ def _unexplained_lines(left: Document, unit: str) -> list[str]:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
     facts = [f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise (fitted)"]
-    facts += [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
-    facts += [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
+    facts += (
+        [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
+    )
+    facts += (
+        [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
+    )
     ordinary = number(left.get("ordinary_mm"))
-    facts += [f"ordinary imperfections of this robot: {mm(ordinary)} {unit} RMS, no discovery"] if ordinary else []
+    facts += (
+        [f"ordinary imperfections of this robot: {mm(ordinary)} {unit} RMS, no discovery"]
+        if ordinary
+        else []
+    )
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []

@@ -1,7 +1,8 @@
-"""Laws of different families, fitted at once where the search family by family leaves a family open.
+"""Laws of different families, fitted at once where the search family by family leaves a family
+open.
 
-The laws replace what was found one by one only if they leave far less, or no more with more families resolved. Pinned
-by tests/diagnosis/test_two_levels.py.
+The laws replace what was found one by one only if they leave far less, or no more with more
+families resolved. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -16,7 +17,16 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import Family, FeatureBody, Ranking, Representative, State, families, home, ranked
+from softmap_edge.diagnosis.families import (
+    Family,
+    FeatureBody,
+    Ranking,
+    Representative,
+    State,
+    families,
+    home,
+    ranked,
+)
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
@@ -24,7 +34,8 @@ from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
 Floats = NDArray[np.float64]
 
 TOGETHER = 6  # pairs of a law and a second family that are asked for its laws
-PROMISING = 0.5  # of what the best family explains: on training frames less, and it is not cross-validated
+# of what the best family explains: on training frames less, and it is not cross-validated
+PROMISING = 0.5
 
 
 More = Callable[[Outcome, int], None]  # goes on with families until there are so many, in place
@@ -33,8 +44,9 @@ More = Callable[[Outcome, int], None]  # goes on with families until there are s
 def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
     """Return the first family with the others, one by one or a few laws at once.
 
-    The first of two families takes a share that belongs to the second, and keeps it. Laws that are fitted at once each
-    take their own: they are tried first where they leave no more than noise, and else replace what was found.
+    The first of two families takes a share that belongs to the second, and keeps it. Laws that are
+    fitted at once each take their own: they are tried first where they leave no more than noise,
+    and else replace what was found.
 
     Args:
         outcome: the first family, if one was found.
@@ -54,25 +66,35 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
 
 
 def _left_with_imperfections(outcome: Outcome) -> float:
-    """Return the unexplained share if the families of ordinary imperfections explain what they can."""
+    """Return the unexplained share if the families of ordinary imperfections explain what they
+    can.
+    """
     background = [family for family in families() if family.name in acceptance.BACKGROUND]
-    other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.representatives, background))
+    other = replace(
+        outcome, state=State(outcome.body, outcome.fit, outcome.state.representatives, background)
+    )
     other.loss = held_out_loss(other)
     return other.left
 
 
 def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outcome | None:
-    """Return a few laws as an outcome if they and ordinary imperfections leave only noise, and each is confirmed.
+    """Return a few laws as an outcome if they and ordinary imperfections leave only noise, and each
+    is confirmed.
 
-    One of them must be of the first family, and no other may depend on time, because an event or a drift can do much of
-    what other families do. Else families are asked one by one first.
+    One of them must be of the first family, and no other may depend on time, because an event or a
+    drift can do much of what other families do. Else families are asked one by one first.
     """
     body, ordinary_mm = outcome.body, outcome.body.ordinary_mm
     first, homes = outcome.steps[0].family, {home(name) for name in laws.effects}
-    if first not in homes or any(family is not None and family.kind == "time" for family in homes - {first}):
+    if first not in homes or any(
+        family is not None and family.kind == "time" for family in homes - {first}
+    ):
         return None
     assert laws.fit is not None
-    if _left_with_imperfections(replace(outcome, state=State(body, laws.fit), steps=[])) > rule.LEFT:
+    if (
+        _left_with_imperfections(replace(outcome, state=State(body, laws.fit), steps=[]))
+        > rule.LEFT
+    ):
         return None
     other = _confirmed(laws, outcome, visible, True)
     if other is not None:
@@ -85,9 +107,12 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
-    """Return what a `few` laws at once explain, if that replaces what was found family by family."""
+    """Return what a `few` laws at once explain, if that replaces what was found family by
+    family.
+    """
     steps = outcome.steps
-    hinted = outcome.body.record.error_is_noise and outcome.hint is not None  # one family alone is small against noise
+    # one family alone is small against noise
+    hinted = outcome.body.record.error_is_noise and outcome.hint is not None
     if (
         not (steps or hinted)
         or acceptance.one_pose(outcome.body)
@@ -97,7 +122,12 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
     best, best.loss = outcome, held_out_loss(outcome)
     explained = float(outcome.null.sum() - outcome.loss.sum())
     excluded = _excluded_by(outcome)
-    if len(steps) == 1 and steps[0].answer.resolved and not steps[0].others and outcome.left <= rule.LEFT:
+    if (
+        len(steps) == 1
+        and steps[0].answer.resolved
+        and not steps[0].others
+        and outcome.left <= rule.LEFT
+    ):
         # One law that does nearly all gives way to nothing else.
         few = () if excluded is None else filter(excluded, few)
     for laws in few:
@@ -121,8 +151,9 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
 def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
     """Return whether laws at once exclude the one law that was found.
 
-    Another law of its family is among them, and they leave only noise where it leaves more. What imperfections may
-    explain counts as left, because they can hide a second effect. None if no laws can.
+    Another law of its family is among them, and they leave only noise where it leaves more. What
+    imperfections may explain counts as left, because they can hide a second effect. None if no laws
+    can.
     """
     if len(outcome.steps) != 1 or not outcome.fit.effects:
         return None
@@ -134,14 +165,22 @@ def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
 
     def excludes(laws: Law) -> bool:
         others = {home(effect) for effect in set(laws.effects) - first}
-        return family in others and not first & set(laws.effects) and rule.clears(laws.loss, alone, numbers)
+        return (
+            family in others
+            and not first & set(laws.effects)
+            and rule.clears(laws.loss, alone, numbers)
+        )
 
     return excludes
 
 
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
-    """Return an outcome with the alternatives to each of its laws, the families that it replaces among them."""
-    laws = [law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None]
+    """Return an outcome with the alternatives to each of its laws, the families that it replaces
+    among them.
+    """
+    laws = [
+        law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None
+    ]
     if len(laws) < len(other.steps):
         return other
     split = [e for law in laws for e in law.split]
@@ -149,38 +188,59 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     for i, (step, own) in enumerate(zip(other.steps, laws)):
         rest = [e for law in laws if law is not own for e in law.effects]
         state = State(other.body, other.plain.get(rest, split))
-        ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [], PROMISING)
+        ranking = ranked(
+            state, [f for f in families() if f not in known or f == step.family], [], PROMISING
+        )
         rows = [row for row in ranking.rows if row.family != step.family]
-        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][: acceptance.ASKED]
+        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][
+            : acceptance.ASKED
+        ]
         answers = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
         if len(other.steps) == len(outcome.steps) == 1:
-            answers += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
+            answers += [
+                a
+                for a in (outcome.steps[0].answer, *outcome.steps[0].others)
+                if a.family != step.family
+            ]
         answers = [a for a in answers if a.law is None or a.law.effects != own.effects]
-        others = {a.family: a for a in answers if acceptance.indistinct(a, step.answer, ranking, state)}
+        others = {
+            a.family: a for a in answers if acceptance.indistinct(a, step.answer, ranking, state)
+        }
         other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
-    """Whether one outcome replaces another: it leaves far less, or it leaves no more and is simpler.
+    """Whether one outcome replaces another: it leaves far less, or it leaves no more and is
+    simpler.
 
-    What static families explain alone needs no other kind: an event can do much of what a static map does.
+    What static families explain alone needs no other kind: an event can do much of what a static
+    map does.
     """
     if acceptance.falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
-    fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
+    fewer = other.open < outcome.open or (
+        other.open == outcome.open and len(other.steps) < len(outcome.steps)
+    )
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
     if kinds != known and rule.leaves_cause(other.loss, outcome.loss, outcome.body.problem.numbers):
         return False
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    form = rule.FORM * max(1, outcome.open)  # a family without a law explains the form error of another law too
-    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained, form)
+    # a family without a law explains the form error of another law too
+    form = rule.FORM * max(1, outcome.open)
+    return (
+        fewer
+        and kinds <= {"static", *known}
+        and rule.reaches(other.loss, outcome.loss, explained, form)
+    )
 
 
 def _changes(family: Family) -> bool:
-    """Whether a family depends on time, or on what changes with time in the run: a condition, or the orientation."""
+    """Whether a family depends on time, or on what changes with time in the run: a condition, or
+    the orientation.
+    """
     return family.kind in ("time", "condition") or family.name == "load"
 
 
@@ -190,10 +250,11 @@ def _kind(family: Family) -> str:
 
 
 def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Outcome | None:
-    """Return a few laws as an outcome if each is confirmed as the law of its family, with the others in place.
+    """Return a few laws as an outcome if each is confirmed as the law of its family, with the
+    others in place.
 
-    Where they do all `together`, a small misfit of one of them does not count. No family explains ordinary
-    imperfections meanwhile: it would take the share of static laws.
+    Where they do all `together`, a small misfit of one of them does not count. No family explains
+    ordinary imperfections meanwhile: it would take the share of static laws.
     """
     body, plain = outcome.body, outcome.plain
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
@@ -203,14 +264,22 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
         answer = _in_place(state, plain, name)
         if answer is not None and together and (answer.law is None or answer.rough):
             answer = _reached(answer, name)
-        if answer is None or answer.law is None or answer.law.fit is None or not (answer.resolved or answer.open):
+        if (
+            answer is None
+            or answer.law is None
+            or answer.law.fit is None
+            or not (answer.resolved or answer.open)
+        ):
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
-        lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
+        # as ordinary imperfections do, or from some instant on
+        lasting = answer.family.kind in ("static", "time")
         least = max(visible, acceptance.ordinary_level(body) * lasting)
         if moved < least or not acceptance.falls_on(answer.before, answer.law.loss, body):
             return None
-        if not acceptance.exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
+        if not acceptance.exceeds_model_error(
+            answer.family, moved, _without_map(body, plain, names)
+        ):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.
@@ -222,7 +291,8 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
 
 
 def _reached(answer: Answer, name: str) -> Answer:
-    """Return an answer with an effect as its law, if that leaves least, or as little as a law with more numbers.
+    """Return an answer with an effect as its law, if that leaves least, or as little as a law with
+    more numbers.
 
     A generic law that leaves less keeps the answer as it is.
     """
@@ -230,12 +300,22 @@ def _reached(answer: Answer, name: str) -> Answer:
     law = next((law for law in answer.tried if law.effects == (name,)), None)
     if law is None:
         return answer
-    simpler = bool(first.effects) and law.numbers < first.numbers and near(law.loss, first.loss, answer.before)
-    return replace(answer, law=law, equals=(), open=False, reaching=(law,)) if law is first or simpler else answer
+    simpler = (
+        bool(first.effects)
+        and law.numbers < first.numbers
+        and near(law.loss, first.loss, answer.before)
+    )
+    return (
+        replace(answer, law=law, equals=(), open=False, reaching=(law,))
+        if law is first or simpler
+        else answer
+    )
 
 
 def _without_map(body: FeatureBody, fits: Fits, names: Collection[str]) -> State:
-    """Return the state with the laws that are neither static nor drifts: those change a map, together."""
+    """Return the state with the laws that are neither static nor drifts: those change a map,
+    together.
+    """
     kinds = {e: family.kind for e in names if (family := home(e)) is not None}
     return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
 
@@ -250,7 +330,9 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
 
 
 def _few_laws(outcome: Outcome) -> Iterator[Law]:
-    """Yield laws of different families that leave least: the best two, more if these add enough, the best one."""
+    """Yield laws of different families that leave least: the best two, more if these add enough,
+    the best one.
+    """
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
     firsts = _best_singles(null, fits, before)
@@ -265,11 +347,20 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
             continue  # no law of this family will do more
         own = home(first.effects[0])  # pairs of one family belong to its own question
-        names = [n for n in row.family.members if home(n) != own and frozenset((*first.effects, n)) not in pairs]
+        names = [
+            n
+            for n in row.family.members
+            if home(n) != own and frozenset((*first.effects, n)) not in pairs
+        ]
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
-    one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
-    alone = one is not None and two is not None and not acceptance.falls_on(one.loss, two.loss, body)
+    one, two = (
+        min(laws, key=lambda law: law.left, default=None)
+        for laws in (firsts.values(), pairs.values())
+    )
+    alone = (
+        one is not None and two is not None and not acceptance.falls_on(one.loss, two.loss, body)
+    )
     if alone or acceptance.MOST < 2:
         two = None
     if two is not None:
@@ -283,18 +374,22 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
 def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     """Return the families whose best laws leave least, with these laws, the best first.
 
-    Families are asked in the order of what they explain, until a law must explain far more than its family to be one.
-    Another law of the family may take its place in the end.
+    Families are asked in the order of what they explain, until a law must explain far more than its
+    family to be one. Another law of the family may take its place in the end.
     """
     total = float(before.sum())
     laws: list[Law] = []
     firsts: dict[Family, Law] = {}
     for row in ranked(null, families(), []).rows:
         gain, most = total - row.left, max((law.left for law in firsts.values()), default=0.0)
-        if gain < rule.FALL * total or (len(firsts) == acceptance.ASKED and rule.DOMINATES * gain < total - most):
+        if gain < rule.FALL * total or (
+            len(firsts) == acceptance.ASKED and rule.DOMINATES * gain < total - most
+        ):
             break
         known = {name for law in laws for name in law.effects}
-        laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
+        laws += _laws_on(
+            null, fits, [name for name in row.family.members if name not in known], before
+        )
         homes: dict[Family, Law] = {}
         for law in sorted(laws, key=lambda law: law.left):
             if (family := home(law.effects[0])) is not None:
@@ -315,7 +410,9 @@ def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
             if not near(row.loss, best.loss, ranking.found):
                 continue  # no law of this family will do more
             names = [n for n in row.family.members if home(n) == row.family]
-            best = min([best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left)
+            best = min(
+                [best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left
+            )
         if best is found or not acceptance.falls_on(found.loss, best.loss, body):
             break
         found = _joined(found, best)
@@ -323,11 +420,15 @@ def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
 
 
 def _laws_on(state: State, fits: Fits, names: Collection[str], before: Floats) -> list[Law]:
-    """Fit each of the named candidates on top of what was found, but a pulley that may be any smooth map."""
+    """Fit each of the named candidates on top of what was found, but a pulley that may be any
+    smooth map.
+    """
     laws = [law_of(state, fits, (name,), before) for name in fits.candidates if name in names]
     return [law for law in laws if WINDING not in law.effects or winds(law, state.body)]
 
 
 def _joined(first: Law, second: Law) -> Law:
     """Return the second law, which was fitted on top of the first, as the law of both."""
-    return replace(second, effects=(*first.effects, *second.effects), numbers=first.numbers + second.numbers)
+    return replace(
+        second, effects=(*first.effects, *second.effects), numbers=first.numbers + second.numbers
+    )

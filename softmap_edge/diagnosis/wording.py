@@ -18,13 +18,16 @@ from softmap_edge.diagnosis.findings import (
 )
 
 GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
-UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "inconclusive"
+# of the candidates that may be untestable before "nothing" becomes "inconclusive"
+UNTESTABLE_SHARE = 1 / 3
 LEFT_R2 = 0.12  # from which a condition is named as a predictor of the unexplained error
 
 
 @dataclass(frozen=True)
 class OwnMisfit:
-    """Effects that the model has already, which fit the run much better with other numbers: mm RMS, after held out."""
+    """Effects that the model has already, which fit the run much better with other numbers: mm RMS,
+    after held out.
+    """
 
     names: tuple[str, ...]
     before_mm: float
@@ -32,8 +35,8 @@ class OwnMisfit:
 
     def __str__(self) -> str:
         return (
-            f"the model's own {' + '.join(self.names)} does not fit this run: "
-            f"`softmap model refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
+            f"the model's own {' + '.join(self.names)} does not fit this run: `softmap model "
+            f"refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
             f"{self.after_mm:.2f} mm RMS (held out)"
         )
 
@@ -90,28 +93,43 @@ def sentence_of(
     `hint` is the nearest family where none is accepted.
     """
     fall = f"the held-out error falls from {error.before:.2f} to {error.after:.2f} mm RMS"
-    lost = f" Dropped, because the error on {error.held_out_on} did not fall: {', '.join(demoted)}." if demoted else ""
+    lost = (
+        f" Dropped, because the error on {error.held_out_on} did not fall: {', '.join(demoted)}."
+        if demoted
+        else ""
+    )
     found = _found(physics, faults, families)
     if verdict == "identified":
         return f"{found}; {fall}.{lost}"
     if verdict == "ambiguous":
-        others = dict.fromkeys(" + ".join(a.effects) if a.effects else f"a law of the family {a.family}"
-                               for a in alternatives)  # fmt: skip
-        other = f", or an alternative that these data cannot exclude ({'; '.join(others)})" if others else ""
+        others = dict.fromkeys(
+            " + ".join(a.effects) if a.effects else f"a law of the family {a.family}"
+            for a in alternatives
+        )
+        other = (
+            f", or an alternative that these data cannot exclude ({'; '.join(others)})"
+            if others
+            else ""
+        )
         return f"{found}{other}; {fall}.{lost}"
     if verdict == "partly_explained":
-        by = left.predicted_by if (left.blocked_r2 or 0.0) >= LEFT_R2 and left.predicted_by else None
+        by = (
+            left.predicted_by if (left.blocked_r2 or 0.0) >= LEFT_R2 and left.predicted_by else None
+        )
         rest = f"{left.rms_mm:.2f} mm RMS (fitted) remain unexplained"
         rest += f" and follow {by}" if by else ""
         falls = f"; {fall}" if physics or faults else ""
         nearest = f" (nearest family: {hint})" if hint else ""
         return f"{found or f'Something unknown is missing{nearest}'}; {rest}{falls}.{lost}"
     if verdict == "measurement_fault":
-        return f"{found if physics else f'The measurement is at fault, not the model: {_names(faults)}'}; {fall}.{lost}"
+        fault = f"The measurement is at fault, not the model: {_names(faults)}"
+        return f"{found if physics else fault}; {fall}.{lost}"
     names = ", ".join(h.name for h in hidden)
     above = "the noise floor"
     if left.ordinary_mm is not None and left.ordinary_mm > (error.floor or 0.0):
-        above += f" and the ordinary imperfections of a robot ({left.ordinary_mm:.2f} mm RMS, static)"
+        above += (
+            f" and the ordinary imperfections of a robot ({left.ordinary_mm:.2f} mm RMS, static)"
+        )
     if verdict == "cannot_tell":
         return f"No effect exceeds {above}. These data cannot show {names}.{lost}"
     stays = f"{error.before:.2f} mm RMS (held out)"
@@ -119,31 +137,60 @@ def sentence_of(
     return f"No effect exceeds {above}: no candidate explains the remaining {stays}.{cannot}{lost}"
 
 
-def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]) -> str:
-    """Return the findings: faults, named effects by family, families whose law is open or unknown."""
+def _found(
+    physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]
+) -> str:
+    """Return the findings: faults, named effects by family, families whose law is open or
+    unknown.
+    """
     parts = [f"the measurement is at fault ({_names(faults)})"] if faults else []
     named = {f.name for f in (*physics, *faults)}
-    settled = [f.name for f in physics if not any(f.name in g.effects and g.law != "resolved" for g in families)]
+    settled = [
+        f.name
+        for f in physics
+        if not any(f.name in g.effects and g.law != "resolved" for g in families)
+    ]
     if settled:
         parts.append(f"the model lacks {' + '.join(settled)}")
     for family in families:
         if family.law == "open":
-            fits = [e for e in family.effects if e not in named] + [e for e in family.effects if e in named]
-            among = f"; candidates: {', '.join([*fits, *family.generic])}" if (*fits, *family.generic) else ""
-            kind = "a static, non-linear map of the commands" if family.name == "static map" else family.name
+            fits = [e for e in family.effects if e not in named] + [
+                e for e in family.effects if e in named
+            ]
+            among = (
+                f"; candidates: {', '.join([*fits, *family.generic])}"
+                if (*fits, *family.generic)
+                else ""
+            )
+            kind = (
+                "a static, non-linear map of the commands"
+                if family.name == "static map"
+                else family.name
+            )
             parts.append(f"{kind} of {family.moved_mm:.2f} mm RMS, law open{among}")
         elif family.law == "unknown":
             others = f" (or {', '.join(family.alternatives)})" if family.alternatives else ""
-            share = f", {100.0 * family.law_share:.0f} % of it" if family.law_share is not None else ""
-            near = f" (nearest in the library: {', '.join(family.effects)}{share})" if family.effects else ""
-            parts.append(f"an unknown law of the family {family.name}{others}, {family.moved_mm:.2f} mm RMS{near}")
+            share = (
+                f", {100.0 * family.law_share:.0f} % of it" if family.law_share is not None else ""
+            )
+            near = (
+                f" (nearest in the library: {', '.join(family.effects)}{share})"
+                if family.effects
+                else ""
+            )
+            parts.append(
+                f"an unknown law of the family {family.name}{others}, {family.moved_mm:.2f} mm "
+                f"RMS{near}"
+            )
     text = "; and ".join(parts)
     return text[:1].upper() + text[1:]
 
 
 def _names(faults: Sequence[Finding]) -> str:
     """Return the names of faults, with the meaning of a case where one has it."""
-    return " + ".join(": ".join([f.name, *(p.meaning for p in f.params.values() if p.meaning)]) for f in faults)
+    return " + ".join(
+        ": ".join([f.name, *(p.meaning for p in f.params.values() if p.meaning)]) for f in faults
+    )
 
 
 def at_bounds(findings: Sequence[Finding]) -> list[str]:
@@ -159,4 +206,8 @@ def at_bounds(findings: Sequence[Finding]) -> list[str]:
 
 def unconfirmed(claims: Sequence[Finding | FamilyFinding]) -> list[str]:
     """Return a doubt for each claim that the withheld blocks do not confirm."""
-    return [f"{c.name} is {c.certificate}" for c in claims if c.certificate is not None and c.certificate.refuted]
+    return [
+        f"{c.name} is {c.certificate}"
+        for c in claims
+        if c.certificate is not None and c.certificate.refuted
+    ]

@@ -1,14 +1,16 @@
-"""Whether a run declares gravity with a wrong sign, or a load of a wrong size: asked where gravity makes no sense.
+"""Whether a run declares gravity with a wrong sign, or a load of a wrong size: asked where gravity
+makes no sense.
 
-With another effect present a wrong sign does not stand out before a fit (`belongs.py` asks that): a weight or a play
-hides it, and the effect `gravity` then ends at the bounds of what it may be. So that a search decides, the run is
-diagnosed again under the signs that look best with a free weight at the tip,
+With another effect present a wrong sign does not stand out before a fit (`belongs.py` asks that): a
+weight or a play hides it, and the effect `gravity` then ends at the bounds of what it may be. So
+that a search decides, the run is diagnosed again under the signs that look best with a free weight
+at the tip,
 
     min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)|      d what one weight does,
 
-and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is scaled by what fits
-best before a search, and must hold there too. Units: mm RMS, held out.
-Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by
+and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is
+scaled by what fits best before a search, and must hold there too. Units: mm RMS, held out. Limit:
+axes that were exchanged are not tried, nor runs relative to a reference. Pinned by
 tests/diagnosis/test_wrongly_declared.py.
 """
 
@@ -29,7 +31,8 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 FRAMES = 100  # looked at where signs are compared before the search
-CLOSE = 1.3  # times what the best signs leave: a hanging body hardly distinguishes the signs of its axis
+# times what the best signs leave: a hanging body hardly distinguishes the signs of its axis
+CLOSE = 1.3
 POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per number, that no true dead load leaves
 ABSENT = 0.2  # of a declared load: nearer to none, or to all of it, it is taken as that
 WORSE = 0.8  # of the held-out error that other signs must leave at most
@@ -39,34 +42,49 @@ SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 
 def strange(document: Document, loaded: bool = False) -> bool:
     """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
-    It is implausible if its numbers end at their bounds, or if the unexplained error depends on the orientation. It is
-    also implausible if a dead load leaves most of the error or has no law of the library, or if an effect was found in
-    a run that declares a load.
+    It is implausible if its numbers end at their bounds, or if the unexplained error depends on the
+    orientation. It is also implausible if a dead load leaves most of the error or has no law of the
+    library, or if an effect was found in a run that declares a load.
     """
     at_bound = any(
         entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())
         for entry in document["effects"]
     )
-    left = document["verdict"] == "partly_explained" and "orientation" in str(document["unexplained"]["predicted_by"])
-    weights = {"gravity", "payload"} & {*(e["name"] for e in document["effects"]), *document["made_from"]["demoted"]}
+    left = document["verdict"] == "partly_explained" and "orientation" in str(
+        document["unexplained"]["predicted_by"]
+    )
+    weights = {"gravity", "payload"} & {
+        *(e["name"] for e in document["effects"]),
+        *document["made_from"]["demoted"],
+    }
     error = document["error"]
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    poor = (loaded or bool(weights)) and after > POOR * error["model"] and document["unexplained"]["chi2_per_n"] > MUCH
-    lawless = any(family["name"] == "load" and family["law"] != "resolved" for family in document["families"])
+    poor = (
+        (loaded or bool(weights))
+        and after > POOR * error["model"]
+        and document["unexplained"]["chi2_per_n"] > MUCH
+    )
+    lawless = any(
+        family["name"] == "load" and family["law"] != "resolved" for family in document["families"]
+    )
     return at_bound or left or poor or lawless or (loaded and document["verdict"] != "nothing")
 
 
 def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Say so where gravity of other signs leaves a smaller held-out error than the one that is declared.
+    """Say so where gravity of other signs leaves a smaller held-out error than the one that is
+    declared.
 
     Args:
-        record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search leaves on other runs.
+        record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search
+            leaves on other runs.
     """
     runs = [part.run for part in record.parts]
     if record.replay is not None or any(run.gravity is None for run in runs):
         return None
     first = {s: _left(record, [_turned(_thin(run), s) for run in runs]) for s in SIGNS}
-    close = sorted((s for s in SIGNS if first[s] <= CLOSE * min(first.values())), key=lambda s: first[s])[:2]
+    close = sorted(
+        (s for s in SIGNS if first[s] <= CLOSE * min(first.values())), key=lambda s: first[s]
+    )[:2]
     found = {s: again([_turned(run, s) for run in runs]) for s in close}
     signs, other = min(found.items(), key=lambda pair: pair[1])
     if not other < WORSE * error:
@@ -74,21 +92,29 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     axes = [name for name, sign in zip("xyz", signs) if sign < 0]
     which = "upside down" if len(axes) == 3 else f"with the wrong sign of its {' and '.join(axes)}"
     return (
-        f"The measurement is at fault: `gravity` is declared {which}. So turned, what would be found leaves "
-        f"{other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is named: give the direction in "
-        "which things fall, in the base frame, and diagnose again."
+        f"The measurement is at fault: `gravity` is declared {which}. So turned, what would be "
+        f"found leaves {other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is "
+        "named: give the direction in which things fall, in the base frame, and diagnose again."
     )
 
 
 def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Say so where another size of the declared loads leaves a smaller held-out error; arguments as above."""
+    """Say so where another size of the declared loads leaves a smaller held-out error; arguments as
+    above.
+    """
     runs = [part.run for part in record.parts]
-    if record.replay is not None or not any(run.load is not None and np.any(run.load) for run in runs):
+    if record.replay is not None or not any(
+        run.load is not None and np.any(run.load) for run in runs
+    ):
         return None
     thin = [_thin(run) for run in runs]
-    loaded, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
+    loaded, bare = (
+        record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin])
+    )
     off, shift = (
-        np.nan_to_num(loaded.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
+        np.nan_to_num(
+            loaded.seen - declared.predict(record.model.chain_names, declared.own()[None])[0]
+        )
         for declared in (loaded, bare)
     )
     does = shift - off  # of all that is declared
@@ -102,9 +128,10 @@ def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     most = max(float(np.max(run.load)) for run in runs if run.load is not None)
     fits = "no load at all" if share == 0.0 else f"{share * most:.3g} g"
     return (
-        f"The measurement is at fault: `load` is declared as up to {most:.4g} g, and {fits} fits. So declared, what "
-        f"would be found leaves {other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is named: "
-        "give what hangs at the tip, in grams, and diagnose again."
+        f"The measurement is at fault: `load` is declared as up to {most:.4g} g, and {fits} fits. "
+        f"So declared, what would be found leaves {other:.2f} mm RMS instead of {error:.2f} mm "
+        "(both held out). No effect is named: give what hangs at the tip, in grams, and diagnose "
+        "again."
     )
 
 
@@ -123,11 +150,16 @@ def _thin(run: Run) -> Run:
 def _left(record: Record, runs: list[Run]) -> float:
     """Return what a model leaves of runs, mm RMS, with whatever weight at the tip."""
     other = record_of(record.model, runs)
-    own, names = record.model.chain_names, tuple(dict.fromkeys((*record.model.chain_names, "payload")))
+    own, names = (
+        record.model.chain_names,
+        tuple(dict.fromkeys((*record.model.chain_names, "payload"))),
+    )
     off = other.seen - other.predict(own, other.own()[None])[0]
     layout = other.layout(names)
     params = dict(zip(layout.labels, layout.start)) | other.own_values()
     moved = other.seen - other.predict(names, layout.values(params)[None])[0]
     shift = np.nan_to_num(off - moved)
-    share = max(0.0, float(np.sum(np.nan_to_num(off) * shift)) / max(float(np.sum(shift**2)), 1e-12))
+    share = max(
+        0.0, float(np.sum(np.nan_to_num(off) * shift)) / max(float(np.sum(shift**2)), 1e-12)
+    )
     return other.rms_mm(off - share * (off - moved))

@@ -1,1 +1,3 @@
-"""What to record next: blocks of commands, the choice between them, and the file that carries them to a robot."""
+"""What to record next: blocks of commands, the choice between them, and the file that carries them
+to a robot.
+"""

@@ -1,10 +1,12 @@
-"""The blocks of commands to choose an experiment from: what each moves, which one condition it changes, how it is made.
+"""The blocks of commands to choose an experiment from: what each moves, which one condition it
+changes, how it is made.
 
-A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or the load at the tip,
-or the warmth, never two of them, because the differences could not be separated; and what it does in the changed
-condition it does in the usual one too, so that a block alone holds both. `plan` puts blocks one after another.
-Units: s, mm (or the robot's own unit), g, °C. Moves are those of `run/protocol.py`, within the limits of a robot.
-Known limit: a warm-up is planned as a straight rise; a real one follows the thermometer. Pinned by
+A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or
+the load at the tip, or the warmth, never two of them, because the differences could not be
+separated; and what it does in the changed condition it does in the usual one too, so that a block
+alone holds both. `plan` puts blocks one after another. Units: s, mm (or the robot's own unit), g,
+°C. Moves are those of `run/protocol.py`, within the limits of a robot. Known limit: a warm-up is
+planned as a straight rise; a real one follows the thermometer. Pinned by
 tests/experiment/test_experiment.py.
 """
 
@@ -32,12 +34,15 @@ KNOWN_LOAD = 10.0  # g that are hung at the tip, on top of what hangs there
 WARMER, ROOM = 5.0, 22.0  # °C to warm by, and to start from where no temperature is declared
 WARM_UP = 600.0  # s that it takes
 LONG = 40.0  # s of rest at the end of the range
-TILTS = (25.0, 205.0, 115.0)  # degrees of azimuth to lean to; the first is that of the standard protocol
+# degrees of azimuth to lean to; the first is that of the standard protocol
+TILTS = (25.0, 205.0, 115.0)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How a robot stands while nothing is changed: gravity (3,) in g, load g; and all orientations seen so far."""
+    """How a robot stands while nothing is changed: gravity (3,) in g, load g; and all orientations
+    seen so far.
+    """
 
     gravity: Vector = HANGING
     load: float = 0.0
@@ -46,10 +51,14 @@ class Setting:
 
     @classmethod
     def after(cls, runs: Sequence[Run], usual: Floats) -> Setting:
-        """Return how a robot stands after some runs; hanging by `usual` gravity (3,) where they declare none."""
+        """Return how a robot stands after some runs; hanging by `usual` gravity (3,) where they
+        declare none.
+        """
         down = [np.atleast_2d(run.gravity) for run in runs if run.gravity is not None]
         last = runs[-1].load if runs else None
-        warm = next((run.temperature for run in reversed(runs) if run.temperature is not None), None)
+        warm = next(
+            (run.temperature for run in reversed(runs) if run.temperature is not None), None
+        )
         rows = np.concatenate(down) if down else np.atleast_2d(np.asarray(usual, float))
         return cls(
             _vector(rows[-1]),
@@ -59,7 +68,9 @@ class Setting:
         )
 
     def leaning(self) -> Vector:
-        """Return a direction of gravity 35° from the usual one that was not seen yet, if there is such."""
+        """Return a direction of gravity 35° from the usual one that was not seen yet, if there is
+        such.
+        """
         down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
         x = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
         x = (x - (x @ down) * down) / np.linalg.norm(x - (x @ down) * down)
@@ -74,7 +85,9 @@ class Setting:
 
 @dataclass(frozen=True)
 class Block:
-    """Some moves that show something: `moves` puts them on a tape, in a setting. `changes` is the one condition."""
+    """Some moves that show something: `moves` puts them on a tape, in a setting. `changes` is the
+    one condition.
+    """
 
     name: str
     moves: Callable[[Tape, Setting], None]
@@ -82,18 +95,27 @@ class Block:
     channels: int = 1  # that it takes
 
     def plan(self, limits: Limits, setting: Setting | None = None, seed: int = 0) -> Protocol:
-        """Return the block alone as a protocol, for a robot with these limits, standing as it does."""
+        """Return the block alone as a protocol, for a robot with these limits, standing as it
+        does.
+        """
         return plan([self], limits, setting, seed)
 
 
 def plan(
-    blocks: Sequence[Block], limits: Limits, setting: Setting | None = None, seed: int = 0, name: str = ""
+    blocks: Sequence[Block],
+    limits: Limits,
+    setting: Setting | None = None,
+    seed: int = 0,
+    name: str = "",
 ) -> Protocol:
-    """Return blocks one after another as a protocol; what a block changes is put back before the next.
+    """Return blocks one after another as a protocol; what a block changes is put back before the
+    next.
 
     Args:
-        blocks: at least one. limits: of the robot. setting: how it stands; hanging, without load, by default.
-        seed: of the irregular times of the frames. name: of the protocol; the names of the blocks by default.
+        blocks: at least one. limits: of the robot. setting: how it stands; hanging, without load,
+            by default.
+        seed: of the irregular times of the frames. name: of the protocol; the names of the blocks
+            by default.
 
     Raises:
         SoftmapError: no block, one that takes more channels, or more than two hours.
@@ -103,11 +125,12 @@ def plan(
     setting = setting or Setting()
     named = name or " + ".join(block.name for block in blocks)
     tape = Tape(limits, np.random.default_rng([seed, len(named)]), setting.gravity, setting.load)
-    for block in sorted(blocks, key=lambda block: block.changes == "temperature"):  # what is warm stays warm: last
+    # what is warm stays warm: last
+    for block in sorted(blocks, key=lambda block: block.changes == "temperature"):
         if block.channels > limits.channels:
             raise SoftmapError(
-                f"'{block.name}' moves {block.channels} channels together, the robot has {limits.channels}; "
-                "take another block"
+                f"'{block.name}' moves {block.channels} channels together, the robot has "
+                f"{limits.channels}; take another block"
             )
         tape.turn(setting.gravity)
         tape.hang(setting.load)
@@ -212,7 +235,9 @@ def _known_load(tape: Tape, setting: Setting) -> None:
 
 
 def _warm_up(tape: Tape, setting: Setting) -> None:
-    note = f"warm the robot by {WARMER:g} °C from here on, and log a thermometer next to the silicone"
+    note = (
+        f"warm the robot by {WARMER:g} °C from here on, and log a thermometer next to the silicone"
+    )
     tape.notes.append((tape.now, note))
     start = tape.now
     while tape.now - start < WARM_UP:

@@ -1,20 +1,24 @@
-"""Chooses the experiment that settles what a diagnosis left open: blocks are simulated before they are recorded.
+"""Chooses the experiment that settles what a diagnosis left open: blocks are simulated before they
+are recorded.
 
-A question is a pair of alternatives, or an effect that the runs could not show. With A true and B believed, a block is
-worth
+A question is a pair of alternatives, or an effect that the runs could not show. With A true and B
+believed, a block is worth
 
-    separation = min over B's parameters of |C^(-1/2) (A - B)|² on old runs and block, less the same on the old runs,
+    separation = min over B's parameters of |C^(-1/2) (A - B)|² on old runs and block, less the same
+    on the old runs,
 
-over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson & Fedorov 1975). A has
-its fitted parameters, an effect that was not seen those of typical strength; C is the noise of the old runs and the
-model's form error, which is one function of the command over old runs and block: what only a changed condition shows
-counts. Of a pair the smaller of both directions holds. Effects that the library calls alike in one orientation (or
-under one load) are separated by blocks that change it and by no others: other differences are the form of the library's
-laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is worth, for each question
-that it settles, its separation a minute over that of the best block for this question. Blocks are first ranked by
-questions between two families of effects: a law is only worth asking for once its family is known.
-Limits: old runs are thinned (`simulate.OLD` frames), which makes separations smaller, not larger; several blocks are
-taken to add nothing to each other. Pinned by tests/experiment/test_next_experiment.py.
+over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson &
+Fedorov 1975). A has its fitted parameters, an effect that was not seen those of typical strength; C
+is the noise of the old runs and the model's form error, which is one function of the command over
+old runs and block: what only a changed condition shows counts. Of a pair the smaller of both
+directions holds. Effects that the library calls alike in one orientation (or under one load) are
+separated by blocks that change it and by no others: other differences are the form of the library's
+laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is
+worth, for each question that it settles, its separation a minute over that of the best block for
+this question. Blocks are first ranked by questions between two families of effects: a law is only
+worth asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames),
+which makes separations smaller, not larger; several blocks are taken to add nothing to each other.
+Pinned by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations
@@ -44,10 +48,11 @@ SCHEMA = "softmap.next/1"
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A block to record: what it settles, its separation (chi² that the wrong answer would leave), and its commands.
+    """A block to record: what it settles, its separation (chi² that the wrong answer would leave),
+    and its commands.
 
-    `separation` is that of the first question that it settles; None where nothing was simulated, as is `plan`.
-    `answers` are (question, separation) of all that was asked.
+    `separation` is that of the first question that it settles; None where nothing was simulated, as
+    is `plan`. `answers` are (question, separation) of all that was asked.
     """
 
     block: str
@@ -70,11 +75,19 @@ class Experiment:
     def settled(self) -> list[OpenQuestion]:
         """Return the questions that it settles, alternatives first."""
         found = [(q, s) for q, s in self.answers if s >= SETTLED]
-        return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
+        return [
+            q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))
+        ]
 
     def __str__(self) -> str:
-        apart = "no block that was simulated settles it for sure" if self.answers else "not simulated"
-        apart = apart if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g} (chi²)"
+        apart = (
+            "no block that was simulated settles it for sure" if self.answers else "not simulated"
+        )
+        apart = (
+            apart
+            if self.separation is None
+            else f"separation {float(f'{self.separation:.3g}'):g} (chi²)"
+        )
         settles = ", ".join(self.settles) or "nothing"
         return f"{self.block} ({self.minutes:.1f} min): settles {settles}; {apart}{self.alone}"
 
@@ -92,21 +105,25 @@ def next_experiment(
     Args:
         model: the model that was diagnosed.
         diagnosis: what was found; its alternatives and what was not testable are the questions.
-        runs: the runs that it was made from; without any, each block is rated by itself, with parameters of typical
-            strength.
+        runs: the runs that it was made from; without any, each block is rated by itself, with
+            parameters of typical strength.
         limits: of the robot; three quarters of the model's range by default.
         progress: called with the share that is done.
-        references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
+        references: the runs that the diagnosis is relative to, if it is; then a block counts as
+            played in both states.
 
     Returns:
-        list: experiments, best first: by what separates families, then by all questions. Last what no block settles,
-        with what the library says of it. Empty where nothing is open.
+        list: experiments, best first: by what separates families, then by all questions. Last what
+        no block settles, with what the library says of it. Empty where nothing is open.
 
     Raises:
-        SoftmapError: the diagnosis is of another model or of other runs, or names effects that are not known.
+        SoftmapError: the diagnosis is of another model or of other runs, or names effects that are
+            not known.
     """
     if model.channels == 0:
-        raise SoftmapError("the model takes no commands, so no block of commands can settle anything")
+        raise SoftmapError(
+            "the model takes no commands, so no block of commands can settle anything"
+        )
     limits = limits or Limits.of(model.command_range, model.command_unit)
     world = Outcomes(model, diagnosis, list(runs), references)
     found = []
@@ -121,11 +138,16 @@ def next_experiment(
     between = _worth(list(worth), _between_families(world.questions))
     good = sorted(worth, key=lambda e: (-between[e], -worth[e]))
     settled = {q for e in good for q in e.settled()}
-    return [*good, *_rest(world, [q for q in (*world.questions, *world.beyond) if q not in settled])]
+    return [
+        *good,
+        *_rest(world, [q for q in (*world.questions, *world.beyond) if q not in settled]),
+    ]
 
 
 def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[Experiment]:
-    """Return which experiments to record together: the first, and while there is time what settles something more."""
+    """Return which experiments to record together: the first, and while there is time what settles
+    something more.
+    """
     candidates = [e for e in experiments if e.plan is not None]
     still = list(dict.fromkeys(q for e in candidates for q in e.settled()))
     taken: list[Experiment] = []
@@ -141,27 +163,40 @@ def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[
 
 
 def _between_families(questions: Sequence[OpenQuestion]) -> list[OpenQuestion]:
-    """Return the questions between two families of effects: these are settled before those between laws."""
+    """Return the questions between two families of effects: these are settled before those between
+    laws.
+    """
     return [question for question in questions if question.families is not None]
 
 
-def _worth(experiments: Sequence[Experiment], questions: Sequence[OpenQuestion]) -> dict[Experiment, float]:
+def _worth(
+    experiments: Sequence[Experiment], questions: Sequence[OpenQuestion]
+) -> dict[Experiment, float]:
     """Return what each experiment is worth for some questions."""
     worth = dict.fromkeys(experiments, 0.0)
     for question in questions:
-        rate = {e: dict(e.answers)[question] / max(e.minutes, 1e-9) for e in experiments if question in e.settled()}
+        rate = {
+            e: dict(e.answers)[question] / max(e.minutes, 1e-9)
+            for e in experiments
+            if question in e.settled()
+        }
         for e, speed in rate.items():
             worth[e] += (1.0 if question.hidden is None else UNSEEN) * speed / max(rate.values())
     return worth
 
 
-def _experiment(world: Outcomes, block: Block, made: Protocol, answers: list[tuple[OpenQuestion, float]]) -> Experiment:
+def _experiment(
+    world: Outcomes, block: Block, made: Protocol, answers: list[tuple[OpenQuestion, float]]
+) -> Experiment:
     bare = Experiment(block.name, made.minutes, [], None, made, tuple(answers))
     names = list(dict.fromkeys(name for q in bare.settled() for name in q.names))
     first = next((s for q, s in answers if q in bare.settled()[:1]), None)
     missing = [name for name in names if not world.declared(name)]
     fields = dict.fromkeys(field for name in missing for field in world.needs(name))
-    alone = f"; for {', '.join(missing)} diagnose its run by itself, the earlier ones declare no {', '.join(fields)}"
+    alone = (
+        f"; for {', '.join(missing)} diagnose its run by itself, the earlier ones declare no "
+        f"{', '.join(fields)}"
+    )
     return replace(bare, settles=names, separation=first, alone=alone if missing else "")
 
 

@@ -1,9 +1,10 @@
-"""What a diagnosis left open, and what each answer would look like in a block of commands that is not recorded yet.
+"""What a diagnosis left open, and what each answer would look like in a block of commands that is
+not recorded yet.
 
-`Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs; `answers` simulates
-a block and says what the wrong answer would leave of the right one (`choose.py` has the formula). Predictions are those
-of the diagnosis itself: records, noise and form error, whitened features, bounded fits. Pinned by
-tests/experiment/test_next_experiment.py.
+`Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs;
+`answers` simulates a block and says what the wrong answer would leave of the right one (`choose.py`
+has the formula). Predictions are those of the diagnosis itself: records, noise and form error,
+whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations
@@ -44,25 +45,34 @@ OLD = 300  # frames of the old runs that are simulated
 
 @dataclass(frozen=True)
 class OpenQuestion:
-    """What is open: two sets of effects that explain the runs alike, or with `hidden` an effect that they hide."""
+    """What is open: two sets of effects that explain the runs alike, or with `hidden` an effect
+    that they hide.
+    """
 
     one: tuple[str, ...]
     other: tuple[str, ...]
     hidden: str | None = None
-    families: tuple[str, str] | None = field(default=None, compare=False)  # that the two sets are of, if they differ
+    # that the two sets are of, if they differ
+    families: tuple[str, str] | None = field(default=None, compare=False)
 
     @property
     def names(self) -> list[str]:
         """The effects that it is about."""
         if self.hidden is not None:
             return [self.hidden]
-        return [e for e in self.one if e not in self.other] + [e for e in self.other if e not in self.one]
+        return [e for e in self.one if e not in self.other] + [
+            e for e in self.other if e not in self.one
+        ]
 
 
 class Outcomes:
-    """What a diagnosis left open, and what each answer would look like in a block that is not recorded yet."""
+    """What a diagnosis left open, and what each answer would look like in a block that is not
+    recorded yet.
+    """
 
-    def __init__(self, model: Model, diagnosis: Diagnosis, runs: list[Run], references: Sequence[Run] = ()) -> None:
+    def __init__(
+        self, model: Model, diagnosis: Diagnosis, runs: list[Run], references: Sequence[Run] = ()
+    ) -> None:
         self.model, self.registry = model, registry()
         _check(model, diagnosis, runs, self.registry, references)
         self.paired = diagnosis.made_from.get("reference") is not None
@@ -71,9 +81,14 @@ class Outcomes:
         known = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
         self.found = tuple(name for name in self.registry if name in known)
         asked = _questions(diagnosis, self.found, tuple(model.chain_names))
-        self.beyond = [q for q in asked if q.hidden is None and any(model.missing_for(n) for n in q.other)]
-        self.questions = [q for q in asked if q not in self.beyond]  # what the model has no field for is not simulated
-        sets = list(dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)]))
+        self.beyond = [
+            q for q in asked if q.hidden is None and any(model.missing_for(n) for n in q.other)
+        ]
+        # what the model has no field for is not simulated
+        self.questions = [q for q in asked if q not in self.beyond]
+        sets = list(
+            dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)])
+        )
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
         self.setting = Setting.after(runs, model.gravity_reference)
         self.bare = _blank_record(model, self.setting)
@@ -101,7 +116,8 @@ class Outcomes:
         return [
             b
             for b in BLOCKS.values()
-            if b.channels <= limits.channels and (b.changes != "temperature" or "temperature" in needed)
+            if b.channels <= limits.channels
+            and (b.changes != "temperature" or "temperature" in needed)
         ]
 
     def answers(self, made: Protocol, changes: str) -> list[tuple[OpenQuestion, float]]:
@@ -111,9 +127,13 @@ class Outcomes:
         new = Record(self.model, run, own or None)
         parts = [] if self.old is None else [self.old]
         joint = record_of(self.model, [*_thinned(self.runs), run], [*self.references, *own] or None)
-        problem = problem_of(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
+        problem = problem_of(
+            joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise
+        )
         alone = _Linear(
-            self, problem_of(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
+            self,
+            problem_of(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise),
+            [new],
         )
         both = _Linear(self, problem, [*parts, new])
         found = []
@@ -132,31 +152,45 @@ class Outcomes:
                 apart = 0.0
             else:  # the earlier runs do not show it: the new one by itself
                 apart = alone.left(question.hidden)
-                apart = apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
+                apart = (
+                    apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
+                )
             found.append((question, max(apart, 0.0) / self.dispersion))
         return found
 
-    # --- alternatives, refitted in full ---------------------------------------------------------------
+    # --- alternatives, refitted in full -----------------------------------------------------------
 
     def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
-        """Whether a block that `changes` a condition can separate a pair, by the library's declarations."""
+        """Whether a block that `changes` a condition can separate a pair, by the library's
+        declarations.
+        """
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
         if len(mine) != 1 or len(theirs) != 1:
             return True
-        by = self.registry[mine[0]].alike.get(theirs[0]) or self.registry[theirs[0]].alike.get(mine[0])
+        by = self.registry[mine[0]].alike.get(theirs[0]) or self.registry[theirs[0]].alike.get(
+            mine[0]
+        )
         return by is None or by == changes
 
     def _shows(self, name: str, changes: str) -> bool:
-        """Whether a block that `changes` a condition can show an effect, which may need another orientation."""
+        """Whether a block that `changes` a condition can show an effect, which may need another
+        orientation.
+        """
         by = set(self.registry[name].alike.values())
         return by != {"orientation"} or changes == "orientation"
 
-    def _apart(self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]) -> float:
-        """Return by how much more `tried` is wrong with the block than without it, where `true` holds."""
+    def _apart(
+        self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]
+    ) -> float:
+        """Return by how much more `tried` is wrong with the block than without it, where `true`
+        holds.
+        """
         return self._left(problem, parts, true, tried) - self._before(true, tried)
 
-    def _left(self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]) -> float:
+    def _left(
+        self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]
+    ) -> float:
         """Return the chi² that `tried` leaves at best where `true` holds."""
         seen = np.isfinite(problem.record.seen)
         truth = np.concatenate([self.predicted(part, true, self.params[true]) for part in parts])
@@ -187,7 +221,11 @@ class Outcomes:
 
     @cached_property
     def _old_linear(self) -> _Linear | None:
-        return None if self._old_problem is None or self.old is None else _Linear(self, self._old_problem, [self.old])
+        return (
+            None
+            if self._old_problem is None or self.old is None
+            else _Linear(self, self._old_problem, [self.old])
+        )
 
     def _hidden_before(self, name: str) -> float:
         if self._old_linear is None:
@@ -214,7 +252,9 @@ class Outcomes:
 
     # --- what is predicted ----------------------------------------------------------------------
 
-    def predicted(self, record: Record, effects: tuple[str, ...], params: Mapping[str, float]) -> Floats:
+    def predicted(
+        self, record: Record, effects: tuple[str, ...], params: Mapping[str, float]
+    ) -> Floats:
         """Return features (K, F) mm of a record with some effects on top of the model's own."""
         own = tuple(self.model.chain_names)
         layout = record.layout(own + tuple(e for e in effects if e not in own))
@@ -227,7 +267,9 @@ class Outcomes:
         return (*self.found, name), self._middle((name,)) | self.params[self.found]
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
-        """Return parameters at typical strength: halfway from null to high, or the start on a log scale."""
+        """Return parameters at typical strength: halfway from null to high, or the start on a log
+        scale.
+        """
         layout = self.bare.layout(tuple(effects))
         return dict(zip(layout.labels, map(float, layout.middle)))
 
@@ -243,7 +285,9 @@ class Outcomes:
 
 
 class _Linear:
-    """What an unseen effect leaves on top of what was found, whose parameters take one linearised step."""
+    """What an unseen effect leaves on top of what was found, whose parameters take one linearised
+    step.
+    """
 
     def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
@@ -251,7 +295,9 @@ class _Linear:
     @cached_property
     def _base(self) -> list[Floats]:
         world = self.world
-        return [world.predicted(part, world.found, world.params[world.found]) for part in self.parts]
+        return [
+            world.predicted(part, world.found, world.params[world.found]) for part in self.parts
+        ]
 
     @cached_property
     def _jacobian(self) -> Floats:
@@ -262,7 +308,9 @@ class _Linear:
         space = problem.space(world.found)
         kept, problem.record.seen = problem.record.seen, np.concatenate(self._base)
         rest = world._middle(world.found)
-        x = space.scaled(np.array([_of(world.params[world.found], label, rest) for label in space.free_labels]))
+        x = space.scaled(
+            np.array([_of(world.params[world.found], label, rest) for label in space.free_labels])
+        )
         modes = problem.at(space, x[None])[0]
         slopes = problem.slopes(space, x, modes)
         problem.record.seen = kept
@@ -277,18 +325,22 @@ class _Linear:
             return float(white @ white)
         pull = self._jacobian @ white
         return float(
-            white @ white - pull @ np.linalg.solve(self._jacobian @ self._jacobian.T + np.eye(len(pull)), pull)
+            white @ white
+            - pull @ np.linalg.solve(self._jacobian @ self._jacobian.T + np.eye(len(pull)), pull)
         )
 
 
 # --- what is asked ------------------------------------------------------------------------------
 
 
-def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...]) -> list[OpenQuestion]:
+def _questions(
+    diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...]
+) -> list[OpenQuestion]:
     asked = []
     for alternative in diagnosis.alternatives:
         effects = alternative.effects
-        if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
+        # a refit of the model's own needs no experiment
+        if set(effects) != set(found) and not set(effects) & set(own):
             asked.append(OpenQuestion(found, effects, families=_between(diagnosis, alternative)))
     recordable = [row.name for row in diagnosis.not_testable if not row.of_model]
     asked += [OpenQuestion(found, found, name) for name in recordable if name not in found]
@@ -303,13 +355,19 @@ def _between(diagnosis: Diagnosis, alternative: Alternative) -> tuple[str, str] 
     return (own, other) if own and other and own != other else None
 
 
-def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Registry, references: Sequence[Run]) -> None:
+def _check(
+    model: Model,
+    diagnosis: Diagnosis,
+    runs: Sequence[Run],
+    known: Registry,
+    references: Sequence[Run],
+) -> None:
     made = diagnosis.made_from
     own = made.get("own_effects")
     if isinstance(own, list) and own != list(model.chain_names):
         raise SoftmapError(
-            f"the diagnosis is of a model with {', '.join(map(str, own)) or 'no effects'}, this one has "
-            f"{', '.join(model.chain_names) or 'none'}; give the bundle that was diagnosed"
+            f"the diagnosis is of a model with {', '.join(map(str, own)) or 'no effects'}, this "
+            f"one has {', '.join(model.chain_names) or 'none'}; give the bundle that was diagnosed"
         )
     recorded = made.get("run")
     hashes = [run.hash() for run in runs]
@@ -319,7 +377,8 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
         and sorted(hashes) != sorted(recorded if isinstance(recorded, list) else [recorded])
     ):
         raise SoftmapError(
-            f"the diagnosis was made from other runs than the {len(runs)} given; give those, or diagnose these again"
+            f"the diagnosis was made from other runs than the {len(runs)} given; give those, or "
+            "diagnose these again"
         )
     _check_references(made.get("reference"), bool(runs), [run.hash() for run in references])
     named = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
@@ -327,42 +386,62 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
     named += [row.name for row in diagnosis.not_testable]
     unknown = [name for name in named if name not in known]
     if unknown:
-        raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
+        raise SoftmapError(
+            f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again"
+        )
 
 
 def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
-    """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
+    """Refuse other references than those that a diagnosis is relative to; those of its held-out run
+    may come along.
+    """
     if recorded is None and given:
-        raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")
+        raise SoftmapError(
+            "the diagnosis is not relative to a reference run; leave --reference out"
+        )
     hashes = recorded.get("run") if isinstance(recorded, Mapping) else None
     needed = hashes if isinstance(hashes, list) else [hashes]
     if recorded is None or not (runs or given):
         return
     if not given:
-        raise SoftmapError("the diagnosis is relative to a reference run; give that run too, with --reference")
+        raise SoftmapError(
+            "the diagnosis is relative to a reference run; give that run too, with --reference"
+        )
     if not {str(h) for h in needed} <= set(given):
         raise SoftmapError(
-            f"the diagnosis is relative to {len(needed)} other reference run(s) than the {len(given)} given; give those"
+            f"the diagnosis is relative to {len(needed)} other reference run(s) than the "
+            f"{len(given)} given; give those"
         )
 
 
 def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
-    """Return the noise that a diagnosis states, the same for each coordinate, where its runs are not given."""
+    """Return the noise that a diagnosis states, the same for each coordinate, where its runs are
+    not given.
+    """
     stated = diagnosis.error.noise_floor
     mm = stated if stated is not None and 0 < stated < 1e3 else 0.3
-    return Noise(np.eye(3 * len(model.structure.positions)) * max(mm / np.sqrt(3.0), FLOOR) ** 2, "stated", 1.0)
+    return Noise(
+        np.eye(3 * len(model.structure.positions)) * max(mm / np.sqrt(3.0), FLOOR) ** 2,
+        "stated",
+        1.0,
+    )
 
 
 def _thinned(runs: Sequence[Run]) -> list[Run]:
     total = max(1, sum(run.frames for run in runs))
     share = min(1.0, OLD / total)
     return [
-        run.at(np.unique(np.linspace(0, run.frames - 1, max(2, int(share * run.frames))).astype(int))) for run in runs
+        run.at(
+            np.unique(np.linspace(0, run.frames - 1, max(2, int(share * run.frames))).astype(int))
+        )
+        for run in runs
     ]
 
 
 def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> Run:
-    """Return a protocol as a run in which nothing is seen yet, in the way in which `like` was seen."""
+    """Return a protocol as a run in which nothing is seen yet, in the way in which `like` was
+    seen.
+    """
     warm = made.temperature
     if warm is None and like is not None and like.temperature is not None:
         warm = np.full(made.t.size, setting.temperature)
@@ -371,9 +450,17 @@ def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> 
         rest = model.rest if like is None or like.marker_rest is None else like.marker_rest
         seen = {"markers": np.repeat(rest[None], made.frames, axis=0), "marker_rest": rest}
     return Run(
-        t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, load=made.load,
-        temperature=warm, block=made.block, robot=model.robot, command_unit=model.command_unit, **seen,
-    )  # fmt: skip
+        t=made.t,
+        command=made.command,
+        t_seen=made.t_seen,
+        gravity=made.gravity,
+        load=made.load,
+        temperature=warm,
+        block=made.block,
+        robot=model.robot,
+        command_unit=model.command_unit,
+        **seen,
+    )
 
 
 def _blank_record(model: Model, setting: Setting) -> Record:

@@ -1,7 +1,8 @@
 """The solid of a finger: a round tapered body, a plain block, or an imported mesh of tetrahedra.
 
-Each knows its part of `finger.toml`, makes its cells in the compiled core, and names another mesh of the same solid.
-The base frame has its origin at the centre of the clamped base and z to the tip; what lies at z = 0 or below is held.
+Each knows its part of `finger.toml`, makes its cells in the compiled core, and names another mesh
+of the same solid. The base frame has its origin at the centre of the clamped base and z to the tip;
+what lies at z = 0 or below is held.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ _KEYS = ("profile_mm", "block", "mesh")  # of the top level
 
 @dataclass(frozen=True)
 class Tapered:
-    """A round body: (z, radius) pairs in mm from z = 0; cells across the core, rings around it, layers along z."""
+    """A round body: (z, radius) pairs in mm from z = 0; cells across the core, rings around it,
+    layers along z.
+    """
 
     profile: Pairs
     core: int
@@ -51,7 +54,9 @@ class Tapered:
     def __post_init__(self) -> None:
         check_pairs("profile_mm", self.profile)
         if self.profile[0][0] != 0.0 or min(radius for _, radius in self.profile) <= 0:
-            raise FingerError("profile_mm: z must start at 0 and each radius above 0 mm; measure from the base")
+            raise FingerError(
+                "profile_mm: z must start at 0 and each radius above 0 mm; measure from the base"
+            )
         for field, most in (("core", _MOST_CORE), ("rings", 16), ("layers", _MOST_LAYERS)):
             check_count(f"mesh.{field}", getattr(self, field), 1, most, "3, 1, 42 is usual")
 
@@ -89,7 +94,10 @@ class Block:
     def __post_init__(self) -> None:
         check_vector("block.size_mm", self.size, 0.1, 2000.0, "measure width, depth and height")
         if len(self.cells_each_way) != 3:
-            raise FingerError(f"block.cells: {shown(list(self.cells_each_way))}; expected three numbers, as [4, 4, 20]")
+            raise FingerError(
+                f"block.cells: {shown(list(self.cells_each_way))}; expected three numbers, as [4, "
+                "4, 20]"
+            )
         for count in self.cells_each_way:
             check_count("block.cells", count, 1, _MOST_LAYERS, "[4, 4, 20] is usual")
 
@@ -105,7 +113,9 @@ class Block:
     def other_mesh(self) -> Block:
         """Return the same solid with finer cells."""
         x, y, z = self.cells_each_way
-        return replace(self, cells_each_way=(x + 1, y + 1, min(_MOST_LAYERS, max(z + 1, round(1.2 * z)))))
+        return replace(
+            self, cells_each_way=(x + 1, y + 1, min(_MOST_LAYERS, max(z + 1, round(1.2 * z))))
+        )
 
     def along(self, share: float) -> Block:
         """Return the same solid with another number of layers along z."""
@@ -114,16 +124,19 @@ class Block:
 
     def to_toml(self) -> tuple[str, str]:
         """Return the lines of the file's top level and its tables."""
-        return "", f"\n[block]\nsize_mm = {listed(self.size)}\ncells = {list(self.cells_each_way)!r}"
+        return (
+            "",
+            f"\n[block]\nsize_mm = {listed(self.size)}\ncells = {list(self.cells_each_way)!r}",
+        )
 
 
 @dataclass(frozen=True)
 class Meshed:
     """A mesh file of tetrahedra, and how it lies in the base frame.
 
-    file: VTK, VTU or Gmsh · unit: of its coordinates · axes: which of the file's axes are x, y and z of the base frame,
-    as ("z", "x", "y") or with a minus · origin: the base frame's origin in the file's axes, mm · refine: how often each
-    cell is split into eight.
+    file: VTK, VTU or Gmsh · unit: of its coordinates · axes: which of the file's axes are x, y and
+    z of the base frame, as ("z", "x", "y") or with a minus · origin: the base frame's origin in the
+    file's axes, mm · refine: how often each cell is split into eight.
     """
 
     file: str
@@ -133,11 +146,19 @@ class Meshed:
     refine: int = 0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.file, str) or not 1 <= len(self.file) <= 1000 or not self.file.isprintable():
-            raise FingerError("mesh.file: expected the name of a VTK, VTU or Gmsh file, relative to this file")
+        if (
+            not isinstance(self.file, str)
+            or not 1 <= len(self.file) <= 1000
+            or not self.file.isprintable()
+        ):
+            raise FingerError(
+                "mesh.file: expected the name of a VTK, VTU or Gmsh file, relative to this file"
+            )
         if not isinstance(self.unit, str) or self.unit not in _UNITS:
             raise FingerError(f"mesh.unit: {shown(self.unit)}; allowed are {', '.join(_UNITS)}")
-        check_vector("mesh.origin_mm", self.origin, -1e5, 1e5, "give a point of the file's frame in mm")
+        check_vector(
+            "mesh.origin_mm", self.origin, -1e5, 1e5, "give a point of the file's frame in mm"
+        )
         check_count("mesh.refine", self.refine, 0, 3, "0 is usual, 1 has eight times the cells")
         self._turn()
 
@@ -148,10 +169,14 @@ class Meshed:
 
     def place(self, points: Floats) -> Floats:
         """Return points (n, 3) of the file in the base frame, mm."""
-        return np.ascontiguousarray((np.asarray(points, float) * _UNITS[self.unit] - self.origin) @ self._turn().T)
+        return np.ascontiguousarray(
+            (np.asarray(points, float) * _UNITS[self.unit] - self.origin) @ self._turn().T
+        )
 
     def cells(self, ends: Sequence[float]) -> _core.Mesh:
-        """Read the file and return its cells. Raises FingerError, CoreError with one line for a bad mesh."""
+        """Read the file and return its cells. Raises FingerError, CoreError with one line for a bad
+        mesh.
+        """
         from softmap_edge.fem.mesh_file import read_mesh
 
         mesh = read_mesh(Path(self.file))
@@ -164,7 +189,9 @@ class Meshed:
         return self.place(read_mesh(Path(self.file)).points)
 
     def groups(self) -> dict[str, NDArray[np.bool_]]:
-        """Return which cells (E,) of the refined mesh each group of the file holds, by name. Raises FingerError."""
+        """Return which cells (E,) of the refined mesh each group of the file holds, by name. Raises
+        FingerError.
+        """
         from softmap_edge.fem.mesh_file import read_mesh
 
         groups = read_mesh(Path(self.file)).groups
@@ -181,7 +208,9 @@ class Meshed:
     def to_toml(self) -> tuple[str, str]:
         """Return the lines of the file's top level and its tables."""
         lines = [f"\n[mesh]\nfile = {quoted(self.file)}\nunit = {quoted(self.unit)}"]
-        lines.append(f"axes = [{', '.join(map(quoted, self.axes))}]\norigin_mm = {listed(self.origin)}")
+        lines.append(
+            f"axes = [{', '.join(map(quoted, self.axes))}]\norigin_mm = {listed(self.origin)}"
+        )
         return "", "\n".join([*lines, f"refine = {self.refine}"])
 
     def _turn(self) -> Floats:
@@ -192,7 +221,8 @@ class Meshed:
                 turn[row, "xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0
         if round(float(np.linalg.det(turn))) != 1:
             raise FingerError(
-                f"mesh.axes: {shown(list(self.axes))}; expected the file's axes that are x, y and z of the base frame, "
+                f"mesh.axes: {shown(list(self.axes))}; expected the file's axes that are x, y and "
+                "z of the base frame, "
                 'right-handed, as ["z", "x", "y"] for a finger along y'
             )
         return turn
@@ -202,11 +232,15 @@ Solid = Tapered | Block | Meshed
 
 
 def solid_from(document: Document, folder: Path) -> Solid:
-    """Return the solid of a file; `folder` is where names of other files start. Raises FingerError."""
+    """Return the solid of a file; `folder` is where names of other files start. Raises
+    FingerError.
+    """
     given = [key for key in _KEYS if key in document]
     mesh = document.get("mesh")
     if "mesh" in document and not isinstance(mesh, dict):
-        raise FingerError("mesh: expected a table [mesh] with core, rings, layers, or with the file of a mesh")
+        raise FingerError(
+            "mesh: expected a table [mesh] with core, rings, layers, or with the file of a mesh"
+        )
     if given == ["profile_mm", "mesh"] and mesh is not None and "file" not in mesh:
         check_keys("mesh", mesh, ("core", "rings", "layers"))
         return Tapered(rows("profile_mm", document["profile_mm"]), **mesh)
@@ -215,7 +249,9 @@ def solid_from(document: Document, folder: Path) -> Solid:
         if not isinstance(block, dict):
             raise FingerError("block: expected a table [block] with size_mm, cells")
         check_keys("block", block, ("size_mm", "cells"))
-        return Block(sequence("block.size_mm", block["size_mm"]), sequence("block.cells", block["cells"]))
+        return Block(
+            sequence("block.size_mm", block["size_mm"]), sequence("block.cells", block["cells"])
+        )
     if given == ["mesh"] and mesh is not None and "file" in mesh:
         check_keys("mesh", mesh, ("file",), ("unit", "axes", "origin_mm", "refine"))
         parts = {key: mesh[key] for key in ("unit", "refine") if key in mesh}
@@ -224,8 +260,14 @@ def solid_from(document: Document, folder: Path) -> Solid:
         if "origin_mm" in mesh:
             parts["origin"] = sequence("mesh.origin_mm", mesh["origin_mm"])
         file = mesh["file"]
-        return Meshed(str(folder / file) if isinstance(file, str) and "\0" not in file else "", **parts)
-    lacking = {"profile_mm": "'mesh' is missing", "mesh": "'profile_mm' is missing", "": "'profile_mm' is missing"}
+        return Meshed(
+            str(folder / file) if isinstance(file, str) and "\0" not in file else "", **parts
+        )
+    lacking = {
+        "profile_mm": "'mesh' is missing",
+        "mesh": "'profile_mm' is missing",
+        "": "'profile_mm' is missing",
+    }
     there = " and ".join(given)
     raise FingerError(
         f"the file: {lacking.get(there, there + ' given')}; the solid is profile_mm with [mesh] "

@@ -1,9 +1,9 @@
 """Make a model from a finger: sweep, fields, compression to modes, and a measured form error.
 
-The form error is measured, not assumed: commands off the grid, solved on another mesh with the modulus
-10 % up and 10 % down, against the table; per feature and over the vertices. For an imported mesh the other mesh is
-the refined one, eight times the cells: it is solved at a few commands only, from the equilibria of the first, and its
-difference is added to that of the modulus in squares.
+The form error is measured, not assumed: commands off the grid, solved on another mesh with the
+modulus 10 % up and 10 % down, against the table; per feature and over the vertices. For an imported
+mesh the other mesh is the refined one, eight times the cells: it is solved at a few commands only,
+from the equilibria of the first, and its difference is added to that of the modulus in squares.
 """
 
 from __future__ import annotations
@@ -24,7 +24,14 @@ from softmap_edge.files.npz import packed, unpacked
 from softmap_edge.geometry.sections import SECTIONS, sections_of, tip_of
 from softmap_edge.model.model import Arrays, Model
 from softmap_edge.model.safety import derived
-from softmap_edge.model.shapes import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
+from softmap_edge.model.shapes import (
+    cables_from,
+    fields_from,
+    pairs_of,
+    plain_table,
+    second_from,
+    table_from,
+)
 from softmap_edge.model.structure import Structure
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
@@ -38,7 +45,8 @@ FIELD_PART = 3e-3  # of a field's size: to this its numbers are kept
 PULL_STEP = 1e-3  # N
 FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
 COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where an imported mesh is slow
-SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5  # the same of second derivatives, a tenth to a third of what loads do:
+# the same of second derivatives, a tenth to a third of what loads do:
+SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5
 SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes, and numbers to this part of their size
 FORM_COMMANDS = 24
 MESHED_COMMANDS = 8
@@ -47,7 +55,8 @@ USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands a channel of a sweep: 1681 of tw
 EVEN_STEPS = 21  # steps of a sweep from which they are even
 GRADED = 1.7  # power by which fewer stand closer about home
 FORM_SEED = 20
-SIDEWAYS = 0.7  # g across the reference, a lean of 35 degrees: where the error under another gravity is measured
+# g across the reference, a lean of 35 degrees: where the error under another gravity is measured
+SIDEWAYS = 0.7
 
 
 def build_model(
@@ -55,15 +64,16 @@ def build_model(
 ) -> Model:
     """Simulate `finger` over its command range and return its table model.
 
-    `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its command range.
-    `progress` is called with (what, share). Raises NoEquilibriumError where the simulator finds none, SoftmapError
-    for a bad argument.
+    `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
+    command range. `progress` is called with (what, share). Raises NoEquilibriumError where the
+    simulator finds none, SoftmapError for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
     simulator = simulator_of(finger)
     grid_axes(finger, steps)
     handles_of(finger, simulator.template.vertices)
-    Simulator(finger.other_mesh())  # the form error needs it: what cannot be built is refused before the sweep
+    # the form error needs it: what cannot be built is refused before the sweep
+    Simulator(finger.other_mesh())
     sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)
 
@@ -77,7 +87,10 @@ def simulator_of(finger: Finger) -> Simulator:
         FingerError: the finger cannot be built.
     """
     simulator, solid = Simulator(finger), finger.solid
-    while isinstance(solid, Meshed) and len(np.unique(sections_of(simulator.template.vertices))) < SECTIONS:
+    while (
+        isinstance(solid, Meshed)
+        and len(np.unique(sections_of(simulator.template.vertices))) < SECTIONS
+    ):
         try:
             solid = solid.other_mesh()
             simulator = Simulator(finger, template=Simulator(finger.replace(solid=solid)).template)
@@ -87,23 +100,34 @@ def simulator_of(finger: Finger) -> Simulator:
 
 
 def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
-    """Return the axes of a sweep of `finger`, in its command unit; raises SoftmapError for more than three commands."""
+    """Return the axes of a sweep of `finger`, in its command unit; raises SoftmapError for more
+    than three commands.
+    """
     if len(finger.pairs) > max(USUAL_STEPS):
         raise SoftmapError(
-            f"{finger.name} has {len(finger.pairs)} commands, a sweep is a grid over at most {max(USUAL_STEPS)}; pair "
-            "its tendons, or simulate scattered commands with Simulator.path"
+            f"{finger.name} has {len(finger.pairs)} commands, a sweep is a grid over at most "
+            f"{max(USUAL_STEPS)}; pair its tendons, or simulate scattered commands with "
+            "Simulator.path"
         )
     count = steps or USUAL_STEPS.get(len(finger.pairs), 1)
     return [_axis(low, high, count, count < EVEN_STEPS) for low, high in finger.command_range]
 
 
 def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
-    """Return `count` nodes from `low` to `high`; graded, they stand closer about home, where tendons fall slack."""
+    """Return `count` nodes from `low` to `high`; graded, they stand closer about home, where
+    tendons fall slack.
+    """
     even, far = np.linspace(low, high, count), max(-low, high)
-    return np.asarray(np.sign(even) * far * np.abs(even / far) ** GRADED) if graded and low < 0.0 else even
+    return (
+        np.asarray(np.sign(even) * far * np.abs(even / far) ** GRADED)
+        if graded and low < 0.0
+        else even
+    )
 
 
-def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES) -> Model:
+def from_sweep(
+    finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES
+) -> Model:
     """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, sweep.command, sweep.pull)])]
@@ -125,7 +149,9 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     second_axes = [_axis(axis[0], axis[-1], seconds, len(axis) < EVEN_STEPS) for axis in sweep.axes]
     report("fields", 0.6)
     basis = np.asarray(unpacked(fields)["modes"], float)
-    fields |= second_arrays(simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), basis)
+    fields |= second_arrays(
+        simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), basis
+    )
     report("fields", 1.0)
     model = Model(
         structure=Structure(
@@ -137,7 +163,9 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
             triangles=np.asarray(triangles, np.int32),
             tip_indices=tip_of(sweep.vertices),
             gravity_reference=np.asarray(finger.gravity, float),
-            command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(-1, 2),
+            command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(
+                -1, 2
+            ),
         ),
         kind="table",
         form_error=np.zeros((3 * SECTIONS, 3)),
@@ -158,21 +186,25 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     error, vertex_error, grown = form_error(model, finger, simulator)
     report("form error", 1.0)
     limits = derived(model, finger.young_mpa)
-    return replace(model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown, safety=limits)
+    return replace(
+        model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown, safety=limits
+    )
 
 
 def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
-    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all: first the farthest from the
-    base, then turn by turn the farthest from all before. Raises FingerError if there are fewer vertices.
+    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all: first the
+    farthest from the base, then turn by turn the farthest from all before. Raises FingerError if
+    there are fewer vertices.
     """
     if finger.handles is None:
         return None
     if finger.handles > len(rest):
         raise FingerError(
-            f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 to {len(rest)}, or "
-            "leave [template] out for all"
+            f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 "
+            f"to {len(rest)}, or leave [template] out for all"
         )
-    places = np.asarray(np.float32(rest), float)  # as a bundle keeps them, so that it can be reported again
+    # as a bundle keeps them, so that it can be reported again
+    places = np.asarray(np.float32(rest), float)
     chosen: list[int] = []
     nearest = np.sum(places**2, axis=1)
     for _ in range(finger.handles):
@@ -190,17 +222,21 @@ def compress(values: Floats, modes: int) -> Arrays:
     """
     mean = values.mean(axis=0)
     centred = values - mean
-    arrays = {"mean": mean.astype(np.float32)} | packed("modes", leading(centred, modes), np.zeros((1, 1)), np.int16)
+    arrays = {"mean": mean.astype(np.float32)} | packed(
+        "modes", leading(centred, modes), np.zeros((1, 1)), np.int16
+    )
     basis = np.asarray(unpacked(arrays)["modes"], float)
     return arrays | packed("coefficients", centred @ np.linalg.pinv(basis), 0.0, np.int16)
 
 
 def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
-    """Measure the model's own error at held-out commands: RMS (V, 3) mm of its features, RMS mm of its vertices, and by
-    how much the latter grows for each g by which gravity differs from the reference.
+    """Measure the model's own error at held-out commands: RMS (V, 3) mm of its features, RMS mm of
+    its vertices, and by how much the latter grows for each g by which gravity differs from the
+    reference.
 
-    The truth has another mesh and a modulus 10 % lower and higher; the same template points are seen. The modulus
-    matters under the weight of a leaning body, hardly under tendons whose shortening is given.
+    The truth has another mesh and a modulus 10 % lower and higher; the same template points are
+    seen. The modulus matters under the weight of a leaning body, hardly under tendons whose
+    shortening is given.
     """
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
@@ -212,18 +248,24 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     predicted = model.prior.evaluate(commands).reshape(count, -1, 3)
     leaning = _leaning(model.gravity_reference)
     t = np.arange(count, dtype=float)
-    leaned = model.predict(Run(t=t, command=commands, command_unit=model.command_unit, gravity=leaning, t_seen=t))
+    leaned = model.predict(
+        Run(t=t, command=commands, command_unit=model.command_unit, gravity=leaning, t_seen=t)
+    )
     truth = finger if meshed else finger.other_mesh()
     squares, vertex_squares, leaning_squares = [], [], []
     for factor in (0.9, 1.1):
-        other = Simulator(truth.replace(young_mpa=finger.young_mpa * factor), template=simulator.template)
+        other = Simulator(
+            truth.replace(young_mpa=finger.young_mpa * factor), template=simulator.template
+        )
         error = other.path(commands) - predicted
         squares.append(model.structure.feature_map(error) ** 2)
         vertex_squares.append((error**2).sum(axis=2))
         leaning_squares.append(((other.path(commands, gravity=leaning) - leaned) ** 2).sum(axis=2))
     features, upright = np.mean(np.concatenate(squares), axis=0), float(np.mean(vertex_squares))
     aslant = float(np.mean(leaning_squares))
-    grown = float(np.sqrt(max(aslant - upright, 0.0)) / np.linalg.norm(leaning - model.gravity_reference))
+    grown = float(
+        np.sqrt(max(aslant - upright, 0.0)) / np.linalg.norm(leaning - model.gravity_reference)
+    )
     if meshed:
         error = refined(finger, simulator, commands[:REFINED_COMMANDS])
         features += np.mean(model.structure.feature_map(error) ** 2, axis=0)
@@ -232,27 +274,34 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
 
 
 def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
-    """Return by how much (K, N, 3) mm a mesh of eight times the cells bends otherwise at commands (K, C)."""
+    """Return by how much (K, N, 3) mm a mesh of eight times the cells bends otherwise at commands
+    (K, C).
+    """
     finer = Simulator(finger.other_mesh(), template=simulator.template)
     return finer.path_from(simulator, commands) - simulator.path(commands)
 
 
 def _leaning(gravity: Floats) -> Floats:
-    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS across it."""
+    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS
+    across it.
+    """
     across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
     across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
     leaning = gravity + SIDEWAYS * across / np.linalg.norm(across)
     return np.asarray(leaning / np.linalg.norm(leaning))
 
 
-def field_arrays(compliance: Compliance, axes: list[Floats], pull: Floats, stiffness: float) -> Arrays:
+def field_arrays(
+    compliance: Compliance, axes: list[Floats], pull: Floats, stiffness: float
+) -> Arrays:
     """Compress all fields to modes that they share.
 
-    `coefficients_NAME` on the grid of `axes`, `stretch` under loads and tensions, `stretch_NAME` under all else.
+    `coefficients_NAME` on the grid of `axes`, `stretch` under loads and tensions, `stretch_NAME`
+    under all else.
 
-    At constant tension a change of design moves the body several times as far as it does once the tendons have
-    answered, so modes and steps are chosen by what is then left. `pull` (S, T) N at the grid, `stiffness` N/mm (0:
-    tensions are given and answer nothing).
+    At constant tension a change of design moves the body several times as far as it does once the
+    tendons have answered, so modes and steps are chosen by what is then left. `pull` (S, T) N at
+    the grid, `stiffness` N/mm (0: tensions are given and answer nothing).
     """
     names = sorted(compliance.fields)
     flat = {name: compliance.fields[name].reshape(len(compliance.stretch), -1) for name in names}
@@ -265,7 +314,9 @@ def field_arrays(compliance: Compliance, axes: list[Floats], pull: Floats, stiff
         step = FIELD_PART * size[name] * float(np.sqrt(basis.shape[1]))
         arrays |= packed(f"coefficients_{name}", flat[name] @ back, step, np.int16)
     stretch, loads, count = compliance.stretch, len(_core.LOADS), len(_core.FIELDS)
-    both = np.concatenate([stretch[..., :loads], stretch[..., count:]], axis=2).reshape(len(stretch), -1)
+    both = np.concatenate([stretch[..., :loads], stretch[..., count:]], axis=2).reshape(
+        len(stretch), -1
+    )
     arrays |= packed("stretch", both, np.zeros((1, both.shape[1])), np.int16)
     for f, name in enumerate(_core.FIELDS):
         if f >= loads and name in flat and stretch.shape[1]:
@@ -274,18 +325,23 @@ def field_arrays(compliance: Compliance, axes: list[Floats], pull: Floats, stiff
 
 
 def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> Arrays:
-    """Compress what loads and moduli do beyond their fields: `second_weights` (S, P, m) of the few `second_modes`
-    (m, M), made of the `modes` (M, 3N) of the fields, then `second_stretch` and `second_growth`, on the grid of `axes`;
-    those of pairs with a modulus as `second_moduli_weights`, `…_stretch` and `…_growth`.
+    """Compress what loads and moduli do beyond their fields: `second_weights` (S, P, m) of the few
+    `second_modes` (m, M), made of the `modes` (M, 3N) of the fields, then `second_stretch` and
+    `second_growth`, on the grid of `axes`; those of pairs with a modulus as
+    `second_moduli_weights`, `…_stretch` and `…_growth`.
 
     Those of tensions only if they `answers`.
     """
     loads, moduli, causes = len(_core.LOADS), len(_core.MODULI), bend.growth.shape[1]
     first, other = np.triu_indices(causes)
-    # Each pair counts as for amounts of gravity, of a force, of moduli and of tensions that bend the body alike.
+    # Each pair counts as for amounts of gravity, of a force, of moduli and of tensions that bend
+    # the body alike.
     kind = np.repeat([0, 1, 2, 3], [3, loads - 3, moduli, causes - loads - moduli])
     size = np.sqrt(np.mean(bend.fields**2, axis=(0, 2, 3)))
-    alike = [np.sqrt(np.mean(size[(kind[first] == k) & (kind[other] == k)] ** 2)) for k in sorted(set(kind))]
+    alike = [
+        np.sqrt(np.mean(size[(kind[first] == k) & (kind[other] == k)] ** 2))
+        for k in sorted(set(kind))
+    ]
     usual = 1.0 / np.sqrt(np.maximum(alike, 1e-9))
     amount = usual[kind[first]] * usual[kind[other]]
     parts = pairs_of(loads, moduli, causes - loads - moduli if answers else 0)
@@ -293,14 +349,23 @@ def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) 
     kept = [np.array([row[min(pair), max(pair)] for pair in pairs]) for pairs, _ in parts.values()]
     fields = bend.fields.reshape(len(bend.fields), len(first), -1) @ np.linalg.pinv(modes)
     every = np.concatenate(kept)
-    basis = leading((fields * amount[:, None])[:, every].reshape(-1, fields.shape[2]), SECOND_MODES).astype(np.float32)
-    arrays: Arrays = {f"second_axis{c}": axis for c, axis in enumerate(axes)} | {"second_modes": basis}
+    basis = leading(
+        (fields * amount[:, None])[:, every].reshape(-1, fields.shape[2]), SECOND_MODES
+    ).astype(np.float32)
+    arrays: Arrays = {f"second_axis{c}": axis for c, axis in enumerate(axes)} | {
+        "second_modes": basis
+    }
     for (name, (_, own)), pairs in zip(parts.items(), kept):
         amounts = amount[pairs, None]
         weights = fields[:, pairs] @ basis.T.astype(np.float64)
         stretch = bend.stretch[:, pairs] if answers else np.zeros((len(fields), len(pairs), 0))
         for what, values in (("weights", weights), ("stretch", stretch)):
-            arrays |= packed(f"{name}_{what}", values, SECOND_PART * _rms(values * amounts) / amounts[None], np.int16)
+            arrays |= packed(
+                f"{name}_{what}",
+                values,
+                SECOND_PART * _rms(values * amounts) / amounts[None],
+                np.int16,
+            )
         arrays |= packed(f"{name}_growth", bend.growth[:, own], 1e-3, np.int16)
     return arrays
 
@@ -309,9 +374,11 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def _sizes(compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffness: float) -> dict[str, float]:
-    """Return how far (mm RMS a coordinate) each field moves the body once the tendons that pull have answered, and of
-    a tension what a newton does to it less than half.
+def _sizes(
+    compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffness: float
+) -> dict[str, float]:
+    """Return how far (mm RMS a coordinate) each field moves the body once the tendons that pull
+    have answered, and of a tension what a newton does to it less than half.
     """
     count = len(_core.FIELDS)
     size = {}
@@ -327,7 +394,9 @@ def _sizes(compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffn
                 continue
             matrix = np.eye(len(taut)) / stiffness - stretch[np.ix_(taut, count + taut)]
             answer = np.linalg.solve(matrix, stretch[taut, _core.FIELDS.index(name)])
-            left[s] += answer @ np.array([flat[f"tension_{t}"][s] for t in taut]).reshape(len(taut), -1)
+            left[s] += answer @ np.array([flat[f"tension_{t}"][s] for t in taut]).reshape(
+                len(taut), -1
+            )
         size[name] = max(float(np.sqrt(np.mean(left**2))), 0.1 * free)
     return size
 

@@ -1,10 +1,11 @@
 """A solid of bricks cut into 10-node tetrahedra: another element for the same body, coarse.
 
-Each face of a brick is cut from its corner of the smallest number, so that two bricks agree on the face that they share
-without knowing of each other; a brick is the six tetrahedra from its own smallest corner to the triangles of the three
-faces that do not hold it (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into tetrahedra, 1999).
-With a node in the middle of each brick and twelve tetrahedra the factor is four times as large. Edges stay straight.
-Pinned by tests/synthetic/test_virtual.py.
+Each face of a brick is cut from its corner of the smallest number, so that two bricks agree on the
+face that they share without knowing of each other; a brick is the six tetrahedra from its own
+smallest corner to the triangles of the three faces that do not hold it (Dompierre et al., How to
+subdivide pyramids, prisms and hexahedra into tetrahedra, 1999). With a node in the middle of each
+brick and twelve tetrahedra the factor is four times as large. Edges stay straight. Pinned by
+tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from softmap_edge.fem.bodies import Block, Tapered
 from softmap_edge.fem.numbers import at
 
 ACROSS, LAYERS = 2, 8  # bricks across the core, and along the body at least
-FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))  # outward
+# outward
+FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 
 
 @dataclass(frozen=True)
 class Cut:
-    """A solid as coarse tetrahedra, bricks about as tall as it is wide: what a `Simulator` asks of a solid."""
+    """A solid as coarse tetrahedra, bricks about as tall as it is wide: what a `Simulator` asks of
+    a solid.
+    """
 
     solid: Tapered | Block
 
@@ -43,10 +47,14 @@ class Cut:
         if isinstance(self.solid, Block):
             x, y, z = self.solid.cells_each_way
             tall = max(least, round(self.height_mm / min(self.solid.size[:2])))
-            return replace(self.solid, cells_each_way=(min(x, ACROSS), min(y, ACROSS), min(z, tall))).cells(ends)
+            return replace(
+                self.solid, cells_each_way=(min(x, ACROSS), min(y, ACROSS), min(z, tall))
+            ).cells(ends)
         wide = 2.0 * at(self.solid.profile, 0.5 * self.height_mm)
         layers = min(self.solid.layers, max(least, round(self.height_mm / wide)))
-        return replace(self.solid, core=min(self.solid.core, ACROSS), rings=1, layers=layers).cells(ends)
+        return replace(self.solid, core=min(self.solid.core, ACROSS), rings=1, layers=layers).cells(
+            ends
+        )
 
 
 def cut(bricks: _core.Mesh) -> _core.Mesh:
@@ -58,4 +66,6 @@ def cut(bricks: _core.Mesh) -> _core.Mesh:
     apex = cells.min(axis=1)
     far = faces[faces[..., 0] != apex[:, None]]  # (3 E, 4)
     inward = np.stack([far[:, [2, 1, 0]], far[:, [3, 2, 0]]], axis=1).reshape(-1, 3)
-    return _core.Mesh.tetrahedra(bricks.nodes, np.column_stack([inward, np.repeat(apex, len(FACES))]), 0)
+    return _core.Mesh.tetrahedra(
+        bricks.nodes, np.column_stack([inward, np.repeat(apex, len(FACES))]), 0
+    )

@@ -1,8 +1,9 @@
-"""Warn about numbers of a finger that may be in another unit, and about commands lost in the stretch of its tendons.
+"""Warn about numbers of a finger that may be in another unit, and about commands lost in the
+stretch of its tendons.
 
-Nothing is refused: a body may be hard plastic. A warning is given if a number lies far outside the range of soft
-bodies. It names a unit that would explain the number. The part of a command that only stretches the tendons is computed
-from the tensions of a sweep.
+Nothing is refused: a body may be hard plastic. A warning is given if a number lies far outside the
+range of soft bodies. It names a unit that would explain the number. The part of a command that only
+stretches the tendons is computed from the tensions of a sweep.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ LOST = 0.5  # share of a command that only stretches the tendons, above which a 
 
 @dataclass(frozen=True)
 class Typical:
-    """The usual and the widest range of a property of soft bodies, and other units, each in the unit of the field."""
+    """The usual and the widest range of a property of soft bodies, and other units, each in the
+    unit of the field.
+    """
 
     usual: tuple[float, float]
     possible: tuple[float, float]
@@ -34,12 +37,21 @@ class Typical:
     others: Mapping[str, float]
 
 
-# Silicones of Shore 00-10 to A 50 are usual; thermoplastic elastomers reach 40 MPa, foams go down to 150 kg/m³.
-YOUNG = Typical((0.1, 0.6), (0.01, 40.0), "MPa", "soft silicones", {"kPa": 1e-3, "Pa": 1e-6, "GPa": 1e3})
+# Silicones of Shore 00-10 to A 50 are usual; thermoplastic elastomers reach 40 MPa, foams go down
+# to 150 kg/m³.
+YOUNG = Typical(
+    (0.1, 0.6), (0.01, 40.0), "MPa", "soft silicones", {"kPa": 1e-3, "Pa": 1e-6, "GPa": 1e3}
+)
 DENSITY = Typical((950.0, 1300.0), (150.0, 3000.0), "kg/m3", "silicones", {"g/cm3": 1e3})
-CABLE = Typical((5.0, 100.0), (0.2, 1500.0), "N/mm", "a cable and its drive", {"N/m": 1e-3, "kN/mm": 1e3})
-HEIGHT = Typical((30.0, 400.0), (5.0, 2000.0), "mm", "fingers", {"m": 1e3, "cm": 10.0, "inches": 25.4})
-COMMAND = Typical((0.02, 0.2), (2e-4, 1.0), "of the tendon's length", "commands", {"m": 1e3, "cm": 10.0})
+CABLE = Typical(
+    (5.0, 100.0), (0.2, 1500.0), "N/mm", "a cable and its drive", {"N/m": 1e-3, "kN/mm": 1e3}
+)
+HEIGHT = Typical(
+    (30.0, 400.0), (5.0, 2000.0), "mm", "fingers", {"m": 1e3, "cm": 10.0, "inches": 25.4}
+)
+COMMAND = Typical(
+    (0.02, 0.2), (2e-4, 1.0), "of the tendon's length", "commands", {"m": 1e3, "cm": 10.0}
+)
 
 
 def doubts(finger: Finger) -> list[str]:
@@ -62,15 +74,23 @@ def doubts(finger: Finger) -> list[str]:
 
 
 def doubt(name: str, value: float, typical: Typical) -> str:
-    """Return a sentence if a value is hardly possible: its ratio to usual ones, and the unit it may be in; else ""."""
+    """Return a sentence if a value is hardly possible: its ratio to usual ones, and the unit it may
+    be in; else "".
+    """
     low, high = typical.possible
     if low <= value <= high:
         return ""
     least, most = typical.usual
     ratio = value / most if value > high else least / value
     way = "times as much as" if value > high else "times less than"
-    fits = [unit for unit, factor in typical.others.items() if least / 4 <= value * factor <= 4 * most]
-    unit = f": is it in {fits[0]}? Then write {value * typical.others[fits[0]]:.4g}" if fits else ": check its unit"
+    fits = [
+        unit for unit, factor in typical.others.items() if least / 4 <= value * factor <= 4 * most
+    ]
+    unit = (
+        f": is it in {fits[0]}? Then write {value * typical.others[fits[0]]:.4g}"
+        if fits
+        else ": check its unit"
+    )
     usual = f"{typical.of} have ({least:g} to {most:g} {typical.unit})"
     return f"{name} = {value:g} is {float(f'{ratio:.2g}'):g} {way} {usual}{unit}"
 
@@ -100,11 +120,14 @@ def lost_in_tendons(finger: Finger, command: Floats, pull: Floats) -> str:
     share = float(np.sum(stretch[far]) / np.sum(shortened[far]))
     if share < LOST:
         return ""
-    row, tendon = (int(k) for k in np.unravel_index(np.argmax(np.where(far, shortened, -1.0)), far.shape))
+    row, tendon = (
+        int(k) for k in np.unravel_index(np.argmax(np.where(far, shortened, -1.0)), far.shape)
+    )
     return (
         f"most of the command is lost in the stretch of the tendons: {100 * share:.0f} %, as at "
-        f"{shortened[row, tendon]:.3g} mm, where {max(pull[row, tendon], 0.0):.3g} N stretch tendon {tendon} by "
-        f"{stretch[row, tendon]:.3g} mm; check young_mpa and [cable] stiffness_n_mm = {finger.cable_stiffness_n_mm:g}"
+        f"{shortened[row, tendon]:.3g} mm, where {max(pull[row, tendon], 0.0):.3g} N stretch "
+        f"tendon {tendon} by {stretch[row, tendon]:.3g} mm; check young_mpa and [cable] "
+        f"stiffness_n_mm = {finger.cable_stiffness_n_mm:g}"
     )
 
 
@@ -115,7 +138,9 @@ def _by_length(finger: Finger) -> bool:
 def _height(finger: Finger) -> float:
     """Return the height of a body above its base, mm."""
     solid = finger.solid
-    return solid.height_mm if isinstance(solid, Tapered | Block) else float(solid.nodes()[:, 2].max())
+    return (
+        solid.height_mm if isinstance(solid, Tapered | Block) else float(solid.nodes()[:, 2].max())
+    )
 
 
 def _region(number: int, young: float) -> str:
@@ -132,7 +157,9 @@ def _short(number: int, tendon: Tendon) -> str:
     length = _length(tendon)
     if length >= HEIGHT.possible[0] / 5:
         return ""
-    return f"tendon[{number}] is {length:.3g} mm long: are its points in m? Then multiply them by 1000"
+    return (
+        f"tendon[{number}] is {length:.3g} mm long: are its points in m? Then multiply them by 1000"
+    )
 
 
 def _commands(finger: Finger) -> str:
@@ -143,9 +170,13 @@ def _commands(finger: Finger) -> str:
         length = _length(finger.tendons[pair[0]])
         most = max(map(abs, limits))
         if most < COMMAND.possible[0] * length:
-            fits = " are they in m? Then multiply them by 1000" if most * 1e3 <= length else " check their unit"
+            fits = (
+                " are they in m? Then multiply them by 1000"
+                if most * 1e3 <= length
+                else " check their unit"
+            )
             return (
-                f"command[{number}].range_mm reaches {most:.3g} mm of a tendon of {length:.0f} mm, so that the body "
-                f"hardly moves:{fits}"
+                f"command[{number}].range_mm reaches {most:.3g} mm of a tendon of {length:.0f} "
+                f"mm, so that the body hardly moves:{fits}"
             )
     return ""

@@ -1,7 +1,7 @@
 """A finger as a file describes it: solid, material, tendons, mounting and commands (`finger.toml`).
 
-`Finger.builtin()` is the finger with the MOE dimensions; its file, with a comment on every number, is the template.
-Solids are in `bodies.py`, tendons, commands and regions in `tendons.py`.
+`Finger.builtin()` is the finger with the MOE dimensions; its file, with a comment on every number,
+is the template. Solids are in `bodies.py`, tendons, commands and regions in `tendons.py`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,14 @@ from softmap_edge.fem.numbers import (
     sequence,
     shown,
 )
-from softmap_edge.fem.tendons import Region, Tendon, check_commands, region_from, tendon_from, unit_of
+from softmap_edge.fem.tendons import (
+    Region,
+    Tendon,
+    check_commands,
+    region_from,
+    tendon_from,
+    unit_of,
+)
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import quoted
 
@@ -40,21 +47,24 @@ _CABLE = {
     "guide_ring_mm": "guide_ring_mm",
     "anchor_disc_mm": "anchor_disc_mm",
 }
-_FITTED = ("young_mpa", "cable_stiffness_n_mm", "pretension_mm")  # numbers that [fit] may give bounds for
+# numbers that [fit] may give bounds for
+_FITTED = ("young_mpa", "cable_stiffness_n_mm", "pretension_mm")
 
 
 @dataclass(frozen=True)
 class Finger:
-    """A finger; every field is checked when it is made, and a bad one raises FingerError with what is allowed.
+    """A finger; every field is checked when it is made, and a bad one raises FingerError with what
+    is allowed.
 
-    solid: its body and cells · young_mpa · poisson · density_kg_m3 · gravity: (3,) multiples of g in the base frame ·
-    tendons · pairs: for each command the tendon it shortens (or pulls) and, if any, the one it pays out (or pulls
-    where it is negative) · command_range: (low, high) for each command, in command_unit: "mm" of shortening or "N" of
-    tension · cable_stiffness_n_mm · guide_ring_mm, anchor_disc_mm: over what a tendon's forces are spread · regions of
-    another modulus · pretension_mm: by how much every tendon is too short at command 0, below zero how slack ·
-    load_at_mm: where a load at the tip hangs at rest, None for the middle of the last tenth · handles: how many of
-    the template's vertices are handles, None for all · bounds: which numbers a fit to a run may change, and how far
-    (low, high).
+    solid: its body and cells · young_mpa · poisson · density_kg_m3 · gravity: (3,) multiples of g
+    in the base frame · tendons · pairs: for each command the tendon it shortens (or pulls) and, if
+    any, the one it pays out (or pulls where it is negative) · command_range: (low, high) for each
+    command, in command_unit: "mm" of shortening or "N" of tension · cable_stiffness_n_mm ·
+    guide_ring_mm, anchor_disc_mm: over what a tendon's forces are spread · regions of another
+    modulus · pretension_mm: by how much every tendon is too short at command 0, below zero how
+    slack · load_at_mm: where a load at the tip hangs at rest, None for the middle of the last tenth
+    · handles: how many of the template's vertices are handles, None for all · bounds: which numbers
+    a fit to a run may change, and how far (low, high).
     """
 
     name: str
@@ -82,26 +92,53 @@ class Finger:
         return dict(self.bounds)
 
     def __post_init__(self) -> None:
-        if not self.name or not isinstance(self.name, str) or len(self.name) > 100 or not self.name.isprintable():
-            raise FingerError("name: expected a name of 1 to 100 printable characters; give the finger a name")
+        if (
+            not self.name
+            or not isinstance(self.name, str)
+            or len(self.name) > 100
+            or not self.name.isprintable()
+        ):
+            raise FingerError(
+                "name: expected a name of 1 to 100 printable characters; give the finger a name"
+            )
         for field, low, high, remedy in _RANGES:
             check_number(field, getattr(self, field), low, high, remedy)
         if self.load_at_mm is not None:
-            check_vector("load_at_mm", self.load_at_mm, -2000.0, 2000.0, "give the place in mm where the load hangs")
+            check_vector(
+                "load_at_mm",
+                self.load_at_mm,
+                -2000.0,
+                2000.0,
+                "give the place in mm where the load hangs",
+            )
         if self.handles is not None:
-            check_count("template.handles", self.handles, 1, _MOST_HANDLES, "without [template] all vertices are")
+            check_count(
+                "template.handles",
+                self.handles,
+                1,
+                _MOST_HANDLES,
+                "without [template] all vertices are",
+            )
         if len(self.gravity) != 3 or not all(map(finite, self.gravity)):
-            raise FingerError(f"gravity_g: {shown(self.gravity)}; expected three numbers of g, as [0, 0, 1]")
+            raise FingerError(
+                f"gravity_g: {shown(self.gravity)}; expected three numbers of g, as [0, 0, 1]"
+            )
         if (strength := sum(g * g for g in self.gravity) ** 0.5) > 3:
             raise FingerError(
-                f"gravity_g: {shown(self.gravity)} is {strength:.3g} g; count in g, not in m/s2: [0, 0, 1] hangs"
+                f"gravity_g: {shown(self.gravity)} is {strength:.3g} g; count in g, not in m/s2: "
+                "[0, 0, 1] hangs"
             )
         if 0 < self.density_kg_m3 < 10:
-            unit, factor = next((u, f) for u, f in _DENSITIES.items() if self.density_kg_m3 * f >= 100 or f == 1e12)
-            raise FingerError(f"density_kg_m3: {self.density_kg_m3:g} looks like {unit}; multiply by {factor:g}")
+            unit, factor = next(
+                (u, f) for u, f in _DENSITIES.items() if self.density_kg_m3 * f >= 100 or f == 1e12
+            )
+            raise FingerError(
+                f"density_kg_m3: {self.density_kg_m3:g} looks like {unit}; multiply by {factor:g}"
+            )
         if len(self.tendons) > 16 or len(self.regions) > 100:
             raise FingerError(
-                f"{len(self.tendons)} tendons and {len(self.regions)} regions, allowed are at most 16 and 100"
+                f"{len(self.tendons)} tendons and {len(self.regions)} regions, allowed are at "
+                "most 16 and 100"
             )
         for number, tendon in enumerate(self.tendons):
             tendon.check(f"tendon[{number}]", self.solid, (self.guide_ring_mm, self.anchor_disc_mm))
@@ -109,9 +146,16 @@ class Finger:
             region.check(f"region[{number}]")
             if region.name is not None and not isinstance(self.solid, Meshed):
                 raise FingerError(
-                    f"region[{number}].name: only the cells of a [mesh] file have names; give a box in mm"
+                    f"region[{number}].name: only the cells of a [mesh] file have names; give a "
+                    "box in mm"
                 )
-        check_commands(self.pairs, self.command_range, self.command_unit, len(self.tendons), self.solid.height_mm)
+        check_commands(
+            self.pairs,
+            self.command_range,
+            self.command_unit,
+            len(self.tendons),
+            self.solid.height_mm,
+        )
         self._check_bounds()
 
     @classmethod
@@ -139,40 +183,55 @@ class Finger:
 
     @classmethod
     def from_toml(cls, text: str, folder: Path = Path()) -> Finger:
-        """Return the finger of a file's text; files that it names are looked for from `folder`. Raises FingerError."""
+        """Return the finger of a file's text; files that it names are looked for from `folder`.
+        Raises FingerError.
+        """
         if len(text) > _MOST_TEXT:
             raise FingerError(f"longer than {_MOST_TEXT} characters; give a finger.toml")
         try:
             document = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
-            raise FingerError(f"not valid TOML ({brief(error)}); compare with the built-in finger's file") from None
+        # a number of thousands of digits is a plain ValueError
+        except (ValueError, RecursionError) as error:
+            raise FingerError(
+                f"not valid TOML ({brief(error)}); compare with the built-in finger's file"
+            ) from None
         return _from_document(document, folder)
 
     def replace(self, **changes: Any) -> Finger:
-        """Return the finger with some fields changed, its own or its solid's, checked again; raises FingerError."""
+        """Return the finger with some fields changed, its own or its solid's, checked again; raises
+        FingerError.
+        """
         own, solid = ({field.name for field in fields(part)} for part in (self, self.solid))
         if unknown := set(changes) - own - solid:
             raise FingerError(f"no field {names(unknown)}; a finger has {names(own | solid)}")
         inside = {key: value for key, value in changes.items() if key in solid}
         outside = {key: value for key, value in changes.items() if key not in solid}
-        return replace(self, **{"solid": replace(self.solid, **inside), **outside} if inside else outside)
+        return replace(
+            self, **{"solid": replace(self.solid, **inside), **outside} if inside else outside
+        )
 
     def other_mesh(self) -> Finger:
-        """Return the same finger on another mesh, finer where allowed: the second opinion of the form error."""
+        """Return the same finger on another mesh, finer where allowed: the second opinion of the
+        form error.
+        """
         return replace(self, solid=self.solid.other_mesh())
 
     def to_toml(self) -> str:
-        """Return the finger as the text of a file that `from_toml` reads back to the same finger."""
+        """Return the finger as the text of a file that `from_toml` reads back to the same
+        finger.
+        """
         top, tables = self.solid.to_toml()
         lines = [f"name = {quoted(self.name)}", *([top] if top else []), tables]
         lines += [
-            f"\n[material]\nyoung_mpa = {float(self.young_mpa)!r}\npoisson = {float(self.poisson)!r}",
+            f"\n[material]\nyoung_mpa = {float(self.young_mpa)!r}\npoisson = "
+            f"{float(self.poisson)!r}",
             f"density_kg_m3 = {float(self.density_kg_m3)!r}",
         ]
         lines += [region.to_toml() for region in self.regions]
         lines += [
             f"\n[cable]\nstiffness_n_mm = {float(self.cable_stiffness_n_mm)!r}",
-            f"guide_ring_mm = {float(self.guide_ring_mm)!r}\nanchor_disc_mm = {float(self.anchor_disc_mm)!r}",
+            f"guide_ring_mm = {float(self.guide_ring_mm)!r}\nanchor_disc_mm = "
+            f"{float(self.anchor_disc_mm)!r}",
             f"pretension_mm = {float(self.pretension_mm)!r}",
             f"\n[mounting]\ngravity_g = {listed(self.gravity)}",
             *([] if self.load_at_mm is None else [f"load_at_mm = {listed(self.load_at_mm)}"]),
@@ -191,16 +250,19 @@ class Finger:
         allowed = {name: (low, high) for name, low, high, _ in _RANGES}
         for name, limits in self.bounds:
             if len(limits) != 2 or not all(map(finite, limits)):
-                raise FingerError(f"fit.{name}: {shown(list(limits))}; expected [low, high], as [0.05, 1.0]")
+                raise FingerError(
+                    f"fit.{name}: {shown(list(limits))}; expected [low, high], as [0.05, 1.0]"
+                )
             least, most = allowed[name]
             if not least <= limits[0] < getattr(self, name) < limits[1] <= most:
                 raise FingerError(
-                    f"fit.{name}: {list(limits)!r} around {getattr(self, name):g}; expected low < value < high within "
-                    f"{least:g} to {most:g}"
+                    f"fit.{name}: {list(limits)!r} around {getattr(self, name):g}; expected low < "
+                    f"value < high within {least:g} to {most:g}"
                 )
 
 
-_DENSITIES = {"g/cm3": 1e3, "g/mm3": 1e6, "kg/mm3": 1e9, "t/mm3": 1e12}  # other units, and what makes kg/m3 of them
+# other units, and what makes kg/m3 of them
+_DENSITIES = {"g/cm3": 1e3, "g/mm3": 1e6, "kg/mm3": 1e9, "t/mm3": 1e12}
 _MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
 _MOST_HANDLES = 50_000  # a bundle has no more vertices
 _RANGES = [
@@ -215,7 +277,10 @@ _RANGES = [
 
 
 def _from_document(document: Document, folder: Path) -> Finger:
-    needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "template")
+    needed, optional = (
+        ("name", "material", "mounting"),
+        ("profile_mm", "block", "mesh", "cable", "fit", "template"),
+    )
     check_keys("", document, needed, (*optional, "region", "tendon", "command"))
     solid = solid_from(document, folder)
     material = _table(document, "material", _MATERIAL)
@@ -233,7 +298,9 @@ def _from_document(document: Document, folder: Path) -> Finger:
         **material,
         **{_CABLE.get(key, key): value for key, value in cable.items()},
         gravity=sequence("gravity_g", mounting["gravity_g"]),
-        load_at_mm=sequence("load_at_mm", mounting["load_at_mm"]) if "load_at_mm" in mounting else None,
+        load_at_mm=sequence("load_at_mm", mounting["load_at_mm"])
+        if "load_at_mm" in mounting
+        else None,
         **template,
         tendons=tuple(tendon_from(table, solid, folder) for table in tendons),
         pairs=tuple(sequence("tendons", c["tendons"]) for c in commands),
@@ -257,7 +324,9 @@ def _table(
 def _tables(document: Mapping[str, object], name: str) -> list[Document]:
     tables = document.get(name, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise FingerError(f"{name}: expected tables [[{name}]]; compare with the built-in finger's file")
+        raise FingerError(
+            f"{name}: expected tables [[{name}]]; compare with the built-in finger's file"
+        )
     return tables
 
 

@@ -1,18 +1,22 @@
-"""Fit the finger's own numbers to a run: modulus, cable stiffness, pretension, and how the camera's frame sits.
+"""Fit the finger's own numbers to a run: modulus, cable stiffness, pretension, and how the camera's
+frame sits.
 
-One shape per dwell (the mean of its settled frames) is compared with the simulator at the same commands, gravity and
-load. Gauss-Newton with damping on scaled numbers x, each evaluation a simulation:
+One shape per dwell (the mean of its settled frames) is compared with the simulator at the same
+commands, gravity and load. Gauss-Newton with damping on scaled numbers x, each evaluation a
+simulation:
 
     J(x, m) = Σ_k |f_k − R(m) F(solid(x, u_k, g_k, load_k))|² / s² + |x − x_start|²
 
-f features (mm), m the six numbers of the frame (rad, mm; no prior), x = ln(value / start) over half the log range for a
-stiffness, (value − start) over half the range for a length: the last term is the weak prior at the bounds' half range.
-s is the residual itself. Deviations come from the dwells (sandwich of the gradients of each, K/(K − P) for few): frames
-of one dwell are no independent evidence. A number whose deviation stays above half of its half range is not seen by the
-run: it keeps its start value and is reported as not identifiable. Of modulus and density only the ratio is seen unless
-a known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
-Known limit: what the finger lacks (play, creep, an unknown load) bends these numbers; diagnose with the fitted finger
-afterwards, and compare the error on the dwells that were kept out. Pinned by tests/fem/test_refit_finger.py.
+f features (mm), m the six numbers of the frame (rad, mm; no prior), x = ln(value / start) over half
+the log range for a stiffness, (value − start) over half the range for a length: the last term is
+the weak prior at the bounds' half range. s is the residual itself. Deviations come from the dwells
+(sandwich of the gradients of each, K/(K − P) for few): frames of one dwell are no independent
+evidence. A number whose deviation stays above half of its half range is not seen by the run: it
+keeps its start value and is reported as not identifiable. Of modulus and density only the ratio is
+seen unless a known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
+Known limit: what the finger lacks (play, creep, an unknown load) bends these numbers; diagnose with
+the fitted finger afterwards, and compare the error on the dwells that were kept out. Pinned by
+tests/fem/test_refit_finger.py.
 """
 
 from __future__ import annotations
@@ -30,7 +34,13 @@ from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator, tour
 from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose, rotation
-from softmap_edge.geometry.sections import attach, marker_features, section_features, seen_residual, upright
+from softmap_edge.geometry.sections import (
+    attach,
+    marker_features,
+    section_features,
+    seen_residual,
+    upright,
+)
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.run import Run, known
 
@@ -38,13 +48,16 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SETTLED = 1.0  # s after the command stopped
-DWELLS, KEPT_OUT = 24, 12  # dwells that are fitted and that validate the fit, spread over commands and orientations
+# dwells that are fitted and that validate the fit, spread over commands and orientations
+DWELLS, KEPT_OUT = 24, 12
 FRAME_DWELLS = 3  # fewer shapes do not separate the frame from the finger
-SANDWICH = 8  # fewer dwells do not show how they scatter: their deviations come from the size of what is left
+# fewer dwells do not show how they scatter: their deviations come from the size of what is left
+SANDWICH = 8
 ITERATIONS = 6
 STEP = 0.08  # of x: a tenth of the usual range, far above the solver's tolerance
 SEEN = 0.5  # of the half range: a deviation above it says that the run does not see the number
-EVIDENCE = 6.0  # independent numbers of a dwell: a section's features say nearly the same as its neighbours'
+# independent numbers of a dwell: a section's features say nearly the same as its neighbours'
+EVIDENCE = 6.0
 FLOOR_MM = 0.02  # no residual is trusted below it
 TWINS = 0.95  # correlation from which two numbers are said to be seen only together
 UNITS = {"young_mpa": "MPa", "cable_stiffness_n_mm": "N/mm", "pretension_mm": "mm"}
@@ -53,7 +66,9 @@ MOUNT = ("turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
 
 @dataclass(frozen=True)
 class FingerNumber:
-    """One fitted number: value ± sigma in its unit, where it started, and why it is not fitted, if it is not."""
+    """One fitted number: value ± sigma in its unit, where it started, and why it is not fitted, if
+    it is not.
+    """
 
     value: float
     sigma: float | None
@@ -65,7 +80,9 @@ class FingerNumber:
 
 @dataclass(frozen=True)
 class FingerFit:
-    """A finger with the numbers that a run shows, and how far off it was and is on dwells that were kept out."""
+    """A finger with the numbers that a run shows, and how far off it was and is on dwells that were
+    kept out.
+    """
 
     finger: Finger
     numbers: dict[str, FingerNumber]
@@ -73,7 +90,8 @@ class FingerFit:
     together: tuple[tuple[str, str, float], ...]  # pairs seen only together, with their correlation
     dwells: int
     kept_out: int
-    as_it_was_mm: float | None  # on the dwells kept out, None without any: finger and frame as they were
+    # on the dwells kept out, None without any: finger and frame as they were
+    as_it_was_mm: float | None
     frame_fitted_mm: float | None
     finger_fitted_mm: float | None
 
@@ -81,7 +99,10 @@ class FingerFit:
         """Return the document softmap.refit-finger/1."""
 
         def rows(numbers: dict[str, FingerNumber]) -> dict[str, Document]:
-            return {name: {k: v for k, v in vars(n).items() if k != "note" or v} for name, n in numbers.items()}
+            return {
+                name: {k: v for k, v in vars(n).items() if k != "note" or v}
+                for name, n in numbers.items()
+            }
 
         return {
             "schema": "softmap.refit-finger/1",
@@ -102,21 +123,38 @@ class FingerFit:
     def __str__(self) -> str:
         lines = [f"{self.finger.name}: {self.dwells} dwells fitted, {self.kept_out} kept out"]
         for name, n in (*self.numbers.items(), *self.mount.items()):
-            value = f"{n.value:.4g}" + (f" ± {n.sigma:.2g}" if n.sigma is not None else "") + f" {n.unit}"
-            note = n.note or ("at its bound: widen it in [fit], or look for what is missing" if n.at_bound else "")
-            lines.append(f"  {name:<22} {value:<24} was {n.start:.4g}" + (f"   {note}" if note else ""))
+            value = (
+                f"{n.value:.4g}"
+                + (f" ± {n.sigma:.2g}" if n.sigma is not None else "")
+                + f" {n.unit}"
+            )
+            note = n.note or (
+                "at its bound: widen it in [fit], or look for what is missing" if n.at_bound else ""
+            )
+            lines.append(
+                f"  {name:<22} {value:<24} was {n.start:.4g}" + (f"   {note}" if note else "")
+            )
         for one, other, correlation in self.together:
-            lines.append(f"  {one} and {other} are seen only together (correlation {correlation:+.2f})")
+            lines.append(
+                f"  {one} and {other} are seen only together (correlation {correlation:+.2f})"
+            )
         lines.append("  density is as given: of modulus and density this run shows the ratio")
         if not self.mount:
             lines.append(
-                f"  the camera's frame is taken as it is: {self.dwells} dwells do not distinguish it from the finger"
+                f"  the camera's frame is taken as it is: {self.dwells} dwells do not distinguish "
+                "it from the finger"
             )
         if self.finger_fitted_mm is None:
-            return "\n".join([*lines, "no dwell was left for validation: predict another run with the fitted finger"])
+            return "\n".join(
+                [
+                    *lines,
+                    "no dwell was left for validation: predict another run with the fitted finger",
+                ]
+            )
         lines.append(
-            f"error on dwells kept out: {self.as_it_was_mm:.2f} mm as it was, {self.frame_fitted_mm:.2f} with the "
-            f"frame fitted, {self.finger_fitted_mm:.2f} mm with the finger fitted"
+            f"error on dwells kept out: {self.as_it_was_mm:.2f} mm as it was, "
+            f"{self.frame_fitted_mm:.2f} with the frame fitted, {self.finger_fitted_mm:.2f} mm "
+            "with the finger fitted"
         )
         return "\n".join(lines)
 
@@ -126,17 +164,21 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
 
     Args:
         finger: where to start; `finger.fit` maps names of numbers to (low, high).
-        run: vertices of the finger's template or markers with `marker_rest`, commands in mm, dwells.
+        run: vertices of the finger's template or markers with `marker_rest`, commands in mm,
+            dwells.
         progress: called with (what, share done).
 
     Returns:
-        FingerFit: the finger with its new numbers, deviations, and errors on dwells that were kept out.
+        FingerFit: the finger with its new numbers, deviations, and errors on dwells that were kept
+        out.
 
     Raises:
         SoftmapError: too few dwells, a run of another robot, nothing to fit, no equilibrium.
     """
     if not finger.fit:
-        raise SoftmapError(f"{finger.name}: no [fit] table says which numbers may change; see the template's")
+        raise SoftmapError(
+            f"{finger.name}: no [fit] table says which numbers may change; see the template's"
+        )
     bench = _Bench(finger, run, progress or (lambda what, share: None))
     names, numbers = list(finger.fit), {}
     alone = _descend(bench, [])
@@ -163,7 +205,9 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
     return FingerFit(
         finger=new,
         numbers={name: numbers[name] for name in finger.fit},
-        mount=_mount_numbers(found.mount, found.deviation[len(names) :]) if bench.frame_is_free else {},
+        mount=_mount_numbers(found.mount, found.deviation[len(names) :])
+        if bench.frame_is_free
+        else {},
         together=_together(names, found.covariance),
         dwells=len(bench.fitted),
         kept_out=len(kept),
@@ -197,32 +241,40 @@ def _settled(finger: Finger, run: Run) -> _Dwells:
         )
     if run.command_unit != finger.command_unit:
         raise RunError(
-            f"the run's commands are in {run.command_unit}, {finger.name} takes {finger.command_unit}; convert them "
-            "where the log is imported"
+            f"the run's commands are in {run.command_unit}, {finger.name} takes "
+            f"{finger.command_unit}; convert them where the log is imported"
         )
     state = conditions(run, u)
     still = (state.visit >= 0) & (state.dwell >= SETTLED)
     visits = [np.flatnonzero(still & (state.visit == v)) for v in np.unique(state.visit[still])]
     if not visits:
         raise RunError(
-            f"the robot never stands still for {SETTLED:g} s; a fit of the finger's own numbers wants dwells of 2 s, "
-            "better 20 of them in two orientations"
+            f"the robot never stands still for {SETTLED:g} s; a fit of the finger's own numbers "
+            "wants dwells of 2 s, better 20 of them in two orientations"
         )
     points = np.where(known(run, run.seen_points)[..., None], run.seen_points, np.nan)
     at = [int(v[-1]) for v in visits]
-    gravity = np.tile(finger.gravity, (len(visits), 1)) if state.gravity is None else state.gravity[at]
+    gravity = (
+        np.tile(finger.gravity, (len(visits), 1)) if state.gravity is None else state.gravity[at]
+    )
     load = np.zeros(len(visits)) if run.load is None else np.interp(run.t_seen[at], run.t, run.load)
-    return _Dwells(state.command[at], gravity, load, np.stack([_nanmean(points[v]) for v in visits]))
+    return _Dwells(
+        state.command[at], gravity, load, np.stack([_nanmean(points[v]) for v in visits])
+    )
 
 
 def _nanmean(frames: Floats) -> Floats:
     known = np.isfinite(frames)
     count = known.sum(axis=0)
-    return np.where(count > 0, np.where(known, frames, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return np.where(
+        count > 0, np.where(known, frames, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan
+    )
 
 
 def _spread(dwells: _Dwells) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the dwells to fit and those kept out: each next one is the farthest from all before, turn by turn."""
+    """Return the dwells to fit and those kept out: each next one is the farthest from all before,
+    turn by turn.
+    """
     span = np.maximum(np.ptp(dwells.command, axis=0), 1e-9)
     heavy = dwells.load[:, None] / max(float(np.ptp(dwells.load)), 1e-9)
     places = np.hstack([dwells.command / span, dwells.gravity, heavy])
@@ -249,10 +301,19 @@ class _Bench:
         self.map, self.carry = section_features(upright(rest)), None
         if run.markers is not None:
             if run.marker_rest is None:
-                raise RunError("the run has markers but no `marker_rest` (M, 3) mm; give marker_rest_mm in the mapping")
-            self.map, self.carry = marker_features(count), attach(np.asarray(run.marker_rest, float), rest)
+                raise RunError(
+                    "the run has markers but no `marker_rest` (M, 3) mm; give marker_rest_mm in "
+                    "the mapping"
+                )
+            self.map, self.carry = (
+                marker_features(count),
+                attach(np.asarray(run.marker_rest, float), rest),
+            )
         elif count != len(rest):
-            raise RunError(f"the run has {count} points a frame, {finger.name} has {len(rest)}; it is another template")
+            raise RunError(
+                f"the run has {count} points a frame, {finger.name} has {len(rest)}; it is "
+                "another template"
+            )
         self._solved: dict[tuple[Finger, int, bytes], Floats] = {}
 
     def half(self, name: str) -> float:
@@ -263,24 +324,33 @@ class _Bench:
     def scaled(self, name: str, value: float) -> float:
         """Return x of a value."""
         start = float(getattr(self.start, name))
-        return (float(np.log(value / start)) if self.start.fit[name][0] > 0 else value - start) / self.half(name)
+        return (
+            float(np.log(value / start)) if self.start.fit[name][0] > 0 else value - start
+        ) / self.half(name)
 
     def finger(self, names: Sequence[str], x: Floats) -> Finger:
         """Return the finger with scaled numbers x (P,)."""
         values = {}
         for name, step in zip(names, x * [self.half(name) for name in names]):
             start, (low, high) = float(getattr(self.start, name)), self.start.fit[name]
-            values[name] = float(np.clip(start * np.exp(step) if low > 0 else start + step, low, high))
+            values[name] = float(
+                np.clip(start * np.exp(step) if low > 0 else start + step, low, high)
+            )
         return self.start.replace(**values)
 
     def shapes(self, names: Sequence[str], batch: Floats, which: NDArray[np.intp]) -> Floats:
-        """Return the simulated points (B, d, M, 3) mm of numbers x (B, P) at the dwells `which`, on all cores."""
+        """Return the simulated points (B, d, M, 3) mm of numbers x (B, P) at the dwells `which`, on
+        all cores.
+        """
         parts = [which[self.group[which] == g] for g in np.unique(self.group[which])]
         jobs = [(self.finger(names, x), part) for x in batch for part in parts]
         with ThreadPoolExecutor() as pool:
             solved = list(pool.map(lambda job: self._solve(*job), jobs))
         back = np.argsort(np.concatenate(parts))
-        rows = [np.concatenate(solved[i : i + len(parts)])[back] for i in range(0, len(solved), len(parts))]
+        rows = [
+            np.concatenate(solved[i : i + len(parts)])[back]
+            for i in range(0, len(solved), len(parts))
+        ]
         return np.stack(rows)
 
     def _solve(self, finger: Finger, part: NDArray[np.intp]) -> Floats:
@@ -293,12 +363,18 @@ class _Bench:
             points = np.empty((len(part), len(self.template.vertices), 3))
             force = mass * 1e-3 * _core.STANDARD_GRAVITY * np.array(gravity)
             solver = Simulator(finger, self.template)
-            points[order] = solver.path(self.dwells.command[part][order], gravity=gravity, load=force)
-            self._solved[key] = points if self.carry is None else np.einsum("mn,knc->kmc", self.carry, points)
+            points[order] = solver.path(
+                self.dwells.command[part][order], gravity=gravity, load=force
+            )
+            self._solved[key] = (
+                points if self.carry is None else np.einsum("mn,knc->kmc", self.carry, points)
+            )
         return self._solved[key]
 
     def features(self, difference: Floats, which: NDArray[np.intp]) -> Floats:
-        """Return the features (d, V, 3) mm of a difference of points (d, M, 3); zero where nothing was seen."""
+        """Return the features (d, V, 3) mm of a difference of points (d, M, 3); zero where nothing
+        was seen.
+        """
         seen = np.asarray(np.isfinite(self.dwells.points[which]).all(axis=2))
         if seen.all() or self.carry is not None:
             return self.map(np.where(seen[..., None], difference, 0.0))
@@ -306,21 +382,31 @@ class _Bench:
 
     @property
     def frame_is_free(self) -> bool:
-        """Whether there are shapes enough to separate the camera's frame from the finger's own numbers."""
+        """Whether there are shapes enough to separate the camera's frame from the finger's own
+        numbers.
+        """
         return len(self.fitted) >= FRAME_DWELLS
 
-    def rms(self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats) -> float | None:
-        """Return the RMS distance in mm over the section centroids or markers that were seen; None of no dwell."""
+    def rms(
+        self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats
+    ) -> float | None:
+        """Return the RMS distance in mm over the section centroids or markers that were seen; None
+        of no dwell.
+        """
         if not len(which):
             return None
         seen = self.dwells.points[which]
-        off = self.features(seen - moved(self.shapes(names, x[None], which)[0], mount), which)[:, self.map.positions]
+        off = self.features(seen - moved(self.shapes(names, x[None], which)[0], mount), which)[
+            :, self.map.positions
+        ]
         squares = np.sum(off**2, axis=2)
         return float(np.sqrt(squares[squares > 0].mean()))
 
 
 def moved(points: Floats, mount: Floats) -> Floats:
-    """Return points (..., 3) mm turned about the base by the vector mount[:3] (rad) and shifted by mount[3:] (mm)."""
+    """Return points (..., 3) mm turned about the base by the vector mount[:3] (rad) and shifted by
+    mount[3:] (mm).
+    """
     return RigidPose(rotation(mount[:3]), mount[3:])(points)
 
 
@@ -336,9 +422,13 @@ class _Found:
 
 
 def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
-    """Fit the numbers `names` and the frame to the dwells to be fitted: damped Gauss-Newton, bounds by clipping."""
+    """Fit the numbers `names` and the frame to the dwells to be fitted: damped Gauss-Newton, bounds
+    by clipping.
+    """
     which, count = bench.fitted, len(names)
-    low, high = (np.array([bench.scaled(name, bench.start.fit[name][i]) for name in names]) for i in (0, 1))
+    low, high = (
+        np.array([bench.scaled(name, bench.start.fit[name][i]) for name in names]) for i in (0, 1)
+    )
     low, high = np.r_[low, np.full(6, -np.inf)], np.r_[high, np.full(6, np.inf)]
     prior = np.r_[np.ones(count), np.full(6, 1e-9 if bench.frame_is_free else 1e12)]
     seen, y, damping = bench.dwells.points[which], np.zeros(count + 6), 1e-3
@@ -350,15 +440,26 @@ def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
     left = residual(y)
     for iteration in range(ITERATIONS):
         bench.report(f"fit of {', '.join(names) or 'the frame'}", iteration / ITERATIONS)
-        steps = np.r_[np.where(y[:count] + STEP > high[:count], -STEP, STEP), np.full(3, 1e-4), np.full(3, 1e-2)]
-        bench.shapes(names, y[:count] + np.diag(steps[:count]), which) if count else None  # all at once, on all cores
-        slopes = np.stack([(residual(y + row) - left) / -step for row, step in zip(np.diag(steps), steps)])
+        steps = np.r_[
+            np.where(y[:count] + STEP > high[:count], -STEP, STEP),
+            np.full(3, 1e-4),
+            np.full(3, 1e-2),
+        ]
+        # all at once, on all cores
+        bench.shapes(names, y[:count] + np.diag(steps[:count]), which) if count else None
+        slopes = np.stack(
+            [(residual(y + row) - left) / -step for row, step in zip(np.diag(steps), steps)]
+        )
         weight = EVIDENCE / (left.shape[1] * max(float(np.mean(left**2)), FLOOR_MM**2))
         normal = weight * np.einsum("pkf,qkf->pq", slopes, slopes) + np.diag(prior)
         downhill = weight * np.einsum("pkf,kf->p", slopes, left) - prior * y
         cost = weight * np.sum(left**2) + np.sum(prior * y**2)
         for _ in range(4):
-            ahead = np.clip(y + np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill), low, high)
+            ahead = np.clip(
+                y + np.linalg.solve(normal + damping * np.diag(np.diag(normal)), downhill),
+                low,
+                high,
+            )
             left_ahead = residual(ahead)
             better = weight * np.sum(left_ahead**2) + np.sum(prior * ahead**2) < cost
             if better:
@@ -374,7 +475,9 @@ def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
     if len(which) < SANDWICH:
         return _Found(y[:count], y[count:], inverse)
     few = len(which) / max(1.0, len(which) - (count + 6) / EVIDENCE)
-    return _Found(y[:count], y[count:], inverse @ (few * gradients @ gradients.T + np.diag(prior)) @ inverse)
+    return _Found(
+        y[:count], y[count:], inverse @ (few * gradients @ gradients.T + np.diag(prior)) @ inverse
+    )
 
 
 def _mount_numbers(mount: Floats, deviation: Floats) -> dict[str, FingerNumber]:

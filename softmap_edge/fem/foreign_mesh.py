@@ -1,7 +1,9 @@
-"""Parse a mesh file with meshio: in a child process, as plain arrays, with the groups of cells that it names.
+"""Parse a mesh file with meshio: in a child process, as plain arrays, with the groups of cells that
+it names.
 
-The content selects the reader, not the file name: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are Gmsh's physical
-volumes, and cell data that label cells (material ids): integers with few distinct values.
+The content selects the reader, not the file name: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are
+Gmsh's physical volumes, and cell data that label cells (material ids): integers with few distinct
+values.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from numpy.typing import NDArray
 from softmap_edge.files.atomic import Document
 
 KINDS = ("tetra", "tetra10")
-MOST_GROUPS, LEAST_CELLS = 64, 3  # in one array of labels, and cells a group on average; else they number the cells
+# in one array of labels, and cells a group on average; else they number the cells
+MOST_GROUPS, LEAST_CELLS = 64, 3
 _HEAD = 4096  # bytes from which a kind of file is recognised
 _MOST_NAMES = 200  # of groups and of cell types that are returned
 OTHERS = [
@@ -33,7 +36,9 @@ OTHERS = [
 
 
 def kind_of(path: Path) -> str:
-    """Return the format of a file by its content: "vtk", "vtu" or "msh"; raise ValueError for any other."""
+    """Return the format of a file by its content: "vtk", "vtu" or "msh"; raise ValueError for any
+    other.
+    """
     with path.open("rb") as file:
         head = file.read(_HEAD)
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -44,7 +49,9 @@ def kind_of(path: Path) -> str:
     if b"<VTKFile" in text:
         kind = re.search(rb"""<VTKFile[^>]*\btype\s*=\s*["'](\w+)["']""", text)
         if kind and kind[1] != b"UnstructuredGrid":
-            raise ValueError(f"holds VTK's {kind[1].decode()[:40]}, expected an UnstructuredGrid of tetrahedra")
+            raise ValueError(
+                f"holds VTK's {kind[1].decode()[:40]}, expected an UnstructuredGrid of tetrahedra"
+            )
         return "vtu"
     if text.startswith(b"<"):
         raise ValueError("is XML, but not VTK's (<VTKFile …>)")
@@ -55,7 +62,8 @@ def kind_of(path: Path) -> str:
 
 
 def parse(path: str, kind: str) -> Document:
-    """Return `points` (n, 3), `cells` by kind, the names of all `types` of cells, and `groups` by name: (E,) of cells.
+    """Return `points` (n, 3), `cells` by kind, the names of all `types` of cells, and `groups` by
+    name: (E,) of cells.
 
     Runs in a child process: any error may come out of it.
     """
@@ -65,7 +73,11 @@ def parse(path: str, kind: str) -> Document:
         _check_pieces(Path(path).read_bytes())
         _take_any_version()
     # The readers themselves: meshio.read ends the process where it finds no reader.
-    read: dict[str, Callable[[str], Any]] = {"vtk": meshio.vtk.read, "vtu": meshio.vtu.read, "msh": meshio.gmsh.read}
+    read: dict[str, Callable[[str], Any]] = {
+        "vtk": meshio.vtk.read,
+        "vtu": meshio.vtu.read,
+        "msh": meshio.gmsh.read,
+    }
     mesh = read[kind](path)
     if not isinstance(mesh, meshio.Mesh):
         raise ValueError(f"no mesh in it, {type(mesh).__name__}")
@@ -78,13 +90,20 @@ def parse(path: str, kind: str) -> Document:
 
 def _check_pieces(content: bytes) -> None:
     """Refuse several pieces: meshio keeps only the cells of the last one."""
-    pieces = [int(n) for n in re.findall(rb"""<Piece\b[^>]*\bNumberOfCells\s*=\s*["'](\d{1,12})["']""", content)]
+    pieces = [
+        int(n)
+        for n in re.findall(rb"""<Piece\b[^>]*\bNumberOfCells\s*=\s*["'](\d{1,12})["']""", content)
+    ]
     if len(pieces) > 1:
-        raise ValueError(f"{len(pieces)} pieces of {', '.join(map(str, pieces[:5]))} cells; merge them into one")
+        raise ValueError(
+            f"{len(pieces)} pieces of {', '.join(map(str, pieces[:5]))} cells; merge them into one"
+        )
 
 
 def _take_any_version() -> None:
-    """Let meshio read unknown file versions, in this child only: tetrahedra are the same in all versions."""
+    """Let meshio read unknown file versions, in this child only: tetrahedra are the same in all
+    versions.
+    """
     from xml.etree import ElementTree
 
     parse_file, from_text = ElementTree.parse, ElementTree.fromstring
@@ -103,7 +122,9 @@ def _take_any_version() -> None:
 
 
 def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
-    """Return which of the `count` cells of a kind each group holds, by name; none if it holds all cells or none."""
+    """Return which of the `count` cells of a kind each group holds, by name; none if it holds all
+    cells or none.
+    """
     blocks = [k for k, block in enumerate(mesh.cells) if block.type == kind]
     labels = {str(name): _label(data, blocks, count) for name, data in mesh.cell_data.items()}
     groups = _sets(mesh, blocks)
@@ -123,9 +144,15 @@ def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
 
 
 def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.int64] | None:
-    """Return the labels (E,) of the cells if an array holds integers with few distinct values, one per cell."""
+    """Return the labels (E,) of the cells if an array holds integers with few distinct values, one
+    per cell.
+    """
     parts = [np.asarray(data[k]) for k in blocks]
-    values = np.concatenate([part.reshape(len(part), -1) for part in parts]) if parts else np.zeros((0, 1))
+    values = (
+        np.concatenate([part.reshape(len(part), -1) for part in parts])
+        if parts
+        else np.zeros((0, 1))
+    )
     if len(values) != count:
         raise ValueError(f"{len(values)} values of cell data for {count} cells")
     if values.shape[1] != 1 or values.dtype.kind not in "fiub" or not np.isfinite(values).all():
@@ -139,7 +166,11 @@ def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.
 
 def _named(mesh: Any, physical: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
     """Return the groups of Gmsh's physical tags, by the names of volumes where there are any."""
-    names = {int(tag): str(name) for name, (tag, dimension) in mesh.field_data.items() if int(dimension) == 3}
+    names = {
+        int(tag): str(name)
+        for name, (tag, dimension) in mesh.field_data.items()
+        if int(dimension) == 3
+    }
     return {names.get(int(tag), str(tag)): physical == tag for tag in np.unique(physical) if tag}
 
 

@@ -1,4 +1,6 @@
-"""The groups of cells that a mesh file names, and the regions of a finger that give them a modulus of their own."""
+"""The groups of cells that a mesh file names, and the regions of a finger that give them a modulus
+of their own.
+"""
 
 from __future__ import annotations
 
@@ -16,25 +18,37 @@ _SHOWN = 6  # groups that a message lists
 
 
 def named_cells(finger: Finger) -> list[list[bool] | None]:
-    """Return for each region whether it holds each cell of the mesh; None for a region without a name.
+    """Return for each region whether it holds each cell of the mesh; None for a region without a
+    name.
 
     Raises:
         FingerError: the mesh file names no such group.
     """
-    if not isinstance(finger.solid, Meshed) or all(region.name is None for region in finger.regions):
+    if not isinstance(finger.solid, Meshed) or all(
+        region.name is None for region in finger.regions
+    ):
         return [None] * len(finger.regions)
     groups = finger.solid.groups()
     for number, region in enumerate(finger.regions):
         if region.name is not None and region.name not in groups:
-            there = f"it names {', '.join(list(groups)[:_SHOWN])}" if groups else "all its cells are alike"
-            raise FingerError(
-                f"region[{number}].name: {Path(finger.solid.file).name} has no group '{region.name[:40]}'; {there}"
+            there = (
+                f"it names {', '.join(list(groups)[:_SHOWN])}"
+                if groups
+                else "all its cells are alike"
             )
-    return [None if region.name is None else groups[region.name].tolist() for region in finger.regions]
+            raise FingerError(
+                f"region[{number}].name: {Path(finger.solid.file).name} has no group "
+                f"'{region.name[:40]}'; {there}"
+            )
+    return [
+        None if region.name is None else groups[region.name].tolist() for region in finger.regions
+    ]
 
 
 def groups_without_region(finger: Finger) -> str:
-    """Return a sentence if groups of the mesh file get one modulus because no region names them; else ""."""
+    """Return a sentence if groups of the mesh file get one modulus because no region names them;
+    else "".
+    """
     if not isinstance(finger.solid, Meshed):
         return ""
     groups = finger.solid.groups()
@@ -43,9 +57,11 @@ def groups_without_region(finger: Finger) -> str:
     if not left or (named & set(groups) and len(left) < 2):
         return ""
     share = 8**finger.solid.refine
-    sizes = listed((f"{name} ({np.count_nonzero(groups[name]) // share} cells)" for name in left), _SHOWN)
+    sizes = listed(
+        (f"{name} ({np.count_nonzero(groups[name]) // share} cells)" for name in left), _SHOWN
+    )
     return (
-        f"{Path(finger.solid.file).name} names {len(groups)} group{'s' * (len(groups) > 1)} of cells; {sizes} "
-        f"get young_mpa = {finger.young_mpa:g}. Give one a modulus of its own: [[region]] with "
-        f"name = {quoted(left[-1])} and young_mpa"
+        f"{Path(finger.solid.file).name} names {len(groups)} group{'s' * (len(groups) > 1)} of "
+        f"cells; {sizes} get young_mpa = {finger.young_mpa:g}. Give one a modulus of its own: "
+        f"[[region]] with name = {quoted(left[-1])} and young_mpa"
     )

@@ -1,7 +1,8 @@
-"""Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells. Data only; nothing in it is ever run.
+"""Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells. Data only; nothing
+in it is ever run.
 
-meshio parses in a child process with limits on memory and time (foreign_mesh.py); any failure becomes a one-line error.
-The core checks the mesh itself (rust/fem/tetrahedra.rs).
+meshio parses in a child process with limits on memory and time (foreign_mesh.py); any failure
+becomes a one-line error. The core checks the mesh itself (rust/fem/tetrahedra.rs).
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ _MOST_TEXT = 1 << 20  # of a file of guides
 _FARTHEST = 1e9  # of any unit: beyond any finger, and far from where float64 overflows
 _KINDS = {"vtk": "legacy VTK", "vtu": "VTU", "msh": "Gmsh's MSH"}
 _MEGABYTES = 800  # of the child that parses
-_SECONDS, _PER_SECOND = 2.5, 1 << 20  # of its processor time for a small file, and bytes that it parses in a second
+# of its processor time for a small file, and bytes that it parses in a second
+_SECONDS, _PER_SECOND = 2.5, 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """What a mesh file holds: nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10), and `groups`: which
-    of the cells (E,) each material, physical volume or label of the file holds, by name; none of a single material.
+    """What a mesh file holds: nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10),
+    and `groups`: which of the cells (E,) each material, physical volume or label of the file holds,
+    by name; none of a single material.
     """
 
     points: NDArray[np.float64]
@@ -56,11 +59,19 @@ def _read(path: Path, *_state: int) -> MeshFile:
     if len(there) != 1:
         types = ", ".join(mesh["types"][:8]) or "nothing"
         raise FingerError(
-            f"{path}: holds {types}; expected tetrahedra of 4 or of 10 nodes, all alike: mesh the volume and save it"
+            f"{path}: holds {types}; expected tetrahedra of 4 or of 10 nodes, all alike: mesh the "
+            "volume and save it"
         )
     cells = next(iter(there.values()))
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu" or cells.dtype.kind not in "iu":
-        raise FingerError(f"{path}: points of shape {points.shape}, expected (n, 3) numbers; export it again")
+    if (
+        points.ndim != 2
+        or points.shape[1] != 3
+        or points.dtype.kind not in "fiu"
+        or cells.dtype.kind not in "iu"
+    ):
+        raise FingerError(
+            f"{path}: points of shape {points.shape}, expected (n, 3) numbers; export it again"
+        )
     if not np.all(np.abs(points) < _FARTHEST):
         raise FingerError(f"{path}: a point beyond ±{_FARTHEST:g} or not a number; export it again")
     _check_joined(path, np.asarray(points, np.float64), cells)
@@ -69,29 +80,42 @@ def _read(path: Path, *_state: int) -> MeshFile:
 
 
 def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Refuse cells given twice, which count twice, and nodes at one place, where cells touch and are not joined."""
+    """Refuse cells given twice, which count twice, and nodes at one place, where cells touch and
+    are not joined.
+    """
     twice = len(cells) - len(np.unique(np.sort(cells[:, :4], axis=1), axis=0))
     if twice:
-        raise FingerError(f"{path}: {twice} of {len(cells)} tetrahedra are there twice; save each once")
+        raise FingerError(
+            f"{path}: {twice} of {len(cells)} tetrahedra are there twice; save each once"
+        )
     grid = max(float(np.ptp(points, axis=0).max(initial=0.0)), 1e-300) * 1e-9
     apart = len(points) - len(np.unique(np.rint(points / grid), axis=0))
     if apart:
         raise FingerError(
-            f"{path}: {apart} of {len(points)} nodes lie where another one does, so that cells touch and are not "
-            "joined; merge coincident nodes and save again"
+            f"{path}: {apart} of {len(points)} nodes lie where another one does, so that cells "
+            "touch and are not joined; merge coincident nodes and save again"
         )
 
 
 def read_guides(path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Return the guides of a tendon from a JSON list of [x, y, z], in the mesh file's frame. Raises FingerError."""
+    """Return the guides of a tendon from a JSON list of [x, y, z], in the mesh file's frame. Raises
+    FingerError.
+    """
     _check(path, _MOST_TEXT, "guides; give a JSON list of [x, y, z]")
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
         points = tuple((float(x), float(y), float(z)) for x, y, z in rows)
     except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise FingerError(f"{path}: not a JSON list of [x, y, z] ({brief(error)}); give one row a guide") from None
-    if not 2 <= len(points) <= 1000 or not all(abs(v) < _FARTHEST for point in points for v in point):
-        raise FingerError(f"{path}: {len(points)} guides; allowed are 2 to 1000, each number within ±{_FARTHEST:g}")
+        raise FingerError(
+            f"{path}: not a JSON list of [x, y, z] ({brief(error)}); give one row a guide"
+        ) from None
+    if not 2 <= len(points) <= 1000 or not all(
+        abs(v) < _FARTHEST for point in points for v in point
+    ):
+        raise FingerError(
+            f"{path}: {len(points)} guides; allowed are 2 to 1000, each number within "
+            f"±{_FARTHEST:g}"
+        )
     return points
 
 
@@ -101,13 +125,17 @@ def _check(path: Path, most: int, what: str) -> None:
     except (OSError, ValueError):
         size = -1
     if size < 0:
-        raise FingerError(f"{path}: is not there or not a file of {what}, relative to the finger's file")
+        raise FingerError(
+            f"{path}: is not there or not a file of {what}, relative to the finger's file"
+        )
     if size > most:
         raise FingerError(f"{path}: {size} bytes, at most {most} are read as {what}")
 
 
 def _parsed(path: Path) -> Document:
-    """Return what `parse` found in a child process; any failure of a foreign parser means the same here."""
+    """Return what `parse` found in a child process; any failure of a foreign parser means the same
+    here.
+    """
     try:
         import meshio  # noqa: F401  # here, so that the child has it
     except ImportError:
@@ -116,11 +144,14 @@ def _parsed(path: Path) -> Document:
         kind = kind_of(path)
     except (OSError, ValueError) as error:
         raise FingerError(
-            f"{path}: {error}; meshes are read as VTK (.vtk, .vtu) or Gmsh (.msh): save it as one of them"
+            f"{path}: {error}; meshes are read as VTK (.vtk, .vtu) or Gmsh (.msh): save it as one "
+            "of them"
         ) from None
     try:
         seconds = _SECONDS + path.stat().st_size / _PER_SECOND
         parsed: Document = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=seconds)
     except ChildFault as error:
-        raise FingerError(f"{path}: cannot be read as {_KINDS[kind]} ({brief(error)}); export it again") from None
+        raise FingerError(
+            f"{path}: cannot be read as {_KINDS[kind]} ({brief(error)}); export it again"
+        ) from None
     return parsed

@@ -1,4 +1,6 @@
-"""Checks of the numbers and keys of a `finger.toml`; each refusal names the field, what it got and what is allowed."""
+"""Checks of the numbers and keys of a `finger.toml`; each refusal names the field, what it got and
+what is allowed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ Vector = tuple[float, float, float]
 COMPARE = "compare with the built-in finger's file"
 
 
-def check_keys(table: str, document: Mapping[str, object], needed: Iterable[str], optional: Iterable[str] = ()) -> None:
+def check_keys(
+    table: str, document: Mapping[str, object], needed: Iterable[str], optional: Iterable[str] = ()
+) -> None:
     """Refuse unknown and missing keys of a table; "" is the top level. Raises FingerError."""
     where = f"[{table}]" if table else "the file"
     allowed = set(needed) | set(optional)
@@ -37,9 +41,13 @@ def rows(field: str, value: object) -> tuple[tuple[Any, ...], ...]:
 
 def check_pairs(field: str, pairs: Sequence[Sequence[float]]) -> None:
     """Check (z, radius) pairs in mm, z ascending. Raises FingerError."""
-    good = 2 <= len(pairs) <= 1000 and all(len(pair) == 2 and all(map(finite, pair)) for pair in pairs)
+    good = 2 <= len(pairs) <= 1000 and all(
+        len(pair) == 2 and all(map(finite, pair)) for pair in pairs
+    )
     if not good or any(b[0] <= a[0] for a, b in zip(pairs, pairs[1:])) or pairs[-1][0] > 2000:
-        raise FingerError(f"{field}: expected 2 to 1000 [z, radius] pairs in mm with z ascending, up to 2000 mm")
+        raise FingerError(
+            f"{field}: expected 2 to 1000 [z, radius] pairs in mm with z ascending, up to 2000 mm"
+        )
 
 
 def check_points(field: str, points: Sequence[Sequence[float]]) -> None:
@@ -48,13 +56,18 @@ def check_points(field: str, points: Sequence[Sequence[float]]) -> None:
         len(p) == 3 and all(finite(v) and abs(v) <= 2000 for v in p) for p in points
     )
     if not good or any(a == b for a, b in zip(points, points[1:])):
-        raise FingerError(f"{field}: expected 2 to 1000 different [x, y, z] points in mm, each number within ±2000")
+        raise FingerError(
+            f"{field}: expected 2 to 1000 different [x, y, z] points in mm, each number within "
+            "±2000"
+        )
 
 
 def check_count(field: str, value: object, low: int, high: int, usual: str) -> None:
     """Check a whole number. Raises FingerError."""
     if type(value) is not int or not low <= value <= high:
-        raise FingerError(f"{field}: {shown(value)}; allowed are whole numbers {low} to {high}; {usual}")
+        raise FingerError(
+            f"{field}: {shown(value)}; allowed are whole numbers {low} to {high}; {usual}"
+        )
 
 
 def check_number(field: str, value: Any, low: float, high: float, remedy: str) -> None:
@@ -65,8 +78,14 @@ def check_number(field: str, value: Any, low: float, high: float, remedy: str) -
 
 def check_vector(field: str, value: object, low: float, high: float, remedy: str) -> None:
     """Check three numbers. Raises FingerError."""
-    if not isinstance(value, tuple) or len(value) != 3 or not all(finite(v) and low <= v <= high for v in value):
-        raise FingerError(f"{field}: {shown(value)}; expected three numbers from {low:g} to {high:g}; {remedy}")
+    if (
+        not isinstance(value, tuple)
+        or len(value) != 3
+        or not all(finite(v) and low <= v <= high for v in value)
+    ):
+        raise FingerError(
+            f"{field}: {shown(value)}; expected three numbers from {low:g} to {high:g}; {remedy}"
+        )
 
 
 def finite(value: object) -> bool:
@@ -101,4 +120,8 @@ def names(items: Iterable[Any]) -> str:
 
 def listed(values: Iterable[Any]) -> str:
     """Return numbers, or rows of numbers, as TOML writes them."""
-    return "[" + ", ".join(listed(v) if isinstance(v, tuple | list) else repr(float(v)) for v in values) + "]"
+    return (
+        "["
+        + ", ".join(listed(v) if isinstance(v, tuple | list) else repr(float(v)) for v in values)
+        + "]"
+    )

@@ -1,4 +1,5 @@
-"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to loads and changes of design.
+"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to loads
+and changes of design.
 
     sweep = Simulator(Finger.builtin()).sweep([np.linspace(-16, 16, 41)] * 2)
 
@@ -34,7 +35,9 @@ _NUMBERS = tuple(UNITS)
 
 @dataclass(frozen=True)
 class FingerTemplate:
-    """Surface of a finger at rest: vertices (N, 3) mm in the base frame, outward triangles (F, 3) int32."""
+    """Surface of a finger at rest: vertices (N, 3) mm in the base frame, outward triangles (F, 3)
+    int32.
+    """
 
     vertices: Floats
     triangles: NDArray[np.int32]
@@ -42,12 +45,14 @@ class FingerTemplate:
 
 @dataclass(frozen=True)
 class Compliance:
-    """How S equilibria answer loads, changes of design and tensions while all (other) tensions of the T tendons stay.
+    """How S equilibria answer loads, changes of design and tensions while all (other) tensions of
+    the T tendons stay.
 
-    fields: displacement (S, N, 3) mm per unit of those of `_core.FIELDS` that there are (per 1 g `gravity_x|y|z`, per
-    1 N on the tip `tip_force_x|y|z`; if asked for, the changes of design that `Simulator` names) and per 1 N in each
-    tendon (`tension_0…`), by name · stretch: (S, T, F + T) mm of each tendon under the same, in the order of
-    `_core.FIELDS` and of the tendons, zero where there is no field.
+    fields: displacement (S, N, 3) mm per unit of those of `_core.FIELDS` that there are (per 1 g
+    `gravity_x|y|z`, per 1 N on the tip `tip_force_x|y|z`; if asked for, the changes of design that
+    `Simulator` names) and per 1 N in each tendon (`tension_0…`), by name · stretch: (S, T, F + T)
+    mm of each tendon under the same, in the order of `_core.FIELDS` and of the tendons, zero where
+    there is no field.
     """
 
     fields: dict[str, Floats]
@@ -56,11 +61,11 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Bend:
-    """How the answers of S equilibria to loads, moduli and tensions bend: second derivatives for each of the P pairs of
-    `_core.LOADS`, `_core.MODULI` and the T tensions, row by row.
+    """How the answers of S equilibria to loads, moduli and tensions bend: second derivatives for
+    each of the P pairs of `_core.LOADS`, `_core.MODULI` and the T tensions, row by row.
 
-    fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L + M + T), by what
-    share the answers to loads and tensions grow for a unit of each.
+    fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L
+    + M + T), by what share the answers to loads and tensions grow for a unit of each.
     """
 
     fields: Floats
@@ -70,9 +75,9 @@ class Bend:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid, and of what: one array a command, command (S, C) mm (N by tension), vertices (S, N, 3) mm,
-    pull (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its
-    gravity (3,) g and tip_force (3,) N.
+    """Shapes over a grid, and of what: one array a command, command (S, C) mm (N by tension),
+    vertices (S, N, 3) mm, pull (S, T) N of the tendons (below zero: how slack), triangles (F, 3)
+    int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -93,10 +98,16 @@ class Sweep:
 
     def save(self, path: str | Path) -> None:
         """Write the sweep as `.npz` without pickles; the finger goes along as its `finger.toml`."""
-        arrays: dict[str, NDArray[np.generic]] = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
+        arrays: dict[str, NDArray[np.generic]] = {
+            f"axis{c}": axis for c, axis in enumerate(self.axes)
+        }
         arrays |= {name: getattr(self, name) for name in (*_NUMBERS, "triangles")}
         units = UNITS | {"command": self.finger.command_unit}
-        texts = {"schema": SCHEMA, "finger": self.finger.to_toml(), "units": json.dumps(units, sort_keys=True)}
+        texts = {
+            "schema": SCHEMA,
+            "finger": self.finger.to_toml(),
+            "units": json.dumps(units, sort_keys=True),
+        }
         # The simulator applies no effects of the library; an imported sweep names its own.
         texts |= {"effects": "[]", "written_by": f"softmap-edge {__version__}"}
         write_npz(Path(path), arrays | {name: np.array(text) for name, text in texts.items()})
@@ -107,7 +118,9 @@ class Sweep:
         content = read_npz(Path(path), SimulationError)
         schema = str(content.get("schema", "none"))[:80]
         if schema != SCHEMA:
-            raise SimulationError(f"{path}: schema {schema!r}, expected {SCHEMA}; make it with `softmap model sweep`")
+            raise SimulationError(
+                f"{path}: schema {schema!r}, expected {SCHEMA}; make it with `softmap model sweep`"
+            )
         try:
             units = json.loads(str(content["units"]))
             finger = Finger.from_toml(str(content["finger"]))
@@ -116,7 +129,9 @@ class Sweep:
             numbers = {name: _stored(content, name, "fiu").astype(np.float64) for name in _NUMBERS}
             triangles = _stored(content, "triangles", "i").astype(np.int32)
         except (SoftmapError, KeyError, ValueError, TypeError, RecursionError) as error:
-            raise SimulationError(f"{path}: not a sweep ({brief(error)}); make it with `softmap model sweep`") from None
+            raise SimulationError(
+                f"{path}: not a sweep ({brief(error)}); make it with `softmap model sweep`"
+            ) from None
         expected = UNITS | {"command": finger.command_unit}
         if units != expected:
             raise SimulationError(f"{path}: units {units!r:.120}, expected {expected}; convert it")
@@ -125,7 +140,11 @@ class Sweep:
         return sweep
 
     def _check(self, path: str | Path) -> None:
-        size = math.prod(len(axis) for axis in self.axes) if all(axis.ndim == 1 for axis in self.axes) else -1
+        size = (
+            math.prod(len(axis) for axis in self.axes)
+            if all(axis.ndim == 1 for axis in self.axes)
+            else -1
+        )
         n = self.vertices.shape[1] if self.vertices.ndim == 3 else 0
         expected = {
             "command": (size, len(self.axes)),
@@ -139,22 +158,29 @@ class Sweep:
             array = getattr(self, name)
             if array.shape != shape or not np.isfinite(array).all():
                 raise SimulationError(
-                    f"{path}: {name} of shape {array.shape}, expected finite numbers of shape {shape} for axes of "
-                    f"{[axis.shape for axis in self.axes]}; make it again with `softmap model sweep`"
+                    f"{path}: {name} of shape {array.shape}, expected finite numbers of shape "
+                    f"{shape} for axes of {[axis.shape for axis in self.axes]}; make it again "
+                    "with `softmap model sweep`"
                 )
         if self.triangles.size and not 0 <= self.triangles.min() <= self.triangles.max() < n:
-            raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")
+            raise SimulationError(
+                f"{path}: triangles point outside the {n} vertices; make it again"
+            )
 
 
 def tensor_grid(axes: Sequence[Floats]) -> Floats:
-    """Return the commands (S, C) of a grid of `axes`, the last one fastest; of no axes one command of no channels."""
+    """Return the commands (S, C) of a grid of `axes`, the last one fastest; of no axes one command
+    of no channels.
+    """
     size = math.prod(len(axis) for axis in axes)
     columns = [column.ravel() for column in np.meshgrid(*axes, indexing="ij")]
     return np.stack(columns, axis=1) if columns else np.zeros((size, 0))
 
 
 def tour(places: Floats) -> NDArray[np.intp]:
-    """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
+    """Return an order of the places (K, C) in which each is near the one before: always on to the
+    nearest.
+    """
     left = np.ones(len(places), bool)
     order = [int(np.argmin(np.sum(places**2, axis=1)))]
     for _ in range(len(places) - 1):
@@ -167,18 +193,24 @@ def tour(places: Floats) -> NDArray[np.intp]:
 class Simulator:
     """The finite elements of one finger.
 
-    finger: what to simulate · template: report these material points (embedded at rest) instead of the own surface,
-    so that fingers on different meshes give the same vertices · change: by how much the body differs from the finger's
-    file, in the units of the fields of a design: `stiff_0` … `stiff_6` and `stiff_x|y` are logarithms of the modulus
-    (in seven stretches from base to tip; from the axis to the sides), `curve_x|y` mm of the tip and `twist` degrees
-    at the tip at rest, `routing_c` degrees by which the tendons of command c are turned about the axis. Raises
+    finger: what to simulate · template: report these material points (embedded at rest) instead of
+    the own surface, so that fingers on different meshes give the same vertices · change: by how
+    much the body differs from the finger's file, in the units of the fields of a design: `stiff_0`
+    … `stiff_6` and `stiff_x|y` are logarithms of the modulus (in seven stretches from base to tip;
+    from the axis to the sides), `curve_x|y` mm of the tip and `twist` degrees at the tip at rest,
+    `routing_c` degrees by which the tendons of command c are turned about the axis. Raises
     FingerError when the finger cannot be built or the template does not lie in it.
     """
 
     def __init__(
-        self, finger: Finger, template: FingerTemplate | None = None, change: Mapping[str, float] | None = None
+        self,
+        finger: Finger,
+        template: FingerTemplate | None = None,
+        change: Mapping[str, float] | None = None,
     ) -> None:
-        points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
+        points = (
+            None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
+        )
         try:
             mesh = finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()])
             low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
@@ -189,7 +221,10 @@ class Simulator:
                 young=finger.young_mpa,
                 poisson=finger.poisson,
                 density=finger.density_kg_m3,
-                regions=[region.boxed(cells) for region, cells in zip(finger.regions, named_cells(finger))],
+                regions=[
+                    region.boxed(cells)
+                    for region, cells in zip(finger.regions, named_cells(finger))
+                ],
                 cable_stiffness=finger.cable_stiffness_n_mm,
                 ring=finger.guide_ring_mm,
                 disc=finger.anchor_disc_mm,
@@ -212,7 +247,9 @@ class Simulator:
         return self._template
 
     def rest(self) -> Floats:
-        """Return the vertices (N, 3) mm hanging under the finger's own gravity, no command given."""
+        """Return the vertices (N, 3) mm hanging under the finger's own gravity, no command
+        given.
+        """
         return np.ascontiguousarray(self.path(np.zeros((1, len(self.finger.pairs))))[0])
 
     def sweep(
@@ -224,13 +261,17 @@ class Simulator:
     ) -> Sweep:
         """Simulate every command of a grid.
 
-        axes: one ascending array of mm (or N) for each command · gravity: (3,) g in the base frame, None for the
-        finger's own · load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
+        axes: one ascending array of mm (or N) for each command · gravity: (3,) g in the base frame,
+        None for the finger's own · load: (3,) N on the tip · progress: called with the share done,
+        0 to 1. Raises SimulationError.
         """
         grid = tuple(_array("axis", axis, (None,)) for axis in axes)
         with _core_faults():
             vertices, pull = self.solid.sweep(
-                [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
+                [axis.tolist() for axis in grid],
+                self._gravity(gravity),
+                _vector("load", load),
+                progress,
             )
         return Sweep(
             axes=grid,
@@ -252,8 +293,8 @@ class Simulator:
     ) -> Floats:
         """Return the vertices (K, N, 3) mm along commands (K, C) mm.
 
-        gravity: (3,) or one row for each command (K, 3) in g, None for the finger's own · load: (3,) N on the tip ·
-        progress: called with the share done. Raises SimulationError.
+        gravity: (3,) or one row for each command (K, 3) in g, None for the finger's own · load:
+        (3,) N on the tip · progress: called with the share done. Raises SimulationError.
         """
         return self.path_and_pull(commands, gravity, load, progress)[0]
 
@@ -272,8 +313,11 @@ class Simulator:
         with _core_faults():
             return self.solid.path(u, rows, _vector("load", load), progress)
 
-    def path_from(self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None) -> Floats:
-        """Return what `path` does, solving from the equilibria of `other`, the same finger on a rougher mesh.
+    def path_from(
+        self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None
+    ) -> Floats:
+        """Return what `path` does, solving from the equilibria of `other`, the same finger on a
+        rougher mesh.
 
         For meshes on which the way from home would take hours. Raises SimulationError.
         """
@@ -289,19 +333,21 @@ class Simulator:
         progress: Progress | None = None,
         design: bool = False,
     ) -> Compliance:
-        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small loads and tensions,
-        and changes of `design` if asked.
+        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small
+        loads and tensions, and changes of `design` if asked.
 
         Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         with _core_faults():
-            found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), design, progress)
+            found = self.solid.fields(
+                u, self._gravity(gravity), _vector("load", load), design, progress
+            )
         return Compliance(found, found.pop("stretch"))
 
     def bends(self, commands: ArrayLike, progress: Progress | None = None) -> Bend:
-        """Return how the answers to loads, moduli and tensions bend, at the equilibria of commands (S, C) mm under the
-        finger's own gravity.
+        """Return how the answers to loads, moduli and tensions bend, at the equilibria of commands
+        (S, C) mm under the finger's own gravity.
 
         Raises SimulationError.
         """
@@ -313,7 +359,9 @@ class Simulator:
         return _vector("gravity", self.finger.gravity if gravity is None else gravity)
 
 
-def _stored(content: Mapping[str, NDArray[np.generic]], name: str, kinds: str) -> NDArray[np.generic]:
+def _stored(
+    content: Mapping[str, NDArray[np.generic]], name: str, kinds: str
+) -> NDArray[np.generic]:
     array = content[name]
     if array.dtype.kind not in kinds:
         raise SimulationError(f"{name} holds {array.dtype}, expected numbers")
@@ -336,7 +384,9 @@ def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats
         raise SimulationError(f"{name}: expected numbers of shape {_shape(shape)}") from None
     fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape))
     if not fits or not np.isfinite(array).all():
-        raise SimulationError(f"{name}: got shape {array.shape}, expected finite numbers of shape {_shape(shape)}")
+        raise SimulationError(
+            f"{name}: got shape {array.shape}, expected finite numbers of shape {_shape(shape)}"
+        )
     return array
 
 
@@ -346,7 +396,12 @@ def _vector(name: str, value: ArrayLike) -> tuple[float, float, float]:
 
 
 def _shape(shape: tuple[int | None, ...]) -> str:
-    return "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+    return (
+        "("
+        + ", ".join("n" if s is None else str(s) for s in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
+    )
 
 
 @contextmanager

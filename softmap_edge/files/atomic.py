@@ -17,14 +17,20 @@ MOST_TEXT = 64 << 20  # bytes of a document
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
-    """Write text (UTF-8; what has no such form as `?`) or bytes to `path`, replacing it only when complete."""
+    """Write text (UTF-8; what has no such form as `?`) or bytes to `path`, replacing it only when
+    complete.
+    """
     with replacement_of(Path(path)) as partial:
-        partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "replace"))
+        partial.write_bytes(
+            content if isinstance(content, bytes) else content.encode("utf-8", "replace")
+        )
 
 
 @contextmanager
 def replacement_of(file: Path) -> Iterator[Path]:
-    """Yield a new file next to `file` to write into; it replaces `file` once complete, and is deleted on failure."""
+    """Yield a new file next to `file` to write into; it replaces `file` once complete, and is
+    deleted on failure.
+    """
     try:
         descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
     except OSError as error:
@@ -42,10 +48,15 @@ def replacement_of(file: Path) -> Iterator[Path]:
 
 
 def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) -> str:
-    """Return the text of a document; raise `error` for what is no file of text, or one that is too large."""
+    """Return the text of a document; raise `error` for what is no file of text, or one that is too
+    large.
+    """
     file = Path(path)
     if file.exists() and not file.is_file():
         raise error(f"{path}: no file; give a document")
     if file.exists() and file.stat().st_size > MOST_TEXT:
-        raise error(f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are read")
+        raise error(
+            f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are "
+            "read"
+        )
     return file.read_text(encoding="utf-8")

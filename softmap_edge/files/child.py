@@ -1,10 +1,12 @@
-"""Run a foreign parser on an untrusted file in a child process with limits on its memory and its time.
+"""Run a foreign parser on an untrusted file in a child process with limits on its memory and its
+time.
 
     arrays = in_child(parse, path, megabytes=1000, seconds=60)
 
-The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, its output is
-dropped, and its answer comes back as JSON and raw numbers: no pickle is read. If it crashes, hangs or takes more
-memory than allowed, only the child ends. Pinned by tests/files/test_in_child.py.
+The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file,
+its output is dropped, and its answer comes back as JSON and raw numbers: no pickle is read. If it
+crashes, hangs or takes more memory than allowed, only the child ends. Pinned by
+tests/files/test_in_child.py.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised another library's exception, crashed, or met a limit; the message names it."""
+    """The child raised another library's exception, crashed, or met a limit; the message names
+    it.
+    """
 
 
 class ChildMemory(ChildFault):
@@ -45,21 +49,25 @@ class ChildLate(ChildFault):
     """The child takes longer than it may."""
 
 
-def in_child(function: Callable[..., object], *args: Any, megabytes: int = 1000, seconds: float = 60.0) -> Any:
+def in_child(
+    function: Callable[..., object], *args: Any, megabytes: int = 1000, seconds: float = 60.0
+) -> Any:
     """Return `function(*args)` as a forked child found it.
 
     Args:
-        function: returns arrays of numbers or text, numbers, strings, None, and lists or dicts (with text keys) of
-            them.
+        function: returns arrays of numbers or text, numbers, strings, None, and lists or dicts
+            (with text keys) of them.
         args: its arguments.
-        megabytes: memory that the child may take beyond that of this process, and size of the answer.
+        megabytes: memory that the child may take beyond that of this process, and size of the
+            answer.
         seconds: processor time that it may take; a busy computer gets `PATIENCE` times as long.
 
     Returns:
         Any: what the function returned.
 
     Raises:
-        SoftmapError: the function raised an error of this package; it is raised again with its class and message.
+        SoftmapError: the function raised an error of this package; it is raised again with its
+            class and message.
         ChildMemory: it needs more memory.
         ChildLate: it takes longer, or its answer is too large.
         ChildFault: it raised anything else, or crashed.
@@ -99,7 +107,11 @@ def _answer(content: bytearray | None, status: int, megabytes: int, seconds: flo
     if content is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         raise ChildLate(f"takes longer than {seconds:g} s, or gives more than {megabytes} MB")
     if not content:
-        how = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"exit {os.waitstatus_to_exitcode(status)}"
+        how = (
+            f"signal {os.WTERMSIG(status)}"
+            if os.WIFSIGNALED(status)
+            else f"exit {os.waitstatus_to_exitcode(status)}"
+        )
         raise ChildFault(f"the parser crashed ({how})")
     end = content.find(b"\n") + 1
     try:
@@ -111,16 +123,23 @@ def _answer(content: bytearray | None, status: int, megabytes: int, seconds: flo
     if kind == "memory":
         raise ChildMemory(value)
     raised = getattr(errors, kind, None)
-    raise (raised if isinstance(raised, type) and issubclass(raised, SoftmapError) else ChildFault)(value)
+    raise (raised if isinstance(raised, type) and issubclass(raised, SoftmapError) else ChildFault)(
+        value
+    )
 
 
 # --- in the child --------------------------------------------------------------------------
 def _be_child(
-    pipe: int, function: Callable[..., object], args: tuple[object, ...], megabytes: int, seconds: float
+    pipe: int,
+    function: Callable[..., object],
+    args: tuple[object, ...],
+    megabytes: int,
+    seconds: float,
 ) -> None:
     """Run the function under limits, write its answer, and end at once; never returns."""
     try:
-        sys.path[:] = [folder for folder in sys.path if folder]  # a module next to the file is not imported
+        # a module next to the file is not imported
+        sys.path[:] = [folder for folder in sys.path if folder]
         faulthandler.disable()  # its report would go where the caller's goes
         _limit(megabytes, seconds)
         _isolate(pipe)
@@ -144,9 +163,11 @@ def _limit(megabytes: int, seconds: float) -> None:
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         # The hard limit of time would be SIGKILL, which gives no reason.
         resource.setrlimit(which, (most, hard if which == resource.RLIMIT_CPU else most))
-    for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGXCPU):  # handlers of this process are not the child's
+    # handlers of this process are not the child's
+    for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGXCPU):
         signal.signal(number, signal.SIG_DFL)
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write to a file fails, and a library may go on without it
+    # a write to a file fails, and a library may go on without it
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
@@ -162,8 +183,12 @@ def _isolate(pipe: int) -> None:
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 
-def _result(function: Callable[..., object], args: tuple[object, ...], megabytes: int) -> list[memoryview]:
-    """Return the answer in parts: a line of JSON, and the arrays whose types and shapes it lists."""
+def _result(
+    function: Callable[..., object], args: tuple[object, ...], megabytes: int
+) -> list[memoryview]:
+    """Return the answer in parts: a line of JSON, and the arrays whose types and shapes it
+    lists.
+    """
     arrays: list[memoryview] = []
     try:
         with warnings.catch_warnings():
@@ -176,7 +201,9 @@ def _result(function: Callable[..., object], args: tuple[object, ...], megabytes
     except BaseException as fault:  # a parser may raise anything, SystemExit included
         text = f"{type(fault).__name__}: {brief(fault)}"
         short = "memory" in text.lower() or "allocate" in text.lower()  # as C libraries report it
-        return [_line(["memory", f"needs more than {megabytes} MB of memory"] if short else ["", text])]
+        return [
+            _line(["memory", f"needs more than {megabytes} MB of memory"] if short else ["", text])
+        ]
 
 
 def _line(document: object) -> memoryview:
@@ -190,7 +217,9 @@ def _write(pipe: int, part: memoryview) -> None:
 
 
 def _packed(value: object, arrays: list[memoryview]) -> Any:
-    """Return a value as JSON holds it; the bytes of arrays go to `arrays`, each filled up to `_ALIGNED`."""
+    """Return a value as JSON holds it; the bytes of arrays go to `arrays`, each filled up to
+    `_ALIGNED`.
+    """
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject or value.dtype.names:
             raise ValueError(f"an array of {value.dtype}")
@@ -207,13 +236,17 @@ def _packed(value: object, arrays: list[memoryview]) -> Any:
 
 # --- in the parent again -------------------------------------------------------------------
 class _Reader:
-    """Reads the value of a document; its arrays follow one another in `content`, in the order of the document."""
+    """Reads the value of a document; its arrays follow one another in `content`, in the order of
+    the document.
+    """
 
     def __init__(self, content: memoryview) -> None:
         self.content, self.at = content, 0
 
     def value(self, document: object) -> Any:
-        """Return the value that a part of the document stands for; ValueError where it does not fit the content."""
+        """Return the value that a part of the document stands for; ValueError where it does not fit
+        the content.
+        """
         if not isinstance(document, dict):
             return document
         if "array" in document:
@@ -226,6 +259,10 @@ class _Reader:
         dtype, count = np.dtype(kind), int(np.prod(shape, dtype=object))
         if dtype.hasobject:
             raise ValueError(f"an array of {dtype}")
-        found = np.frombuffer(self.content, dtype, count, self.at) if count * dtype.itemsize else np.zeros(count, dtype)
+        found = (
+            np.frombuffer(self.content, dtype, count, self.at)
+            if count * dtype.itemsize
+            else np.zeros(count, dtype)
+        )
         self.at += -(-count * dtype.itemsize // _ALIGNED) * _ALIGNED
         return found.reshape(shape)

@@ -1,10 +1,11 @@
-"""Walk through the records of an MCAP file; check its framing, its checksums and the statistics at its end.
+"""Walk through the records of an MCAP file; check its framing, its checksums and the statistics at
+its end.
 
-An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer and the magic
-bytes. CRC-32 checksums of the data section and of the summary are there unless they are 0. A file that was cut has no
-end. After bytes that are no record the walk goes on at the next chunk. A disk that lost its last blocks leaves zeros:
-a record that ends in them and has no checksum of its own is no record. This module needs no package. Pinned by
-tests/files/test_mcap_damage.py.
+An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer
+and the magic bytes. CRC-32 checksums of the data section and of the summary are there unless they
+are 0. A file that was cut has no end. After bytes that are no record the walk goes on at the next
+chunk. A disk that lost its last blocks leaves zeros: a record that ends in them and has no checksum
+of its own is no record. This module needs no package. Pinned by tests/files/test_mcap_damage.py.
 
 Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
 """
@@ -20,12 +21,15 @@ from typing import BinaryIO
 import numpy as np
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT = range(1, 10)
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT = range(
+    1, 10
+)
 STATISTICS, METADATA, DATA_END = 0x0B, 0x0C, 0x0F
 READ = (FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END)
 LONGEST = 2**28 + 2**16  # bytes of a record that are read
 _HEAD = struct.Struct("<BQ")  # kind, length
-_CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size and checksum unpacked, length of the compression
+# first and last time, size and checksum unpacked, length of the compression
+_CHUNK_HEAD = struct.Struct("<QQQII")
 _FOOTER = struct.Struct("<BQQQI")  # kind, length, where the summary and its offsets begin, checksum
 _STATISTICS = struct.Struct("<QHIIIIQQI")
 _BLOCK = 2**20
@@ -37,7 +41,9 @@ class Damage(str):
 
 @dataclass(frozen=True)
 class Record:
-    """A record: its kind, where it begins and ends in the file, and its bytes, empty for kinds that are not `READ`."""
+    """A record: its kind, where it begins and ends in the file, and its bytes, empty for kinds that
+    are not `READ`.
+    """
 
     kind: int
     start: int
@@ -70,7 +76,9 @@ class Closing:
 
 @dataclass(frozen=True)
 class Chunk:
-    """The header of a chunk: its times (ns), its size and checksum unpacked, its compression, its packed bytes."""
+    """The header of a chunk: its times (ns), its size and checksum unpacked, its compression, its
+    packed bytes.
+    """
 
     first: int
     last: int
@@ -86,14 +94,20 @@ def read_chunk(body: bytes) -> Chunk:
         raise ValueError("a chunk that is too short")
     first, last, size, crc, length = _CHUNK_HEAD.unpack_from(body)
     at = _CHUNK_HEAD.size + length
-    if length > 64 or at + 8 > len(body) or int.from_bytes(body[at : at + 8], "little") != len(body) - at - 8:
+    if (
+        length > 64
+        or at + 8 > len(body)
+        or int.from_bytes(body[at : at + 8], "little") != len(body) - at - 8
+    ):
         raise ValueError("a chunk whose lengths contradict one another")
     name = body[_CHUNK_HEAD.size : at].decode("ascii", "replace")
     return Chunk(first, last, size, crc, name, body[at + 8 :])
 
 
 def split(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and bytes of each record in `data`. Raises ValueError where the last one is not complete."""
+    """Yield kind and bytes of each record in `data`. Raises ValueError where the last one is not
+    complete.
+    """
     at, size = 0, len(data)
     while at < size:
         if size - at < _HEAD.size:
@@ -108,7 +122,9 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 # --- the end of a file -----------------------------------------------------------------------
 def read_closing(file: BinaryIO, size: int) -> Closing | None:
-    """Return the statements at the end of a file, checksums checked; None if the file was not closed."""
+    """Return the statements at the end of a file, checksums checked; None if the file was not
+    closed.
+    """
     tail = _FOOTER.size + len(MAGIC)
     if size < len(MAGIC) + tail:
         return None
@@ -123,7 +139,8 @@ def read_closing(file: BinaryIO, size: int) -> Closing | None:
     summary = _piece(file, begins, footer - begins)
     found = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(summary))
     sound = None if stated == 0 else found == stated
-    if start == 0 and sound is False:  # without a summary, writers disagree on the checksummed bytes
+    # without a summary, writers disagree on the checksummed bytes
+    if start == 0 and sound is False:
         sound = None
     data_end, data = _data_section(file, begins)
     closing = Closing(data_end, data, sound)
@@ -145,7 +162,9 @@ def _stated(closing: Closing, summary: bytes) -> Closing:
                 defined.append((kind, body))
     except (ValueError, struct.error):
         return Closing(closing.data_end, closing.data, False)
-    return Closing(closing.data_end, closing.data, closing.summary, counts, total, spans, tuple(defined))
+    return Closing(
+        closing.data_end, closing.data, closing.summary, counts, total, spans, tuple(defined)
+    )
 
 
 def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:
@@ -160,7 +179,11 @@ def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:
         return start, None
     # With the magic bytes, as most writers do it; after them; after the header.
     header = len(MAGIC) + _HEAD.size + int.from_bytes(_piece(file, len(MAGIC) + 1, 8), "little")
-    return start, any(_checksum(file, first, start) == stated for first in (0, len(MAGIC), header) if first < start)
+    return start, any(
+        _checksum(file, first, start) == stated
+        for first in (0, len(MAGIC), header)
+        if first < start
+    )
 
 
 def _checksum(file: BinaryIO, first: int, end: int) -> int:
@@ -180,7 +203,8 @@ def _piece(file: BinaryIO, start: int, length: int) -> bytes:
 class Walk:
     """The records of the data section of a file, from its first to `end`.
 
-    `.gaps` are the bytes (from, to) that are no records, `.odd` is the number of skipped records of an unknown kind.
+    `.gaps` are the bytes (from, to) that are no records, `.odd` is the number of skipped records of
+    an unknown kind.
     """
 
     def __init__(self, file: BinaryIO, size: int, end: int | None = None) -> None:
@@ -220,15 +244,21 @@ class Walk:
         return Record(kind, at, end)
 
     def _ends_in_zeros(self, record: Record) -> bool:
-        """Return whether a record ends in zeros that go on after it, or with a cut file, and has no checksum."""
+        """Return whether a record ends in zeros that go on after it, or with a cut file, and has no
+        checksum.
+        """
         if record.kind not in (SCHEMA, CHANNEL, MESSAGE, CHUNK) or not record.body.endswith(b"\0"):
             return False
-        if record.kind == CHUNK and ((chunk := read_chunk(record.body)).crc != 0 or chunk.compression):
+        if record.kind == CHUNK and (
+            (chunk := read_chunk(record.body)).crc != 0 or chunk.compression
+        ):
             return False  # it is checked when it is unpacked
         return _piece(self._file, record.end, 1) in (b"", b"\0")  # no record is of kind 0
 
     def _next_chunk(self, at: int, end: int) -> int:
-        """Return where the next chunk begins whose lengths agree, from `at` on; `end` where there is none."""
+        """Return where the next chunk begins whose lengths agree, from `at` on; `end` where there
+        is none.
+        """
         while at < end:
             block = _piece(self._file, at, _BLOCK + 256)
             found = _chunk_in(np.frombuffer(block, np.uint8), at, self._size)
@@ -238,8 +268,12 @@ class Walk:
         return end
 
 
-def _chunk_in(block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, size: int) -> int | None:
-    """Return the place in the file of the first chunk in a block that begins at `offset` of a file of `size` bytes."""
+def _chunk_in(
+    block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, size: int
+) -> int | None:
+    """Return the place in the file of the first chunk in a block that begins at `offset` of a file
+    of `size` bytes.
+    """
     head = _HEAD.size + _CHUNK_HEAD.size
     count = len(block) - head - 8
     if count <= 0:
@@ -249,12 +283,18 @@ def _chunk_in(block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, si
     packed = places + head + block[places + head - 4]  # position of the number of packed bytes
     places, packed = places[packed + 8 <= len(block)], packed[packed + 8 <= len(block)]
 
-    def number(at: np.ndarray[tuple[int], np.dtype[np.int64]]) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
-        numbers: np.ndarray[tuple[int], np.dtype[np.uint64]] = block[at[:, None] + np.arange(8)].view("<u8")[:, 0]
+    def number(
+        at: np.ndarray[tuple[int], np.dtype[np.int64]],
+    ) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+        numbers: np.ndarray[tuple[int], np.dtype[np.uint64]] = block[
+            at[:, None] + np.arange(8)
+        ].view("<u8")[:, 0]
         return numbers
 
     length, inside = number(places + 1), number(packed)
-    fits = (length <= size) & (length == inside + (packed + 8 - places - _HEAD.size).astype(np.uint64))
+    fits = (length <= size) & (
+        length == inside + (packed + 8 - places - _HEAD.size).astype(np.uint64)
+    )
     fits &= places + offset + _HEAD.size + length.astype(np.int64) <= size
     return int(places[fits][0]) + offset if fits.any() else None
 

@@ -1,4 +1,6 @@
-"""Array archives (`.npz`) that are the same bytes for the same content and never run code when read."""
+"""Array archives (`.npz`) that are the same bytes for the same content and never run code when
+read.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,18 @@ MOST_ARRAYS = 1000
 OBJECTS = "it holds Python objects, which are never read"
 _MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; that of 1000 arrays has 0.1 MB
 _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
-_ZIP64, _ZIP64_BYTES = b"PK\6\7", 20  # of what stands before that record in an archive of more than 4 GiB
+# of what stands before that record in an archive of more than 4 GiB
+_ZIP64, _ZIP64_BYTES = b"PK\6\7", 20
 _STEP = "_step"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same bytes.
+    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same
+    bytes.
 
-    Tables of whole numbers go column after column: what `packed` made is smooth down a column and a fifth smaller so.
+    Tables of whole numbers go column after column: what `packed` made is smooth down a column and a
+    fifth smaller so.
     """
     with (
         replacement_of(path) as partial,
@@ -37,25 +42,36 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         for name in sorted(arrays):
             buffer = io.BytesIO()
             order: Literal["F", "C"] = "F" if np.asarray(arrays[name]).dtype.kind == "i" else "C"
-            array = np.asarray(arrays[name], order=order)  # ascontiguousarray would give a number an axis
+            # ascontiguousarray would give a number an axis
+            array = np.asarray(arrays[name], order=order)
             np.lib.format.write_array(buffer, array, allow_pickle=False)
             archive.writestr(
-                zipfile.ZipInfo(f"{name}.npy", _EPOCH), buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=9
+                zipfile.ZipInfo(f"{name}.npy", _EPOCH),
+                buffer.getvalue(),
+                zipfile.ZIP_DEFLATED,
+                compresslevel=9,
             )
 
 
 def read_npz(
     path: Path, error: type[SoftmapError] = SoftmapError, limit: int = MAX_BYTES
 ) -> dict[str, NDArray[np.generic]]:
-    """Read every array of `path`; raise `error` with one line when it is damaged, too large or holds objects."""
+    """Read every array of `path`; raise `error` with one line when it is damaged, too large or
+    holds objects.
+    """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise error(f"{path}: no file that can be read at will; give an .npz file")
     try:
         check_directory(path, error)
         with zipfile.ZipFile(path) as archive:
-            count, total = len(archive.infolist()), sum(entry.file_size for entry in archive.infolist())
+            count, total = (
+                len(archive.infolist()),
+                sum(entry.file_size for entry in archive.infolist()),
+            )
             if count > MOST_ARRAYS:
-                raise error(f"{path.name}: {count} arrays, at most {MOST_ARRAYS} are read; make it again")
+                raise error(
+                    f"{path.name}: {count} arrays, at most {MOST_ARRAYS} are read; make it again"
+                )
             if total > limit:
                 raise error(f"{path.name}: {total} bytes when unpacked, at most {limit} are read")
             arrays = {}
@@ -75,7 +91,9 @@ def read_npz(
         remedy = "make it again or copy it again"
         if path.suffix.lower() != ".npz":
             remedy = "a log becomes a run with `softmap import`"
-        raise error(f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}") from None
+        raise error(
+            f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}"
+        ) from None
 
 
 def archive_names(path: Path) -> set[str]:
@@ -86,35 +104,42 @@ def archive_names(path: Path) -> set[str]:
         check_directory(path)
         with zipfile.ZipFile(path) as archive:
             return set(archive.namelist())
-    except Exception:  # zipfile raises a dozen kinds on damaged files; the reader of the file reports what is wrong
+    # zipfile raises a dozen kinds on damaged files; the reader of the file reports what is wrong
+    except Exception:
         return set()
 
 
 def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> None:
-    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each of its entries."""
+    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for
+    each of its entries.
+    """
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - _END_BYTES - _LONGEST_COMMENT - _ZIP64_BYTES))
         tail = file.read()
-    plain = tail[-_END_BYTES:].startswith(_END) and tail.endswith(b"\0\0")  # without a comment, as zipfile looks
+    # without a comment, as zipfile looks
+    plain = tail[-_END_BYTES:].startswith(_END) and tail.endswith(b"\0\0")
     place = len(tail) - _END_BYTES if plain else tail.rfind(_END)
     if place < 0:
         return  # no archive, which zipfile reports
     if tail[max(0, place - _ZIP64_BYTES) : place].startswith(_ZIP64):
         raise error(
-            f"{path.name}: an archive in the ZIP64 form for more than 4 GiB, which is not read; make it smaller"
+            f"{path.name}: an archive in the ZIP64 form for more than 4 GiB, which is not read; "
+            "make it smaller"
         )
     entries = int.from_bytes(tail[place + 12 : place + 16], "little")
     if entries > _MOST_DIRECTORY:
         raise error(
-            f"{path.name}: its table of contents has {entries} bytes, at most {_MOST_DIRECTORY} are read; an .npz file "
-            f"holds up to {MOST_ARRAYS} arrays"
+            f"{path.name}: its table of contents has {entries} bytes, at most {_MOST_DIRECTORY} "
+            f"are read; an .npz file holds up to {MOST_ARRAYS} arrays"
         )
 
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """The header of an array in NumPy's format: its shape, whether columns run first (Fortran), and its type."""
+    """The header of an array in NumPy's format: its shape, whether columns run first (Fortran), and
+    its type.
+    """
 
     shape: tuple[int, ...]
     fortran: bool
@@ -133,7 +158,10 @@ def array_header(stream: IO[bytes]) -> ArrayHeader:
         ValueError: another version of the format, a damaged header, or a negative length.
     """
     version = np.lib.format.read_magic(stream)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
     if version not in read:
         raise ValueError(f"array format {version}")
     shape, fortran, dtype = read[version](stream)
@@ -147,19 +175,28 @@ def packed(
 ) -> dict[str, NDArray[np.generic]]:
     """Return `values` as whole numbers of steps under `name`, and the steps under `name_step`.
 
-    `step` is one number or broadcasts to the values; it is widened where values would not fit into `kind` (np.int8 or
-    np.int16). Half a step is lost at most.
+    `step` is one number or broadcasts to the values; it is widened where values would not fit into
+    `kind` (np.int8 or np.int16). Half a step is lost at most.
     """
     step = np.asarray(step, np.float64)
-    alike = tuple(axis for axis, length in enumerate(step.shape) if length == 1) if step.ndim else None
+    alike = (
+        tuple(axis for axis, length in enumerate(step.shape) if length == 1) if step.ndim else None
+    )
     largest = np.max(np.abs(values), axis=alike, keepdims=step.ndim > 0, initial=0.0)
     # Up by more than what float32 may round it down.
-    exact = np.maximum(np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)), np.float32(1e-30))
-    return {name: np.round(values / exact.astype(np.float64)).astype(kind), f"{name}{_STEP}": np.asarray(exact)}
+    exact = np.maximum(
+        np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)), np.float32(1e-30)
+    )
+    return {
+        name: np.round(values / exact.astype(np.float64)).astype(kind),
+        f"{name}{_STEP}": np.asarray(exact),
+    }
 
 
 def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
-    """Return `arrays` with what `packed` made as numbers again; ValueError where steps do not fit their array."""
+    """Return `arrays` with what `packed` made as numbers again; ValueError where steps do not fit
+    their array.
+    """
     steps = {f"{name}{_STEP}" for name in arrays}
     plain = {name: array for name, array in arrays.items() if name not in steps}
     for name, array in plain.items():
@@ -171,7 +208,9 @@ def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.
     return plain
 
 
-def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -> NDArray[np.generic]:
+def _read_array(
+    data: bytes, name: str, path: Path, error: type[SoftmapError]
+) -> NDArray[np.generic]:
     stream = io.BytesIO(data)
     try:
         head = array_header(stream)
@@ -179,17 +218,29 @@ def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -
             raise ValueError(OBJECTS)
         there = len(data) - stream.tell()
         if head.bytes != there:
-            raise ValueError(f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {there} are there")
+            raise ValueError(
+                f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {there} are there"
+            )
         stream.seek(0)
-        array: NDArray[np.generic] = np.asarray(np.lib.format.read_array(stream, allow_pickle=False), order="C")
-        if head.dtype.kind == "U" and array.size and int(_code_points(array).max(initial=0)) > 0x10FFFF:
+        array: NDArray[np.generic] = np.asarray(
+            np.lib.format.read_array(stream, allow_pickle=False), order="C"
+        )
+        if (
+            head.dtype.kind == "U"
+            and array.size
+            and int(_code_points(array).max(initial=0)) > 0x10FFFF
+        ):
             raise ValueError("it holds text that is not Unicode")
         return array
     except Exception as fault:
-        raise error(f"{path.name}: array {name!r:.60} is not readable ({brief(fault)}); make the file again") from None
+        raise error(
+            f"{path.name}: array {name!r:.60} is not readable ({brief(fault)}); make the file again"
+        ) from None
 
 
 def _code_points(array: NDArray[np.generic]) -> NDArray[np.uint32]:
-    """Return the characters of a text array as numbers: numpy reads damaged ones, Python ends in a SystemError."""
+    """Return the characters of a text array as numbers: numpy reads damaged ones, Python ends in a
+    SystemError.
+    """
     native = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("="), copy=False)
     return native.reshape(-1).view(np.uint32)

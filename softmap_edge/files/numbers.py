@@ -1,4 +1,6 @@
-"""How reports write numbers: lengths, shares, bars of text, what is too large for a line, and lines that are folded."""
+"""How reports write numbers: lengths, shares, bars of text, what is too large for a line, and lines
+that are folded.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +10,16 @@ import textwrap
 
 WIDTH = 100  # of a line of text
 BAR = 28
-LARGEST = 1e6  # numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
+# numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
+LARGEST = 1e6
 LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
 def bar(value: float, scale: float, width: int = BAR) -> str:
-    """Return a bar of eighth blocks, `width` characters long at `value == scale`; empty for what is not finite."""
+    """Return a bar of eighth blocks, `width` characters long at `value == scale`; empty for what is
+    not finite.
+    """
     if not math.isfinite(value) or not math.isfinite(scale) or scale <= 0 or value <= 0:
         return ""
     eighths = max(1, round(min(value / scale, 1.0) * width * 8))
@@ -27,11 +32,15 @@ def mm(value: object) -> str:
         return "–"
     if abs(value) >= LARGEST:
         return f"{value:.1e}"
-    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+    return (
+        f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+    )
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:
-    """Return the share of the error above `floor` (0 without one) that is gone, or None when there is none."""
+    """Return the share of the error above `floor` (0 without one) that is gone, or None when there
+    is none.
+    """
     base = floor or 0.0
     removable = before - base
     return (before - after) / removable if removable > 0 and math.isfinite(after) else None
@@ -51,13 +60,17 @@ def number(value: object) -> float | None:
 
 
 def tamed(text: object) -> str:
-    """Return a sentence with its numbers of seven digits and more written as powers of ten ('+1.2e+31 % in mm')."""
+    """Return a sentence with its numbers of seven digits and more written as powers of ten
+    ('+1.2e+31 % in mm').
+    """
 
     def short(found: re.Match[str]) -> str:
         sign, digits = found.groups()
         power = len(digits) - 1  # by hand: a number of 400 digits is beyond a float
         leading = f"{int(digits[:6]) / 1e5:.1f}"
-        return f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
+        return (
+            f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
+        )
 
     return LONG_NUMBER.sub(short, str(text))
 

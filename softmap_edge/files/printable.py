@@ -1,8 +1,9 @@
-"""Text that a terminal or a page only displays: control characters, bidirectional marks and surrogates are escaped.
+"""Text that a terminal or a page only displays: control characters, bidirectional marks and
+surrogates are escaped.
 
-Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor, recolour the terminal,
-forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so JSON documents stay valid.
-Pinned by tests/files/test_printable.py.
+Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor,
+recolour the terminal, forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so
+JSON documents stay valid. Pinned by tests/files/test_printable.py.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ from unicodedata import category
 
 
 def printable(text: str) -> str:
-    """Return `text` with an escape for each character that does not print, save spaces, tabs and line ends."""
+    """Return `text` with an escape for each character that does not print, save spaces, tabs and
+    line ends.
+    """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else _escape(c) for c in text)
+    return "".join(
+        c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else _escape(c) for c in text
+    )
 
 
 def one_line(text: str) -> str:
@@ -36,7 +41,9 @@ def _escape(character: str) -> str:
 
 
 class PrintableStream:
-    """A text stream that writes only printable characters to `raw` and passes all other calls on to it."""
+    """A text stream that writes only printable characters to `raw` and passes all other calls on to
+    it.
+    """
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw

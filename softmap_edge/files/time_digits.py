@@ -17,13 +17,17 @@ def differing(*times: float) -> list[str]:
         return [_plain(time, MOST - 1) for time in times]
     for digits in range(LEAST, MOST):
         texts = [_plain(time, digits) for time in times]
-        if not gaps or all(abs(float(text) - time) <= NEAR * min(gaps) for text, time in zip(texts, times)):
+        if not gaps or all(
+            abs(float(text) - time) <= NEAR * min(gaps) for text, time in zip(texts, times)
+        ):
             return texts
     return [_plain(time, MOST) for time in times]
 
 
 def _plain(time: float, digits: int) -> str:
-    """Return a time with at most `digits` digits; the digits before the point are always complete."""
+    """Return a time with at most `digits` digits; the digits before the point are always
+    complete.
+    """
     if not 1e-6 < abs(time) < 1e15:
         return f"{time:.{digits}g}"
     text = f"{time:.{max(0, digits - len(str(int(abs(time)))))}f}"

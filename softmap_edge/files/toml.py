@@ -1,7 +1,7 @@
 """A TOML table that is read key by key and then reports its unknown keys.
 
-Every fault is one RunError that names the file, the key, what was found and what is expected. `quoted` is how any text
-is written into TOML. Pinned by tests/robot/test_rig_file.py.
+Every fault is one RunError that names the file, the key, what was found and what is expected.
+`quoted` is how any text is written into TOML. Pinned by tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ class TomlTable:
 
     def __init__(self, values: object, where: str) -> None:
         if not isinstance(values, dict):
-            raise RunError(f"{where}: {kind(values)}, expected a table; examples/trunk.toml shows the form")
+            raise RunError(
+                f"{where}: {kind(values)}, expected a table; examples/trunk.toml shows the form"
+            )
         self.values, self.where, self.asked = values, where, list[str]()
 
     def get(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
@@ -44,7 +46,9 @@ class TomlTable:
             raise RunError(f"{self.where}: {key} is {kind(value)}, expected {names}")
         return value
 
-    def number(self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12) -> float | None:
+    def number(
+        self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12
+    ) -> float | None:
         """Return a number within limits."""
         value = self.get(key, (int, float), default)
         if value is None:
@@ -66,7 +70,9 @@ class TomlTable:
         if value not in allowed:
             near = nearest(value, allowed)
             hint = f"; did you mean '{near[0]}'?" if near else ""
-            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}{hint}")
+            raise RunError(
+                f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}{hint}"
+            )
         return value
 
     def table(self, key: str) -> TomlTable:
@@ -81,11 +87,17 @@ class TomlTable:
         try:
             array = np.array(value, float)
         except (ValueError, TypeError, OverflowError) as cause:
-            raise RunError(f"{self.where}: {key} is not a list of numbers; expected shape {shape}") from cause
-        if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
+            raise RunError(
+                f"{self.where}: {key} is not a list of numbers; expected shape {shape}"
+            ) from cause
+        if array.ndim != len(shape) or any(
+            n is not None and n != m for n, m in zip(shape, array.shape)
+        ):
             raise RunError(f"{self.where}: {key} has shape {array.shape}, expected {shape}")
         if not (np.abs(array) <= 1e12).all():  # also false for NaN
-            raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
+            raise RunError(
+                f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers"
+            )
         return array
 
     def only(self, keys: Iterable[str]) -> None:
@@ -113,8 +125,12 @@ def shown(value: object) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a text as a TOML string of one line; what has no UTF-8 form is written as `?`, as `write_whole` does."""
-    plain = text.encode("utf-8", "replace").decode("utf-8").replace("\\", "\\\\").replace('"', '\\"')
+    """Return a text as a TOML string of one line; what has no UTF-8 form is written as `?`, as
+    `write_whole` does.
+    """
+    plain = (
+        text.encode("utf-8", "replace").decode("utf-8").replace("\\", "\\\\").replace('"', '\\"')
+    )
     return '"' + "".join(c if c.isprintable() else _escaped(ord(c)) for c in plain) + '"'
 
 

@@ -1,15 +1,17 @@
-"""Find the line through the middle of a body from its points alone: no mesh, any orientation, straight or bent at rest.
+"""Find the line through the middle of a body from its points alone: no mesh, any orientation,
+straight or bent at rest.
 
-Order along the body: distances over a graph of near neighbours, from the base. Line: the polynomial curve from which
-the points' distances are nearest to a smooth radius ρ(s), by Gauss-Newton; the z axis or a curve of lower degree where
-it does as well. (A curve that is merely near to the points, a principal curve, winds along the surface of a tube.)
-How the line moves in another shape of the same points is linear in them: least squares of
+Order along the body: distances over a graph of near neighbours, from the base. Line: the polynomial
+curve from which the points' distances are nearest to a smooth radius ρ(s), by Gauss-Newton; the z
+axis or a curve of lower degree where it does as well. (A curve that is merely near to the points, a
+principal curve, winds along the surface of a tube.) How the line moves in another shape of the same
+points is linear in them: least squares of
 
     p_i = c(s_i) + a(s_i) ρ_i cos φ_i + b(s_i) ρ_i sin φ_i
 
-with polynomials c, a, b along the body, so that points that lie unevenly around it do not pull the line aside.
-Units: mm. Limits: a body at least some three radii long; fewer than eight points are taken as the line itself, one
-behind the other. Pinned by tests/geometry/test_centreline.py.
+with polynomials c, a, b along the body, so that points that lie unevenly around it do not pull the
+line aside. Units: mm. Limits: a body at least some three radii long; fewer than eight points are
+taken as the line itself, one behind the other. Pinned by tests/geometry/test_centreline.py.
 """
 
 from __future__ import annotations
@@ -40,11 +42,13 @@ ONE_PLACE = 1e-6  # mm; rounding moves points by less
 
 @dataclass(frozen=True, eq=False)
 class Centreline:
-    """Where N points lie along a body at rest, and the map from any shape of them to the line's stations.
+    """Where N points lie along a body at rest, and the map from any shape of them to the line's
+    stations.
 
-    `along` (N,) mm from the base, `angle` (N,) rad about the line (None: the points are the line), `arc` (J + 1,) mm of
-    the stations, base first; `weights` (J + 1, N) and `fixed` (J + 1,) of the base give their places. `lean_deg` is the
-    angle between z and the straight line from end to end, `bow_mm` how far the line leaves that straight line.
+    `along` (N,) mm from the base, `angle` (N,) rad about the line (None: the points are the line),
+    `arc` (J + 1,) mm of the stations, base first; `weights` (J + 1, N) and `fixed` (J + 1,) of the
+    base give their places. `lean_deg` is the angle between z and the straight line from end to end,
+    `bow_mm` how far the line leaves that straight line.
     """
 
     base: Floats
@@ -63,10 +67,14 @@ class Centreline:
 
     def stations(self, points: Floats) -> Floats:
         """Return the stations (n, J + 1, 3) mm of shapes (n, N, 3) mm."""
-        return np.asarray(np.einsum("jn,knc->kjc", self.weights, points) + self.fixed[:, None] * self.base)
+        return np.asarray(
+            np.einsum("jn,knc->kjc", self.weights, points) + self.fixed[:, None] * self.base
+        )
 
     def body(self) -> BodyCoordinates | None:
-        """Return the sections of the body; None for points so few that each is a feature of its own."""
+        """Return the sections of the body; None for points so few that each is a feature of its
+        own.
+        """
         if len(self.along) <= MARKERS:
             return None
         for count in range(SECTIONS, 0, -1):
@@ -82,7 +90,9 @@ class Centreline:
         around = np.stack([np.cos(self.angle[inside]), np.sin(self.angle[inside])])
         if around.shape[1] < 6:
             return False
-        return bool(np.linalg.svd(around - around.mean(axis=1, keepdims=True), compute_uv=False)[-1] > 1.0)
+        return bool(
+            np.linalg.svd(around - around.mean(axis=1, keepdims=True), compute_uv=False)[-1] > 1.0
+        )
 
 
 def find_centreline(rest: Floats, base: Floats) -> Centreline:
@@ -94,13 +104,16 @@ def find_centreline(rest: Floats, base: Floats) -> Centreline:
     extent = float(np.linalg.norm(np.ptp(rest, axis=0)))
     nearest = float(np.linalg.norm(rest - base, axis=1).min())
     if extent <= ONE_PLACE and nearest <= ONE_PLACE:
-        raise SoftmapError("all points of the body at rest lie in one place, at its base; give points along the body")
+        raise SoftmapError(
+            "all points of the body at rest lie in one place, at its base; give points along the "
+            "body"
+        )
     if len(rest) >= CHAIN and nearest > FAR * extent:
         raise SoftmapError(
-            f"the nearest point is {nearest:.4g} mm from the base at {np.round(base, 3).tolist()}, the points extend "
-            "over "
-            f"{extent:.4g} mm: they do not begin at the base; move them to the base frame (origin at the centre of the "
-            "clamped base), or give `base` (3,) mm"
+            f"the nearest point is {nearest:.4g} mm from the base at "
+            f"{np.round(base, 3).tolist()}, the points extend over {extent:.4g} mm: they do not "
+            "begin at the base; move them to the base frame (origin at the centre of the clamped "
+            "base), or give `base` (3,) mm"
         )
     return _chain(rest, base) if len(rest) < CHAIN else _cloud(rest, base)
 
@@ -136,12 +149,18 @@ def _cloud(rest: Floats, base: Floats) -> Centreline:
     distinct = len(np.unique(np.round(along / (0.02 * length))))
     degree, sides = min(DEGREE, distinct), min(SIDE_DEGREE, distinct - 1)
     while not is_line and degree + 1 + 2 * (sides + 1) > 0.8 * len(rest):
-        degree, sides = degree - (degree >= sides + 2 or sides == 0), max(0, sides - (degree < sides + 2))
+        degree, sides = (
+            degree - (degree >= sides + 2 or sides == 0),
+            max(0, sides - (degree < sides + 2)),
+        )
     x = 2.0 * along / length - 1.0
     columns = [legendre.legvander(x, degree)]
     if not is_line:
         wide = legendre.legvander(x, sides)
-        columns += [wide * (radius * np.cos(turn))[:, None], wide * (radius * np.sin(turn))[:, None]]
+        columns += [
+            wide * (radius * np.cos(turn))[:, None],
+            wide * (radius * np.sin(turn))[:, None],
+        ]
     design = np.concatenate(columns, axis=1)
     held = np.sqrt(len(rest))  # the base is known better than any point
     pinned = np.zeros((1, design.shape[1]))
@@ -154,7 +173,9 @@ def _cloud(rest: Floats, base: Floats) -> Centreline:
 
 
 def _posture(line: Floats) -> tuple[float, float]:
-    """Return the lean (degrees) of the chord from end to end against z, and how far (mm) the line leaves it."""
+    """Return the lean (degrees) of the chord from end to end against z, and how far (mm) the line
+    leaves it.
+    """
     chord = line[-1] - line[0]
     unit = chord / max(float(np.linalg.norm(chord)), 1e-300)
     off = line - line[0]
@@ -164,8 +185,8 @@ def _posture(line: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A dense line with tangents, where points (N, 3) mm project to it: `along` (N,) from the base, and `offset` (N,
-    3).
+    """A dense line with tangents, where points (N, 3) mm project to it: `along` (N,) from the base,
+    and `offset` (N, 3).
     """
 
     tangent: Floats  # (N, 3) at each point's foot
@@ -185,17 +206,28 @@ class _Curve:
 
     @classmethod
     def best(cls, rest: Floats, base: Floats) -> _Curve:
-        """Return the simplest curve that does nearly as well as the best: the z axis, or one of degree 1 to 4."""
+        """Return the simplest curve that does nearly as well as the best: the z axis, or one of
+        degree 1 to 4.
+        """
         some = rest if len(rest) <= GRAPH else rest[farthest(rest, GRAPH)]
         order = _order(some, base)
         length = float(np.ptp(order))
         distinct = len(np.unique(np.round(_unit(order) * 20.0)))
         top = float(rest[:, 2].max())
-        fits = [np.array([[*base[:2], (base[2] + top) / 2.0], [0.0, 0.0, max(top - base[2], 1e-9) / 2.0]])]
-        fits += [_fitted(some, order, degree) for degree in range(1, max(1, min(CURVE_DEGREE, distinct - 2)) + 1)]
+        fits = [
+            np.array(
+                [[*base[:2], (base[2] + top) / 2.0], [0.0, 0.0, max(top - base[2], 1e-9) / 2.0]]
+            )
+        ]
+        fits += [
+            _fitted(some, order, degree)
+            for degree in range(1, max(1, min(CURVE_DEGREE, distinct - 2)) + 1)
+        ]
         scores = [_unevenness(fit, some) for fit in fits]
         level = AS_GOOD * min(scores) + 0.1 * SLIM * length
-        return cls._along(next(fit for fit, score in zip(fits, scores) if score <= level), rest, base)
+        return cls._along(
+            next(fit for fit, score in zip(fits, scores) if score <= level), rest, base
+        )
 
     @classmethod
     def _along(cls, fit: Floats, rest: Floats, base: Floats) -> _Curve:
@@ -213,8 +245,12 @@ class _Curve:
 
 
 def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
-    """Return the curve (degree + 1, 3) of that degree from which points in that order have the most even distances."""
-    fit: Floats = np.asarray(np.linalg.lstsq(legendre.legvander(_unit(order), degree), points, rcond=None)[0], float)
+    """Return the curve (degree + 1, 3) of that degree from which points in that order have the most
+    even distances.
+    """
+    fit: Floats = np.asarray(
+        np.linalg.lstsq(legendre.legvander(_unit(order), degree), points, rcond=None)[0], float
+    )
     score = _unevenness(fit, points)
     for _ in range(ROUNDS):
         foot, x = _feet(fit, points)
@@ -225,7 +261,11 @@ def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
         smooth = legendre.legvander(x, degree)
         moved = (away[:, :, None] * smooth[:, None]).reshape(len(points), -1)
         design = np.concatenate([moved, legendre.legvander(x, RADIUS_DEGREE)], axis=1)
-        step = np.linalg.lstsq(design, distance, rcond=1e-4)[0][: 3 * (degree + 1)].reshape(3, degree + 1).T
+        step = (
+            np.linalg.lstsq(design, distance, rcond=1e-4)[0][: 3 * (degree + 1)]
+            .reshape(3, degree + 1)
+            .T
+        )
         for share in (1.0, 0.5, 0.25, 0.1):
             ahead = _unevenness(fit + share * step, points)
             if ahead < 0.999 * score:
@@ -237,7 +277,9 @@ def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
 
 
 def _unevenness(fit: Floats, points: Floats) -> float:
-    """RMS deviation (mm) of the points' distances from a smooth radius, and a little of the distance itself."""
+    """RMS deviation (mm) of the points' distances from a smooth radius, and a little of the
+    distance itself.
+    """
     foot, x = _feet(fit, points)
     distance = np.linalg.norm(points - foot, axis=1)
     smooth = legendre.legvander(np.clip(x, -1.0, 1.0), RADIUS_DEGREE)
@@ -254,20 +296,31 @@ def _unit(s: Floats) -> Floats:
 
 
 def _places(x: Floats, arc: Floats) -> Floats:
-    """Return the places (mm) along a line with that arc of x in -1…1, straight on beyond its ends."""
-    first, last = (arc[1] - arc[0]) / (SAMPLES[1] - SAMPLES[0]), (arc[-1] - arc[-2]) / (SAMPLES[-1] - SAMPLES[-2])
-    return np.asarray(np.interp(x, SAMPLES, arc) + np.minimum(x + 1.0, 0.0) * first + np.maximum(x - 1.0, 0.0) * last)
+    """Return the places (mm) along a line with that arc of x in -1…1, straight on beyond its
+    ends.
+    """
+    first, last = (
+        (arc[1] - arc[0]) / (SAMPLES[1] - SAMPLES[0]),
+        (arc[-1] - arc[-2]) / (SAMPLES[-1] - SAMPLES[-2]),
+    )
+    return np.asarray(
+        np.interp(x, SAMPLES, arc)
+        + np.minimum(x + 1.0, 0.0) * first
+        + np.maximum(x - 1.0, 0.0) * last
+    )
 
 
 def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest places (N, 3) of a curve to points (N, 3), and where they are, x (N,); straight on at the
-    ends.
+    """Return the nearest places (N, 3) of a curve to points (N, 3), and where they are, x (N,);
+    straight on at the ends.
     """
     line = legendre.legval(SAMPLES, fit).T
     square = np.sum(points**2, axis=1)[:, None] - 2.0 * points @ line.T + np.sum(line**2, axis=1)
     near = np.argmin(square, axis=1)
     speed = np.gradient(line, SAMPLES, axis=0)[near]
-    ahead = np.sum((points - line[near]) * speed, axis=1) / np.maximum(np.sum(speed**2, axis=1), 1e-300)
+    ahead = np.sum((points - line[near]) * speed, axis=1) / np.maximum(
+        np.sum(speed**2, axis=1), 1e-300
+    )
     inner = (near > 0) & (near < len(SAMPLES) - 1)
     cell = SAMPLES[1] - SAMPLES[0]
     ahead = np.where(inner, np.clip(ahead, -cell, cell), ahead)
@@ -275,8 +328,8 @@ def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def carried(tangents: Floats) -> Floats:
-    """Return frames (n, J, 3, 3), columns normal, binormal, tangent, carried without twist along unit tangents (n, J,
-    3).
+    """Return frames (n, J, 3, 3), columns normal, binormal, tangent, carried without twist along
+    unit tangents (n, J, 3).
 
     The first normal is x where the tangent is z; for another tangent it is turned with it.
     """
@@ -301,7 +354,9 @@ def _turn(start: Floats, end: Floats) -> Floats:
 
 
 def _order(points: Floats, base: Floats) -> Floats:
-    """Return the distance (N,) mm of each point from those next to the base, over a graph of near neighbours."""
+    """Return the distance (N,) mm of each point from those next to the base, over a graph of near
+    neighbours.
+    """
     apart = distances(points, points)
     near = np.argsort(apart, axis=1)[:, : NEIGHBOURS + 1]
     edges = np.full(apart.shape, np.inf)
@@ -313,7 +368,8 @@ def _order(points: Floats, base: Floats) -> Floats:
     open_ = np.ones(len(points), bool)
     for _ in range(len(points)):
         best = int(np.argmin(np.where(open_, distance, np.inf)))
-        if not np.isfinite(distance[best]) or not open_[best]:  # a gap in the points: cross it where it is narrowest
+        # a gap in the points: cross it where it is narrowest
+        if not np.isfinite(distance[best]) or not open_[best]:
             reached = np.flatnonzero(~open_)
             gap = np.where(open_, apart[reached].min(axis=0), np.inf)
             best = int(np.argmin(gap))
@@ -330,7 +386,9 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def farthest(points: Floats, count: int) -> NDArray[np.intp]:
-    """Return the indices of `count` points (N, D) that lie apart: always the one farthest from those taken, sorted."""
+    """Return the indices of `count` points (N, D) that lie apart: always the one farthest from
+    those taken, sorted.
+    """
     taken = [int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
     far = np.sum((points - points[taken[0]]) ** 2, axis=1)
     while len(taken) < min(count, len(points)) and far.max() > 0.0:

@@ -1,12 +1,16 @@
-"""Rigid transforms between two sets of corresponding points: least squares, robust fits, and what is not known of them.
+"""Rigid transforms between two sets of corresponding points: least squares, robust fits, and what
+is not known of them.
 
-    (R, t) = argmin Σ wₙ |R sₙ + t − qₙ|²      Kabsch 1976: SVD of Σ w (s − s̄)(q − q̄)ᵀ, determinant put to +1
-    robust: start from the triple of points whose pose has the least median residual, then Tukey's biweight
-    J = [−[q]×  I]  at q: what a small turn (rad) and shift (mm) of the target frame about its origin do to a point;
+    (R, t) = argmin Σ wₙ |R sₙ + t − qₙ|²      Kabsch 1976: SVD of Σ w (s − s̄)(q − q̄)ᵀ,
+                                               determinant put to +1
+    robust: start from the triple of points whose pose has the least median residual, then Tukey's
+        biweight
+    J = [−[q]×  I]  at q: what a small turn (rad) and shift (mm) of the target frame about its
+                    origin do to a point;
     covariance (Jᵀ W J)⁻¹, the same six numbers, in the same frame, as the effect `mount`
 
-Units: mm, rad. Limits: three points cannot show an outlier; fewer than half of the points may be outliers.
-Pinned by tests/alignment/test_align.py.
+Units: mm, rad. Limits: three points cannot show an outlier; fewer than half of the points may be
+outliers. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -20,7 +24,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STARTS = 300  # triples tried at most: one of them is clean with 99.9 % where 30 % of the points are wrong
+# triples tried at most: one of them is clean with 99.9 % where 30 % of the points are wrong
+STARTS = 300
 COMPARED = 400  # points on which a start is compared
 TUKEY = 6.0  # robust standard deviations beyond which a point's distance counts as wrong
 MEDIAN_3D = 1.538  # median length of a vector of three standard normal numbers
@@ -30,7 +35,9 @@ NARROW = 0.2  # of the width of all points: outliers may not take the rest with 
 
 @dataclass(frozen=True, eq=False)
 class RigidPose:
-    """p = rotation · s + shift, for one set of points or for a batch (B, ...): rotation (3, 3), shift (3,) mm."""
+    """p = rotation · s + shift, for one set of points or for a batch (B, ...): rotation (3, 3),
+    shift (3,) mm.
+    """
 
     rotation: Floats
     shift: Floats
@@ -63,12 +70,17 @@ def rotation(vector: Floats) -> Floats:
 
 
 def rotation_vector(matrix: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) rad of rotations (..., 3, 3), by the quaternion: right up to a half turn."""
+    """Return the rotation vectors (..., 3) rad of rotations (..., 3, 3), by the quaternion: right
+    up to a half turn.
+    """
     m = np.asarray(matrix, float)
     k = np.empty((*m.shape[:-2], 4, 4))
-    k[..., :3, :3] = m + np.swapaxes(m, -1, -2) - np.trace(m, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
+    k[..., :3, :3] = (
+        m + np.swapaxes(m, -1, -2) - np.trace(m, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
+    )
     k[..., :3, 3] = np.stack(
-        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]],
+        axis=-1,
     )
     k[..., 3, :3] = k[..., :3, 3]
     k[..., 3, 3] = np.trace(m, axis1=-2, axis2=-1)
@@ -76,14 +88,20 @@ def rotation_vector(matrix: Floats) -> Floats:
     q = q * np.where(q[..., 3:] < 0, -1.0, 1.0)
     length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(length, q[..., 3:])
-    return np.asarray(np.where(length > 0, angle / np.where(length > 0, length, 1.0), 2.0) * q[..., :3])
+    return np.asarray(
+        np.where(length > 0, angle / np.where(length > 0, length, 1.0), 2.0) * q[..., :3]
+    )
 
 
 def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
-    """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm with weights (..., N)."""
+    """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm with
+    weights (..., N).
+    """
     share = (weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-300))[..., None]
     from_, to = (share * source).sum(axis=-2), (share * target).sum(axis=-2)
-    mixed = np.swapaxes(share * (source - from_[..., None, :]), -1, -2) @ (target - to[..., None, :])
+    mixed = np.swapaxes(share * (source - from_[..., None, :]), -1, -2) @ (
+        target - to[..., None, :]
+    )
     left, _, right = np.linalg.svd(mixed)
     flip = np.ones(mixed.shape[:-1])
     flip[..., 2] = np.sign(np.linalg.det(left) * np.linalg.det(right))
@@ -92,10 +110,12 @@ def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
 
 
 def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[RigidPose, Mask]:
-    """Return the pose of N corresponding points that leaves outliers aside, and which points it is made from.
+    """Return the pose of N corresponding points that leaves outliers aside, and which points it is
+    made from.
 
     Args:
-        source, target: (N, 3) mm. sigma: (N,) mm, expected standard deviation of a coordinate. seen: (N,).
+        source, target: (N, 3) mm. sigma: (N,) mm, expected standard deviation of a coordinate.
+            seen: (N,).
     """
     scale = np.maximum(sigma, 1e-9)
     start = kabsch(source, target, np.where(seen, scale**-2, 0.0))
@@ -114,41 +134,64 @@ def _width(points: Floats) -> float:
     """Return how far points (N, 3) mm spread across their longest direction, RMS mm."""
     if len(points) < 2:
         return 0.0
-    return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points)))
+    return float(
+        np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points))
+    )
 
 
-def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: RigidPose) -> tuple[RigidPose, Floats]:
-    """Return a pose for each set of points, found from a pose near it, and Tukey's weights (B, N) of its points.
+def refined(
+    source: Floats, target: Floats, sigma: Floats, seen: Mask, start: RigidPose
+) -> tuple[RigidPose, Floats]:
+    """Return a pose for each set of points, found from a pose near it, and Tukey's weights (B, N)
+    of its points.
 
     Args:
-        source: (B, N, 3) mm. target: (N, 3) or (B, N, 3) mm. sigma: (N,) or (B, N) mm. seen: (B, N).
+        source: (B, N, 3) mm. target: (N, 3) or (B, N, 3) mm. sigma: (N,) or (B, N) mm. seen: (B,
+            N).
         start: one pose. Sets of three points or fewer are taken as they are.
     """
     scale = np.broadcast_to(np.maximum(sigma, 1e-9), seen.shape)
     clean, aim = np.where(seen[..., None], source, 0.0), np.broadcast_to(target, source.shape)
     weighted = seen.sum(axis=1) > 3
-    poses = RigidPose(np.tile(start.rotation, (len(clean), 1, 1)), np.tile(start.shift, (len(clean), 1)))
+    poses = RigidPose(
+        np.tile(start.rotation, (len(clean), 1, 1)), np.tile(start.shift, (len(clean), 1))
+    )
     weight = seen.astype(float)
     for _ in range(ROUNDS):
         distance = np.where(seen, np.linalg.norm(poses(clean) - aim, axis=-1) / scale, np.nan)
         weight = np.where(weighted[:, None], _biweight(distance), seen)
         before, poses = poses, kabsch(clean, aim, weight / scale**2)
-        if max(np.abs(poses.rotation - before.rotation).max(), np.abs(poses.shift - before.shift).max()) < 1e-9:
+        if (
+            max(
+                np.abs(poses.rotation - before.rotation).max(),
+                np.abs(poses.shift - before.shift).max(),
+            )
+            < 1e-9
+        ):
             break
     return poses, weight
 
 
 def jacobian(points: Floats) -> Floats:
-    """Return (N, 3, 6): what a small turn (rad) and shift (mm) about the origin do to points (N, 3) mm."""
-    return np.concatenate([-_cross(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=-1)
+    """Return (N, 3, 6): what a small turn (rad) and shift (mm) about the origin do to points (N, 3)
+    mm.
+    """
+    return np.concatenate(
+        [-_cross(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=-1
+    )
 
 
 def gain(points: Floats, weight: Floats) -> Floats:
-    """Return (6, N, 3): how the weighted pose answers a small displacement of each target point (N, 3) mm."""
+    """Return (6, N, 3): how the weighted pose answers a small displacement of each target point (N,
+    3) mm.
+    """
     j = jacobian(points)
     information = np.einsum("n,nci,ncj->ij", weight, j, j)
-    length = np.array([1.0] * 3 + [100.0] * 3)  # rad and mm in comparable units, for the pseudo-inverse
-    inverse = np.linalg.pinv(information * np.outer(length, length), rcond=1e-12) * np.outer(length, length)
+    # rad and mm in comparable units, for the pseudo-inverse
+    length = np.array([1.0] * 3 + [100.0] * 3)
+    inverse = np.linalg.pinv(information * np.outer(length, length), rcond=1e-12) * np.outer(
+        length, length
+    )
     return np.asarray(np.einsum("ij,n,ncj->inc", inverse, weight, j))
 
 
@@ -162,10 +205,13 @@ def _best_start(s: Floats, q: Floats, scale: Floats, start: RigidPose) -> RigidP
         triples = np.stack([rng.choice(count, 3, replace=False) for _ in range(STARTS)])
     poses = kabsch(s[triples], q[triples], np.ones(triples.shape))
     every = RigidPose(
-        np.concatenate([start.rotation[None], poses.rotation]), np.concatenate([start.shift[None], poses.shift])
+        np.concatenate([start.rotation[None], poses.rotation]),
+        np.concatenate([start.shift[None], poses.shift]),
     )
     some = slice(None, None, 1 + count // COMPARED)
-    median = np.median(np.linalg.norm(every(s[None, some]) - q[some], axis=-1) / scale[some], axis=-1)
+    median = np.median(
+        np.linalg.norm(every(s[None, some]) - q[some], axis=-1) / scale[some], axis=-1
+    )
     best = int(np.argmin(median))
     return RigidPose(every.rotation[best], every.shift[best])
 

@@ -1,1 +1,3 @@
-"""Any log with a mapping file → run: tables, frames, checks of what was declared, and a proposed mapping."""
+"""Any log with a mapping file → run: tables, frames, checks of what was declared, and a proposed
+mapping.
+"""

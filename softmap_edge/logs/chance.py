@@ -1,8 +1,10 @@
-"""Estimate the noise of places and the chance that a new measurement repeats the one before to the last digit.
+"""Estimate the noise of places and the chance that a new measurement repeats the one before to the
+last digit.
 
-Noise shows in differences of fourth order, which change sign from row to row; a smooth motion hardly shows in them. If
-the noise is below the last digit of the file, as of a resting finger with coarse digits, a repeat is likely. If it is
-far above, a repeat is an old value. Pinned by tests/logs/test_old_pictures.py.
+Noise shows in differences of fourth order, which change sign from row to row; a smooth motion
+hardly shows in them. If the noise is below the last digit of the file, as of a resting finger with
+coarse digits, a repeat is likely. If it is far above, a repeat is an old value. Pinned by
+tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ def is_improbable(columns: Array) -> bool:
     """Return whether no row of a log repeats the one before by chance.
 
     Args:
-        columns: (rows, n) numbers as the file has them, in order of time, NaN where nothing was seen.
+        columns: (rows, n) numbers as the file has them, in order of time, NaN where nothing was
+            seen.
     """
     chance = 1.0
     for column in columns.T:
@@ -33,7 +36,9 @@ def is_improbable(columns: Array) -> bool:
 
 
 def noise_of(column: Array) -> float:
-    """Return the deviation of the noise of numbers (rows,); 0 where they are smooth or mostly the same."""
+    """Return the deviation of the noise of numbers (rows,); 0 where they are smooth or mostly the
+    same.
+    """
     change = np.diff(column, ORDER)
     change = change[np.isfinite(change)]
     size = float(np.median(np.abs(change))) if len(change) >= LEAST else 0.0
@@ -45,6 +50,8 @@ def noise_of(column: Array) -> float:
 
 
 def digit_of(column: Array) -> float:
-    """Return the step of the last digit of numbers (rows,): the least distance between two that differ."""
+    """Return the step of the last digit of numbers (rows,): the least distance between two that
+    differ.
+    """
     step = np.diff(np.unique(column[np.isfinite(column)]))
     return float(step.min()) if len(step) else 0.0

@@ -1,12 +1,14 @@
-"""Compute the times of a log's rows in s: leave out empty and repeated rows, and handle times that do not increase.
+"""Compute the times of a log's rows in s: leave out empty and repeated rows, and handle times that
+do not increase.
 
 A clock that runs backwards is classified:
 
-- a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute, hour or day, so that
-  one step of the usual size explains it; `time.jumps = "mend"` counts on;
-- a *step* is a fall (or leap) of a clock that was set (`set_clock.py`); `"mend"` removes each, and `from_row` and
-  `to_row` cut the log there;
-- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it loses few rows.
+- a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute,
+  hour or day, so that one step of the usual size explains it; `time.jumps = "mend"` counts on;
+- a *step* is a fall (or leap) of a clock that was set (`set_clock.py`); `"mend"` removes each, and
+  `from_row` and `to_row` cut the log there;
+- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it
+loses few rows.
 
 Pinned by tests/logs/test_clock.py.
 """
@@ -30,7 +32,8 @@ from softmap_edge.logs.time_text import DAY, HOUR
 
 FEW = 0.05  # of the rows: the most that may be left out without a warning
 _REGULAR = 0.2  # of the usual step: bound on the jitter of a clock
-_SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
+# times the 95th percentile of the steps: the longest step that a roll-over may leave
+_SLOWEST = 3.0
 BITS = (16, 24, 32)  # of counters that roll over
 _LISTED = 5  # steps of a clock that are named one by one
 
@@ -51,7 +54,9 @@ class Times:
     doubts: tuple[str, ...]
 
 
-def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock, clocks: Sequence[int] = ()) -> Times:
+def times_of(
+    path: Path, where: str, cells: Cells, t: Array, clock: Clock, clocks: Sequence[int] = ()
+) -> Times:
     """Return the times of the rows of a log.
 
     Args:
@@ -63,8 +68,8 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock, clock
         clocks: which of these columns hold time.
 
     Raises:
-        RunError: a row has values and no time, or time does not increase and the mapping does not declare how to
-            handle it.
+        RunError: a row has values and no time, or time does not increase and the mapping does not
+            declare how to handle it.
     """
     notes: list[str] = []
     doubts: list[str] = []
@@ -77,14 +82,19 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock, clock
     if empty.any():
         if not np.isnan(cells.numbers[empty]).all():
             first = int(np.argmax(empty & np.isfinite(cells.numbers).any(axis=1)))
-            raise RunError(f"{path}: {where} {cells.lines[first]}: the time is empty or not a number; remove the line")
+            raise RunError(
+                f"{path}: {where} {cells.lines[first]}: the time is empty or not a number; remove "
+                "the line"
+            )
         notes.append(f"{int(empty.sum())} empty rows were left out")
         t, cells, row = t[~empty], kept(cells, ~empty), row[~empty]
     if len(t) == 0:
         raise RunError(f"{path}: holds no rows; give a log that holds data")
     again = _written_twice(t, cells)
     if again.any():
-        notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
+        notes.append(
+            f"{int(again.sum())} rows that repeat the row before, time and all, were left out"
+        )
         t, cells, row = t[~again], kept(cells, ~again), row[~again]
     if clock.jumps == "mend":
         t = _mended(t, values(cells), clock, row, notes, doubts)
@@ -96,8 +106,9 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock, clock
     _refuse_falls(path, where, t, values(cells), cells.lines, row, clock)
     if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
         doubts.append(
-            f"t: {shared} of {len(t)} rows share a time with the row before and were spread evenly: these times are "
-            "made up, and delays shorter than the clock's step cannot be identified"
+            f"t: {shared} of {len(t)} rows share a time with the row before and were spread "
+            "evenly: these times are made up, and delays shorter than the clock's step cannot be "
+            "identified"
         )
         t = spread(t)
     if clock.jumps != "mend":
@@ -109,7 +120,9 @@ def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
     """Return the rows (rows,) to `keep`."""
     labels = None if cells.labels is None else cells.labels[keep]
     rows = None if cells.rows is None else cells.rows[keep]
-    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep], rows=rows)
+    return replace(
+        cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep], rows=rows
+    )
 
 
 def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) -> list[str]:
@@ -117,8 +130,10 @@ def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) 
     lines = []
     for at, size in () if leap is None else zip(leap.rows[:_LISTED], leap.size_s):
         lines.append(
-            f"t: time leaps by {size:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the values go "
-            'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes the step out; to_row = '
+            f"t: time leaps by {size:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the "
+            "values go "
+            'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes '
+            "the step out; to_row = "
             f"{row[at - 1]} and from_row = {row[at]} cut the log in two"
         )
     if leap is not None and len(leap.rows) > _LISTED:
@@ -129,8 +144,8 @@ def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) 
 def increasing(t: Array) -> NDArray[np.bool_]:
     """Return which rows (rows,) `repeated = "drop"` keeps: those later than every row before.
 
-    A few times that are far too late (a single wrong stamp) would leave out all rows after them; they are left out
-    instead.
+    A few times that are far too late (a single wrong stamp) would leave out all rows after them;
+    they are left out instead.
     """
     fresh = np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
     if fresh.mean() >= 1.0 - FEW:
@@ -172,7 +187,8 @@ def _report_dropped(
 
 # --- roll-overs and steps ------------------------------------------------------------------
 def find_jump(t: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock that one cause explains: a roll-over, or one step; None if none does.
+    """Return the falls of a clock that one cause explains: a roll-over, or one step; None if none
+    does.
 
     Args:
         t: (rows,) s.
@@ -209,7 +225,12 @@ def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
     for unit in ("us", "ms", "ns", "s"):
         found += [(2.0**bits * TIME[unit], f"2^{bits} {unit}") for bits in BITS]
     counted = [(period, words, False) for period, words in found]
-    calendar = ((1.0, "the full second"), (60.0, "the full minute"), (HOUR, "the full hour"), (DAY, "midnight"))
+    calendar = (
+        (1.0, "the full second"),
+        (60.0, "the full minute"),
+        (HOUR, "the full hour"),
+        (DAY, "midnight"),
+    )
     return counted + [(period, words, True) for period, words in calendar]
 
 
@@ -222,7 +243,8 @@ def counting_on(t: Array, jump: Jump) -> Array:
 
 
 def find_steps(t: Array, values: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock that one cause explains, as `find_jump`, or several steps of a clock that was set.
+    """Return the falls of a clock that one cause explains, as `find_jump`, or several steps of a
+    clock that was set.
 
     Args:
         t: (rows,) s. values: (rows, columns) without those of time. clock: as in `find_jump`.
@@ -231,12 +253,19 @@ def find_steps(t: Array, values: Array, clock: Clock) -> Jump | None:
 
 
 def _mended(
-    t: Array, values: Array, clock: Clock, row: NDArray[np.int64], notes: list[str], doubts: list[str]
+    t: Array,
+    values: Array,
+    clock: Clock,
+    row: NDArray[np.int64],
+    notes: list[str],
+    doubts: list[str],
 ) -> Array:
     """Return the times without their jumps if one cause explains them."""
     jump = find_steps(t, values, clock)
     if jump is not None and jump.period_s is not None:
-        notes.append(f"the clock rolls over {len(jump.rows)} times (at {jump.period}) and counts on")
+        notes.append(
+            f"the clock rolls over {len(jump.rows)} times (at {jump.period}) and counts on"
+        )
         return counting_on(t, jump)
     jump = both(jump, set_forward(t, values))
     if jump is None:
@@ -245,8 +274,9 @@ def _mended(
     for at, size in zip(jump.rows, jump.size_s):
         mended[at:] += usual - size
     doubts += [
-        f"t: the clock was set by {size - usual:.6g} s at row {row[at]}, and the step was taken out: later "
-        f"rows follow at the usual step of {usual:.3g} s, which is right if the log did not pause there"
+        f"t: the clock was set by {size - usual:.6g} s at row {row[at]}, and the step was taken "
+        f"out: later rows follow at the usual step of {usual:.3g} s, which is right if the log "
+        "did not pause there"
         for at, size in zip(jump.rows[:_LISTED], jump.size_s)
     ]
     if len(jump.rows) > _LISTED:
@@ -273,20 +303,27 @@ def _refuse_falls(
     back = step[at - 1] < 0
     now, before = differing(t[at], t[at - 1])
     raise RunError(
-        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {lines[at]}: "
-        f"{now} s after {before} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump)}"
+        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} "
+        f"{lines[at]}: {now} s after {before} s), {int(late.sum())} such rows; "
+        f"{_way_out(t, row, at, jump)}"
     )
 
 
 def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
     if jump is not None and jump.period_s is not None:
-        return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
+        return (
+            f"the clock rolls over at {jump.period} ({jump.period_s:.10g} s): "
+            'set time.jumps = "mend" to count on'
+        )
     cut = f"import the log in two parts, to_row = {row[at - 1]} and from_row = {row[at]}"
     if jump is not None and len(jump.rows) > 1:
         return _steps(row, jump, usual_step(t))
     if jump is not None:
         size = usual_step(t) - jump.size_s[0]
-        return f'the clock was set back by about {size:.6g} s: set time.jumps = "mend" to take the step out, or {cut}'
+        return (
+            f"the clock was set back by about {size:.6g} s: "
+            f'set time.jumps = "mend" to take the step out, or {cut}'
+        )
     ways = []
     lost = int((~increasing(t)).sum())
     if lost <= max(1, FEW * len(t)):
@@ -305,9 +342,13 @@ def _steps(row: NDArray[np.int64], jump: Jump, usual: float) -> str:
     ends = [f"to_row = {row[at - 1]}" for at in jump.rows]
     parts = [ends[0], *(f"{begin} with {end}" for begin, end in zip(begins, ends[1:])), begins[-1]]
     if len(steps) > _LISTED:
-        steps, parts = [*steps[:_LISTED], f"{len(steps) - _LISTED} more"], [*parts[:_LISTED], "and so on"]
+        steps, parts = (
+            [*steps[:_LISTED], f"{len(steps) - _LISTED} more"],
+            [*parts[:_LISTED], "and so on"],
+        )
     return (
-        f'the clock was set back {len(jump.rows)} times, by about {", ".join(steps)}: set time.jumps = "mend" to take '
+        f"the clock was set back {len(jump.rows)} times, by about {', '.join(steps)}: set "
+        'time.jumps = "mend" to take '
         f"each step out, or import the log in {len(jump.rows) + 1} parts: {'; '.join(parts)}"
     )
 
@@ -315,8 +356,8 @@ def _steps(row: NDArray[np.int64], jump: Jump, usual: float) -> str:
 def spread(t: Array) -> Array:
     """Return times (rows,) s with the rows of one time spread evenly up to the next time.
 
-    The last rows follow at the usual step. So do the first rows if they are fewer than usual: the log then began within
-    their time.
+    The last rows follow at the usual step. So do the first rows if they are fewer than usual: the
+    log then began within their time.
     """
     first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
     count = np.diff(np.r_[first, len(t)])
@@ -330,7 +371,9 @@ def spread(t: Array) -> Array:
     return np.asarray(np.repeat(begin, count) + within * np.repeat(step, count))
 
 
-def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, float] | None) -> Array:
+def corrected(
+    t_seen: Array, start: float, fast_ppm: float, step: tuple[float, float] | None
+) -> Array:
     """Return times of frames (K,) s on the clock of the commands.
 
     Args:
@@ -348,8 +391,9 @@ def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, f
         if (np.diff(t) <= 0).any():
             k = int(np.argmax(np.diff(t) <= 0))
             raise RunError(
-                f"seen.clock_step = [{step[0]:.6g}, {step[1]:.6g}]: frames overlap after {t_seen[k]:.6g} s, where none "
-                "may; give the time and the sign of the step, as `softmap check` prints them"
+                f"seen.clock_step = [{step[0]:.6g}, {step[1]:.6g}]: frames overlap after "
+                f"{t_seen[k]:.6g} s, where none may; give the time and the sign of the step, as "
+                "`softmap check` prints them"
             )
     return np.asarray(start + (t - start) / (1.0 + 1e-6 * fast_ppm))
 
@@ -367,6 +411,6 @@ def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
         return []
     missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
     return [
-        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s after {where} "
-        f"{cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
+        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s "
+        f"after {where} {cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
     ]

@@ -1,8 +1,8 @@
 """Order the groups of columns that may be commands or encoders, and leave out those that cannot be.
 
-Values decide before names: columns that move come before constants, and unit quaternions are no encoders. Goals in x,
-y, z come last, since a controller of places logs them next to the commands of its motors. Pinned by
-tests/logs/test_drive_roles.py.
+Values decide before names: columns that move come before constants, and unit quaternions are no
+encoders. Goals in x, y, z come last, since a controller of places logs them next to the commands of
+its motors. Pinned by tests/logs/test_drive_roles.py.
 """
 
 from __future__ import annotations
@@ -23,13 +23,18 @@ _AXIS = re.compile(r"[xyz]")
 
 
 def drives_of(roles: list[Pair]) -> tuple[list[Pair], list[Pair], list[tuple[Sheet, LeftOut]]]:
-    """Return the groups that may be commands, those that may be encoders, each the most likely first, and the rest.
+    """Return the groups that may be commands, those that may be encoders, each the most likely
+    first, and the rest.
 
     Args:
         roles: the groups of columns of all logs, with their logs.
     """
     drives = [pair for pair in roles if pair[1].kind in ("command", "present")]
-    left = [(sheet, LeftOut(tuple(role.columns), why)) for sheet, role in drives if (why := _no_drive(sheet, role))]
+    left = [
+        (sheet, LeftOut(tuple(role.columns), why))
+        for sheet, role in drives
+        if (why := _no_drive(sheet, role))
+    ]
     gone = {(id(sheet), one.columns) for sheet, one in left}
     drives = [pair for pair in drives if (id(pair[0]), tuple(pair[1].columns)) not in gone]
     commands = sorted((pair for pair in drives if pair[1].kind == "command"), key=_command_order)
@@ -54,18 +59,29 @@ def _present_order(pair: Pair) -> tuple[bool, bool, int]:
 def _in_space(columns: list[str]) -> bool:
     """Whether columns are called x, y, z of a goal."""
     stems = {_AXIS.sub("#", name.lower()) for name in columns}
-    return len(columns) == 3 and len(stems) == 1 and len(set(columns)) == 3 and is_goal(next(iter(stems)))
+    return (
+        len(columns) == 3
+        and len(stems) == 1
+        and len(set(columns)) == 3
+        and is_goal(next(iter(stems)))
+    )
 
 
 def _no_drive(sheet: Sheet, role: Role) -> str | None:
-    """Return why columns that a name alone suggests are neither commands nor encoders; None if they may be."""
+    """Return why columns that a name alone suggests are neither commands nor encoders; None if they
+    may be.
+    """
     rows = sheet.rows_of(role.columns)
     if not role.sure and role.kind == "present" and not moves((sheet, role)):
         return "constants, for they never change"
     fours = [rows[:, k : k + 4] for k in range(0, rows.shape[1], 4)]
-    return "a quaternion, for their length is 1 in all rows" if all(map(_quaternion, fours)) else None
+    return (
+        "a quaternion, for their length is 1 in all rows" if all(map(_quaternion, fours)) else None
+    )
 
 
 def _quaternion(rows: Array) -> bool:
     """Whether columns (rows, 4) are unit quaternions that turn."""
-    return is_unit_quaternion(rows) and bool(np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any())
+    return is_unit_quaternion(rows) and bool(
+        np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any()
+    )

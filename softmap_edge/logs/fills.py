@@ -1,8 +1,9 @@
 """Take numbers that no sensor measures, and that a program writes for a missing value, as missing.
 
-The largest number of a type stands for "not seen": 3.4028e38 of float32, 1.7977e308 of float64. So does another number
-beyond `LARGEST` that a column holds several times to the last digit, such as 1e30 or 9.96921e36. A number beyond
-`LARGEST` that occurs once is a fault of the file. Pinned by tests/logs/test_fills.py.
+The largest number of a type stands for "not seen": 3.4028e38 of float32, 1.7977e308 of float64. So
+does another number beyond `LARGEST` that a column holds several times to the last digit, such as
+1e30 or 9.96921e36. A number beyond `LARGEST` that occurs once is a fault of the file. Pinned by
+tests/logs/test_fills.py.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ def without_fills(cells: Cells, names: list[str]) -> Cells:
     for j in np.flatnonzero(wild.any(axis=0)):
         filled = wild[:, j] & _stand_for_missing(numbers[:, j], wild[:, j])
         if filled.any():
-            found.append(f"{names[j]} {numbers[filled, j][0]:.6g} in {int(filled.sum())} of {len(numbers)} rows")
+            found.append(
+                f"{names[j]} {numbers[filled, j][0]:.6g} in {int(filled.sum())} of {len(numbers)} "
+                "rows"
+            )
             numbers[filled, j] = np.nan
     if not found:
         return cells

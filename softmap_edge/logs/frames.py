@@ -1,4 +1,6 @@
-"""What was seen, from a log to the frames of a run: base frame, dropouts, repeated frames, swaps, labels, rates."""
+"""What was seen, from a log to the frames of a run: base frame, dropouts, repeated frames, swaps,
+labels, rates.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def seen(
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
-    """Return the times of the frames; `fields` gets markers in the base frame, their visibility, and labels.
+    """Return the times of the frames; `fields` gets markers in the base frame, their visibility,
+    and labels.
 
     Args:
         tables: the logs. mapping: what their columns are.
@@ -46,23 +49,32 @@ def seen(
     Raises:
         RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
     """
-    owners = [k for k, log in enumerate(mapping.logs) if log.markers is not None or log.output is not None]
+    owners = [
+        k for k, log in enumerate(mapping.logs) if log.markers is not None or log.output is not None
+    ]
     if not owners:
         return None
     if len(owners) > 1:
-        raise RunError(f"{mapping.path}: {len(owners)} logs hold what is seen; name the columns of one of them only")
+        raise RunError(
+            f"{mapping.path}: {len(owners)} logs hold what is seen; name the columns of one of "
+            "them only"
+        )
     table, log = tables[owners[0]], mapping.logs[owners[0]]
     commands = None if t is None else _commands_at(table.t, t, fields)
     if log.output is not None:
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes)
     assert log.markers is not None
-    table = _without_lost(table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts)
+    table = _without_lost(
+        table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts
+    )
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
-    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, log.markers.axes)
+    given = np.isfinite(table.numbers(log.markers.columns)).reshape(
+        len(table.t), -1, log.markers.axes
+    )
     shown = np.asarray(np.any(np.all(given, axis=2), axis=1))
     if not shown.any():
         raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
@@ -93,7 +105,9 @@ def seen(
 
 def _commands_at(t_seen: Array, t: Array, fields: dict[str, Any]) -> Array | None:
     """Return the commands or ticks (K, C) at the times of the frames; None without."""
-    rows = next((np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None)
+    rows = next(
+        (np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None
+    )
     if rows is None or not rows.shape[1] or len(rows) != len(t):
         return None
     return np.stack([np.interp(t_seen, t, column) for column in rows.T], axis=1)
@@ -119,11 +133,17 @@ def _without_lost(
     what = "markers" if axes > 1 else "output"
     notes += given.lines(labels, f"{what}.not_seen names them")
     doubts += lost.lines(labels, f'{what}.not_seen = "keep" keeps them')
-    return table if not (given.mask | lost.mask).any() else _with_numbers(table, quantity.columns, points)
+    return (
+        table
+        if not (given.mask | lost.mask).any()
+        else _with_numbers(table, quantity.columns, points)
+    )
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
-    """Return the table with NaN for columns that show another marker, or with the places in their own columns."""
+    """Return the table with NaN for columns that show another marker, or with the places in their
+    own columns.
+    """
     if markers.not_seen is None:
         return table
     points = table.numbers(markers.columns).reshape(len(table.t), -1, markers.axes)
@@ -134,13 +154,18 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
         doubts += found.lines(markers.labels, "mended: each place is in the column of its marker")
         return _with_numbers(table, markers.columns, found.mended(points))
     points[found.wrong] = np.nan
-    remedy = 'they are taken as not seen; markers.swaps = "mend" puts them into the columns of their markers'
+    remedy = (
+        "they are taken as not seen; "
+        'markers.swaps = "mend" puts them into the columns of their markers'
+    )
     doubts += found.lines(markers.labels, remedy)
     return _with_numbers(table, markers.columns, points)
 
 
 def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: list[str]) -> Array:
-    """Return points (K, M, 3) with exchanged markers exchanged back if the mapping says so; else report them."""
+    """Return points (K, M, 3) with exchanged markers exchanged back if the mapping says so; else
+    report them.
+    """
     markers = log.markers
     assert markers is not None
     swaps = find_swaps(points, t, markers.labels)
@@ -149,7 +174,9 @@ def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: 
         notes += _few([f"{swap}: mended" for swap in swaps])
         mended, first = mend_swaps(points, swaps)
         if not first:
-            notes.append("the log begins with exchanged markers; the names of most of its frames count")
+            notes.append(
+                "the log begins with exchanged markers; the names of most of its frames count"
+            )
         return mended
     remedy = 'look at them; markers.swaps = "mend" exchanges them back'
     doubts += _few([f"{swap}; {remedy}" for swap in swaps])
@@ -162,8 +189,8 @@ def _flatten(fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None
     fields["markers"][..., axis] = 0.0
     fields[PLANE] = np.array(AXES[axis])
     notes.append(
-        f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; nothing across the plane "
-        "is judged"
+        f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; "
+        "nothing across the plane is judged"
     )
 
 
@@ -171,11 +198,17 @@ def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) 
     """Return the table with other numbers (rows, ...) in some columns."""
     flat = numbers.reshape(len(numbers), -1)
     places = [place(table.path, table.names, column) for column in columns]
-    return replace(table, values={**table.values, **{at: flat[:, k] for k, at in enumerate(places)}})
+    return replace(
+        table, values={**table.values, **{at: flat[:, k] for k, at in enumerate(places)}}
+    )
 
 
-def _outputs(table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]) -> Array:
-    """Return the times of rows with an output; add the outputs, carried as markers, and their labels to `fields`."""
+def _outputs(
+    table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]
+) -> Array:
+    """Return the times of rows with an output; add the outputs, carried as markers, and their
+    labels to `fields`.
+    """
     given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
     if not given.any():
         raise RunError(f"{table.path}: no row has an output; check the columns of `output`")
@@ -195,7 +228,10 @@ def _outputs(table: LogTable, log: Log, measured: Measured, fields: dict[str, An
 
 
 def _few(lines: list[str]) -> list[str]:
-    return [*lines[:_TOLD], *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else [])]
+    return [
+        *lines[:_TOLD],
+        *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else []),
+    ]
 
 
 @np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
@@ -206,7 +242,8 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(
-            f'{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
+            f"{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "
+            '"file" if it is wrong'
         )
     raw = table.numbers(quantity.columns)
     raw *= LENGTH[unit]
@@ -219,19 +256,23 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     return points
 
 
-def _without_repeats(table: LogTable, markers: Quantity, notes: list[str], doubts: list[str]) -> LogTable:
+def _without_repeats(
+    table: LogTable, markers: Quantity, notes: list[str], doubts: list[str]
+) -> LogTable:
     held, still = repeated_frames(table.t, table.numbers(markers.columns))
     if still.any():
         doubts.append(
-            f"{int(still.sum())} frames repeat the one before bit for bit for more than {LONGEST_HOLD:g} s: a camera "
-            "that stood still, or a simulation at rest; they are kept"
+            f"{int(still.sum())} frames repeat the one before bit for bit for more than "
+            f"{LONGEST_HOLD:g} s: a camera that stood still, or a simulation at rest; they are "
+            "kept"
         )
     if not held.any() or markers.held == "keep":
         return table
     share = 100 * held.mean()
     why = "the camera is slower than the log" if share > _SLOW else "these pictures are old"
     notes.append(
-        f"{int(held.sum())} frames ({share:.0f} %) repeat the one before bit for bit and were left out: {why} "
+        f"{int(held.sum())} frames ({share:.0f} %) repeat the one before bit for bit and were "
+        f"left out: {why} "
         '(markers.held = "keep" keeps them)'
     )
     return table.rows(~held)
@@ -239,13 +280,18 @@ def _without_repeats(table: LogTable, markers: Quantity, notes: list[str], doubt
 
 def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
     share = 1.0 - visible.mean(axis=0)
-    lost = [f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_TOLD] if share[m] > 0]
+    lost = [
+        f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_TOLD] if share[m] > 0
+    ]
     more = f" and {int((share > 0).sum()) - _TOLD} more" if (share > 0).sum() > _TOLD else ""
     notes.append(f"not seen in some frames: {', '.join(lost)}{more}")
 
 
-def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> Array:
-    """Drop frames outside the commands and the interval of the mapping, thin to its rate, cut into blocks.
+def choose_frames(
+    t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]
+) -> Array:
+    """Drop frames outside the commands and the interval of the mapping, thin to its rate, cut into
+    blocks.
 
     Args:
         t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
@@ -266,16 +312,17 @@ def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapp
     if len(t_seen) and not len(keep):
         first, last, begin, end = differing(float(t_seen[0]), float(t_seen[-1]), low, high)
         raise RunError(
-            f"{mapping.path}: the frames last from {first} to {last} s, but only {begin} to {end} s is commanded and "
-            "asked for; give time.offset_s of one log"
+            f"{mapping.path}: the frames last from {first} to {last} s, but only {begin} to {end} "
+            "s is commanded and asked for; give time.offset_s of one log"
         )
     if len(keep) < len(t_seen):
         notes.append(
-            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {' to '.join(differing(low, high))} s and "
-            "were dropped"
+            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside "
+            f"{' to '.join(differing(low, high))} s and were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
-        # the first frame at or after each tick of the clock asked for: even where the log's own clock jitters
+        # the first frame at or after each tick of the clock asked for: even where the log's own
+        # clock jitters
         tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)
         thinned = keep[np.r_[True, np.diff(tick) > 0]]
         notes.append(f"{len(thinned)} of {len(keep)} frames kept for {mapping.seen_rate_hz:g} Hz")
@@ -297,4 +344,6 @@ def _blocks(t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> None:
         fields["block"] = np.floor(since / mapping.block_seconds).astype(np.int64)
     elif mapping.block_count is not None:
         share = since / max(float(since[-1]), 1e-12)
-        fields["block"] = np.minimum(np.floor(share * mapping.block_count), mapping.block_count - 1).astype(np.int64)
+        fields["block"] = np.minimum(
+            np.floor(share * mapping.block_count), mapping.block_count - 1
+        ).astype(np.int64)

@@ -1,8 +1,9 @@
-"""Recognise triples of columns that describe a place which was not seen: desired by a controller, or computed.
+"""Recognise triples of columns that describe a place which was not seen: desired by a controller,
+or computed.
 
-A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a computed one, but a log
-may name what it measured so as well. Values decide then: such a triple follows a marker of the log, near it and with
-its motion. Pinned by tests/logs/test_goals.py.
+A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a
+computed one, but a log may name what it measured so as well. Values decide then: such a triple
+follows a marker of the log, near it and with its motion. Pinned by tests/logs/test_goals.py.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ _APART = 0.7  # of the motion of a marker: more, and a triple does not follow it
 
 
 def is_drive(stem: str) -> bool:
-    """Whether what the names of a triple share marks a goal, or a device of the drive, and no place that was seen."""
+    """Whether what the names of a triple share marks a goal, or a device of the drive, and no place
+    that was seen.
+    """
     return _DEVICE.search(stem) is not None or is_goal(stem)
 
 
@@ -40,7 +43,8 @@ def is_goal(stem: str) -> bool:
 
 
 def is_computed(stem: str, others: Collection[str]) -> bool:
-    """Whether what the names of a triple share may mark a desired or computed place: `ref`, `sim`, `tip_est`, `xd`.
+    """Whether what the names of a triple share may mark a desired or computed place: `ref`, `sim`,
+    `tip_est`, `xd`.
 
     Args:
         stem: what its names share.
@@ -58,7 +62,8 @@ def _words(stem: str) -> list[str]:
 
 
 def follows(points: Array, place: Array) -> bool:
-    """Whether points (rows, 3) move with a place (rows, 3) and near it; their unit may be m where that is mm.
+    """Whether points (rows, 3) move with a place (rows, 3) and near it; their unit may be m where
+    that is mm.
 
     Args:
         points: what is desired or computed.
@@ -68,10 +73,13 @@ def follows(points: Array, place: Array) -> bool:
     points, place = points[both], place[both]
     if len(points) < _LEAST:
         return False
-    extent = float(np.linalg.norm(np.quantile(place, 0.95, axis=0) - np.quantile(place, 0.05, axis=0)))
+    extent = float(
+        np.linalg.norm(np.quantile(place, 0.95, axis=0) - np.quantile(place, 0.05, axis=0))
+    )
     moves = float(np.linalg.norm(place.std(axis=0)))
     gaps = [points * scale - place for scale in (1.0, 1e-3, 1e3)]
     return extent > 0 and any(
-        np.median(np.linalg.norm(gap, axis=1)) < extent and np.linalg.norm(gap.std(axis=0)) < _APART * moves
+        np.median(np.linalg.norm(gap, axis=1)) < extent
+        and np.linalg.norm(gap.std(axis=0)) < _APART * moves
         for gap in gaps
     )

@@ -1,9 +1,10 @@
 """Propose a mapping for logs without one, and report what was assumed and what a log cannot show.
 
-From the header and the ranges: which column is time, which are commands, encoders, markers and labels, in which unit;
-from the markers at rest, which axis of the log is the robot's and where its clamp may be. A log does not show the rate
-of a counter, the spool, gravity and the place of the clamp: these are written as assumptions to be replaced. The
-proposal is imported, and the result is a part of the answer. Pinned by tests/logs/test_guess.py.
+From the header and the ranges: which column is time, which are commands, encoders, markers and
+labels, in which unit; from the markers at rest, which axis of the log is the robot's and where its
+clamp may be. A log does not show the rate of a counter, the spool, gravity and the place of the
+clamp: these are written as assumptions to be replaced. The proposal is imported, and the result is
+a part of the answer. Pinned by tests/logs/test_guess.py.
 """
 
 from __future__ import annotations
@@ -65,7 +66,11 @@ class Guess:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.guess/1."""
-        found = {"assumed": list(self.assumed), "unknown": list(self.unknown), "said": list(self.said)}
+        found = {
+            "assumed": list(self.assumed),
+            "unknown": list(self.unknown),
+            "said": list(self.said),
+        }
         return {"schema": "softmap.guess/1", "mapping": self.text, **found}
 
 
@@ -84,19 +89,32 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
-        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a complete recording")
+        raise RunError(
+            f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a complete "
+            "recording"
+        )
     for k, sheet in enumerate(sheets):
         if not sheet.header:
-            found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
+            found.assumed.append(
+                f"columns of {_called(sheet)}: no line names them, so they are numbers from 0"
+            )
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
         found.assumed.append(f"time of {_called(sheet)}: {time.why}")
         found.unknown += [time.doubt] if time.doubt else []
         if time.unit == "rows":
-            what = f"how fast '{time.columns[0]}' counts" if time.columns else "how fast rows were logged"
-            found.unknown.append(f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log there")
+            what = (
+                f"how fast '{time.columns[0]}' counts"
+                if time.columns
+                else "how fast rows were logged"
+            )
+            found.unknown.append(
+                f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log "
+                "there"
+            )
         elif time.unit == "none":
             found.unknown.append(
-                f'how fast rows were logged in {_called(sheet)}: time = "none" is written, and nothing about rates or '
+                f'how fast rows were logged in {_called(sheet)}: time = "none" is written, and '
+                "nothing about rates or "
                 "delays can be learned; write time = { rate_hz = … } if you know the rate"
             )
     _find_points(sheets, found)
@@ -104,31 +122,43 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     if found.points is None and found.command is None:
         raise _nothing_found(sheets)
     found.unknown += [
-        line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time.columns, found)
+        line
+        for sheet, time in zip(sheets, found.times.values())
+        for line in _left_out(sheet, time.columns, found)
     ]
     if any(sheet.episode is not None for sheet in sheets):
         found.unknown.append(EITHER_UNIT)
     frame = [] if found.points is None else _frame(sheets, found)
     text = mapping_text(sheets, found, frame)
-    head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
-    head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
+    head = [
+        f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; "
+        "read every line."
+    ]
+    head += [f"# ASSUMED  {line}" for line in found.assumed] + [
+        f"# UNKNOWN  {line}" for line in found.unknown
+    ]
     text = "\n".join([*map(_one_line, head), text])
     return Guess(text, tuple(found.assumed), tuple(found.unknown), (*apart, *_tried(files, text)))
 
 
 def _nothing_found(sheets: list[Sheet]) -> RunError:
     """Return the error that no column has the name of a command or a marker."""
-    seen = "; ".join(f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets)
+    seen = "; ".join(
+        f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets
+    )
     seen = seen if len(seen) <= 600 else f"{seen[:600].rpartition(', ')[0] or seen[:600]} …"
     hint = next((hint for sheet in sheets if (hint := header_hint(sheet))), "")
     return RunError(
-        f"no column looks like a command or a marker by its name ({seen}){hint}; write the mapping by hand: "
-        "docs/reference/mapping.md lists its keys, examples/trunk.toml shows the form"
+        f"no column looks like a command or a marker by its name ({seen}){hint}; write the "
+        "mapping by hand: docs/reference/mapping.md lists its keys, examples/trunk.toml shows "
+        "the form"
     )
 
 
 def _one_line(comment: str) -> str:
-    """Names of files and columns may hold anything; a comment must not end within one and go on as keys."""
+    """Names of files and columns may hold anything; a comment must not end within one and go on as
+    keys.
+    """
     return "".join(c if c.isprintable() else " " for c in comment)
 
 
@@ -146,24 +176,44 @@ def _called(sheet: Sheet) -> str:
 
 def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     """Name the columns that vary and are not taken, since they are not in the run."""
-    used = {*time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
-    used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
+    used = {*time, found.label} | {
+        c for pair in found.others if pair[0] is sheet for c in pair[1].columns
+    }
+    used |= {
+        c
+        for pair in (found.command, found.present)
+        if pair and pair[0] is sheet
+        for c in pair[1].columns
+    }
     used |= {name for other, one in found.left if other is sheet for name in one.columns}
     if found.points is not None and found.points[0] is sheet:
         used |= {name for triple in [*found.points[1], *found.base] for name in triple}
-    varies = [name for name in sheet.names if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1]
+    varies = [
+        name
+        for name in sheet.names
+        if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1
+    ]
     left = [name for name in varies if name not in used]
     if not left:
         return []
-    named = ", ".join(map(_range_of(sheet), left[:6])) + (f" and {len(left) - 6} more" if len(left) > 6 else "")
-    return [f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the run needs them"]
+    named = ", ".join(map(_range_of(sheet), left[:6])) + (
+        f" and {len(left) - 6} more" if len(left) > 6 else ""
+    )
+    return [
+        f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the "
+        "run needs them"
+    ]
 
 
 def _range_of(sheet: Sheet) -> Any:
     def described(name: str) -> str:
         values = sheet.column(name)
         values = values[np.isfinite(values)]
-        return f"{name} ({values.min():.4g} to {values.max():.4g})" if len(values) else f"{name} (text)"
+        return (
+            f"{name} ({values.min():.4g} to {values.max():.4g})"
+            if len(values)
+            else f"{name} (text)"
+        )
 
     return described
 
@@ -171,14 +221,18 @@ def _range_of(sheet: Sheet) -> Any:
 # --- what is what --------------------------------------------------------------------------
 def _find_points(sheets: list[Sheet], found: Found) -> None:
     each = [
-        (points_of(sheet) if sheet.header else _bare_places(sheets, found, k), sheet) for k, sheet in enumerate(sheets)
+        (points_of(sheet) if sheet.header else _bare_places(sheets, found, k), sheet)
+        for k, sheet in enumerate(sheets)
     ]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
     found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
     best, sheet = max(each, key=worth)
     triples = best.places
     if not triples:
-        found.unknown.append("where the markers are: no columns named x, y, z of a place; nothing is seen in this run")
+        found.unknown.append(
+            "where the markers are: no columns named x, y, z of a place; nothing is seen in this "
+            "run"
+        )
         return
     found.base = [triple for triple in triples if is_base(triple[0])]
     triples = [triple for triple in triples if triple not in found.base]
@@ -187,29 +241,44 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     flat = [name for triple in triples for name in triple]
     points = _places(sheet, triples)
     named = unit_in_name(flat[0], LENGTH)
-    unit, why = (named, f"their names say {named}") if named else length_unit(points, sheet.units.get(flat[0]))
+    unit, why = (
+        (named, f"their names say {named}")
+        if named
+        else length_unit(points, sheet.units.get(flat[0]))
+    )
     found.points = (sheet, triples, unit)
-    found.assumed.append(f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; {why}")
+    found.assumed.append(
+        f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
+        f"{why}"
+    )
     if len(triples[0]) == 2:
         found.assumed.append(
-            "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 and as not measured"
+            "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 "
+            "and as not measured"
         )
     if best.by_size:
         loose = ", ".join(one[0] for one in best.by_size[:4])
-        found.assumed.append(f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size alone")
+        found.assumed.append(
+            f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size "
+            "alone"
+        )
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
         found.assumed.append(
-            f"base: {len(found.base)} markers are on the clamp by their names; `softmap run align RUN --base {places}` "
-            "brings the run to the base by them"
+            f"base: {len(found.base)} markers are on the clamp by their names; `softmap run align "
+            f"RUN --base {places}` brings the run to the base by them"
         )
     found.label = label_of(sheet)
     if found.label is not None:
-        found.assumed.append(f"blocks: '{found.label}' names the part of the protocol; folds are cut by it")
+        found.assumed.append(
+            f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
+        )
 
 
 def _places(sheet: Sheet, places: list[list[str]]) -> Array:
-    """Return markers (rows, M, 3) of columns, NaN where one was not seen; 0 as the third coordinate in a plane."""
+    """Return markers (rows, M, 3) of columns, NaN where one was not seen; 0 as the third coordinate
+    in a plane.
+    """
     flat = [name for one in places for name in one]
     points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
     points[not_seen(points).mask] = np.nan
@@ -222,7 +291,8 @@ def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
     if triples:
         numbers = ", ".join(" ".join(triple) for triple in triples)
         found.unknown.append(
-            f"whether columns {numbers} are places: no line names them, their values look like x, y, z"
+            f"whether columns {numbers} are places: no line names them, their values look like x, "
+            "y, z"
         )
     return Triples(triples)
 
@@ -233,7 +303,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         spent[id(other)] |= set(left.columns)
     if found.points is not None:
         sheet, triples, _ = found.points
-        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {found.label or ""}
+        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {
+            found.label or ""
+        }
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
     commands, presents, no_drives = drives_of(roles)
     found.left += no_drives
@@ -244,46 +316,65 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         found.command = presents.pop(0)
         found.assumed.append("commands: none is named so; what the encoders read stands for them")
     if found.command is None:
-        found.unknown.append("what was commanded: nothing is named so; effects of the drive cannot be identified")
+        found.unknown.append(
+            "what was commanded: nothing is named so; effects of the drive cannot be identified"
+        )
         return
     width = len(found.command[1].columns)
     fits = [pair for pair in presents if len(pair[1].columns) == width]
     found.present = fits[0] if fits else None
     sheet, role = found.command
-    found.assumed.append(f"commands: {width} columns of {_called(sheet)}, {role.why}, in the order of the file")
+    found.assumed.append(
+        f"commands: {width} columns of {_called(sheet)}, {role.why}, in the order of the file"
+    )
     if not role.sure and found.present is None:
         found.assumed.append(
-            "commands: the log does not state whether they are goals or positions that the servos read; either works"
+            "commands: the log does not state whether they are goals or positions that the servos "
+            "read; either works"
         )
     if found.present is not None:
-        found.assumed.append(f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}")
+        found.assumed.append(
+            f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}"
+        )
     for pair in roles:
         one = pair[1].kind in ("temperature", "load") and len(pair[1].columns) == 1
         if one or (pair[1].kind == "current" and len(pair[1].columns) == width):
             found.others.append(pair)
-            found.assumed.append(f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name")
+            found.assumed.append(
+                f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"
+            )
     _drive_units(found)
 
 
 def _drive_units(found: Found) -> None:
-    """The units of commands and encoders; where only one is sure and both move alike, it is that of both."""
+    """The units of commands and encoders; where only one is sure and both move alike, it is that of
+    both.
+    """
     assert found.command is not None
-    drives = [("commands", found.command)] + ([] if found.present is None else [("encoders", found.present)])
-    answers = [drive_unit(sheet.rows_of(role.columns), role.unit, role.joint) for _, (sheet, role) in drives]
+    drives = [("commands", found.command)] + (
+        [] if found.present is None else [("encoders", found.present)]
+    )
+    answers = [
+        drive_unit(sheet.rows_of(role.columns), role.unit, role.joint)
+        for _, (sheet, role) in drives
+    ]
     moved = [float(np.median(_spread(sheet.rows_of(role.columns)))) for _, (sheet, role) in drives]
     together = len(drives) == 2 and moved[0] > 0 and 0.5 < moved[1] / moved[0] < 1.5
     if len(answers) == 2 and answers[0][2] != answers[1][2]:
         firm = 0 if answers[0][2] else 1
         if together:
-            why = f"encoders move {moved[1] / moved[0]:.2f} times as far as commands, so the unit is the same"
+            why = (
+                f"encoders move {moved[1] / moved[0]:.2f} times as far as commands, so the unit "
+                "is the same"
+            )
             answers[1 - firm] = (answers[firm][0], why, True)
     if len(answers) == 2 and not _alike(answers[0][0], answers[1][0]):
         apart = any(role.joint for _, (_, role) in drives) and not together
         if (answers[0][2] and answers[1][2]) or apart:
             found.present = None
             found.unknown.append(
-                f"the radius of the spools: encoders are in {answers[1][0]}, commands in {answers[0][0]}; the encoders "
-                "are left out, give them with spool_radius_mm"
+                f"the radius of the spools: encoders are in {answers[1][0]}, commands in "
+                f"{answers[0][0]}; the encoders are left out, give them with spool_radius_mm"
             )
         else:
             loose = 0 if answers[1][2] or drives[1][1][1].joint or not moved[0] else 1
@@ -298,8 +389,8 @@ def _drive_units(found: Found) -> None:
         found.unknown.append(_home_in_ticks(found.command[0].rows_of(found.command[1].columns)))
     if unit in ANGLE:
         found.unknown.append(
-            f"the radius of the spools: commands stay {unit}; with spool_radius_mm, and without command_unit, they are "
-            "mm of tendon, which a simulated finger needs"
+            f"the radius of the spools: commands stay {unit}; with spool_radius_mm, and without "
+            "command_unit, they are mm of tendon, which a simulated finger needs"
         )
 
 
@@ -308,9 +399,9 @@ def _home_in_ticks(rows: Array) -> str:
     low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
     return (
-        "home: the ticks at which the robot rests. Effects such as gain, play and slack count from there. The middle "
-        f"of each range is taken, as with offset = [{middle}]; if the robot rests at other "
-        "commands, give offset of command"
+        "home: the ticks at which the robot rests. Effects such as gain, play and slack count "
+        f"from there. The middle of each range is taken, as with offset = [{middle}]; if the "
+        "robot rests at other commands, give offset of command"
     )
 
 
@@ -339,13 +430,16 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     along = rest_axis(body, base)
     if along is None or np.abs(along).max() < 0.8:
         found.unknown.append(
-            "the frame: the markers at rest lie along no axis of the log; set frame.origin_mm and axes"
+            "the frame: the markers at rest lie along no axis of the log; set frame.origin_mm and "
+            "axes"
         )
         return []
     k = int(np.argmax(np.abs(along)))
     sign = 1 if along[k] > 0 else -1
     towards = f"{'-' if sign < 0 else '+'}{'xyz'[k]}"
-    found.assumed.append(f"frame: at rest the robot runs along {towards} of the log, so that is z of its base frame")
+    found.assumed.append(
+        f"frame: at rest the robot runs along {towards} of the log, so that is z of its base frame"
+    )
     if base is not None:
         origin, why = base, "the middle of the markers on the clamp"
     elif len(body) > 1:
@@ -354,10 +448,14 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
         origin, why = np.zeros(3), "the origin of the log, since the markers do not show the clamp"
-    or_find = ", or let `softmap run align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
+    or_find = (
+        ", or let `softmap run align` find it"
+        if len(names) == 3 * (len(triples) + len(found.base))
+        else ""
+    )
     found.unknown.append(
-        f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: gravity is not "
-        "declared"
+        f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: "
+        "gravity is not declared"
     )
     axes = ", ".join(f'"{axis}"' for axis in axes_for(k, sign))
     place = ", ".join(f"{x:.1f}" for x in origin + 0.0)

@@ -1,8 +1,9 @@
 """Find places among columns that have no names, by their values alone.
 
-Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or where they move
-smoothly and keep a distance from the origin that changes little, as points of a robot do, and no other moving column is
-left over. Commands start at home and do not match. Pinned by tests/logs/test_guess_time.py.
+Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or
+where they move smoothly and keep a distance from the origin that changes little, as points of a
+robot do, and no other moving column is left over. Commands start at home and do not match. Pinned
+by tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations
@@ -26,10 +27,18 @@ def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
         spent: columns that hold something else: time, text.
     """
     free = [name for name in sheet.names if name not in spent and name not in sheet.texts]
-    posed = [free[k : k + 3] for k in range(len(free) - 6) if is_unit_quaternion(sheet.rows_of(free[k + 3 : k + 7]))]
+    posed = [
+        free[k : k + 3]
+        for k in range(len(free) - 6)
+        if is_unit_quaternion(sheet.rows_of(free[k + 3 : k + 7]))
+    ]
     posed = [triple for triple in posed if np.isfinite(sheet.rows_of(triple)).all(axis=1).any()]
     if posed:
-        return [triple for triple in posed if not any(_quaternion_part(sheet, name, free) for name in triple)]
+        return [
+            triple
+            for triple in posed
+            if not any(_quaternion_part(sheet, name, free) for name in triple)
+        ]
     moving = [name for name in free if _varies(sheet.column(name))]
     if not moving or len(moving) % 3 or _places(sheet, moving) != list(range(len(moving))):
         return []
@@ -55,7 +64,9 @@ def _quaternion_part(sheet: Sheet, name: str, free: list[str]) -> bool:
 
 
 def _is_place(rows: Array) -> bool:
-    """Whether three columns (rows, 3) are a place: they move smoothly, at a distance that changes little."""
+    """Whether three columns (rows, 3) are a place: they move smoothly, at a distance that changes
+    little.
+    """
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known) < 10:
         return False

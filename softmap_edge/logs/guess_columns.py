@@ -1,8 +1,9 @@
-"""What the columns of a log look like, by their names and numbers: commands, encoders, markers, labels, units.
+"""What the columns of a log look like, by their names and numbers: commands, encoders, markers,
+labels, units.
 
-Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or `servo_4_mm` are commands;
-`phi2` or `present_1` are encoders. Every answer carries the reason that is shown to the user. `guess_time.py` finds
-the time.
+Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or
+`servo_4_mm` are commands; `phi2` or `present_1` are encoders. Every answer carries the reason that
+is shown to the user. `guess_time.py` finds the time.
 """
 
 from __future__ import annotations
@@ -30,7 +31,15 @@ from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
-from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
+from softmap_edge.logs.sources import (
+    Part,
+    called,
+    groups_of,
+    open_recording,
+    parts_of,
+    pattern_of,
+    topics_of,
+)
 from softmap_edge.logs.table import open_log
 from softmap_edge.logs.time_names import TIME_NAME
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
@@ -40,24 +49,52 @@ ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
-_LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
-_PLACES = re.compile(r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE)
-_NO_POINT = re.compile(r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE)
-# Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of a recording.
+_LABELS = re.compile(
+    r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE
+)
+_PLACES = re.compile(
+    r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE
+)
+_NO_POINT = re.compile(
+    r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE
+)
+# Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of
+# a recording.
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|amp|_ma$"),
     ("temperature", r"temp|celsius"),
     ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
     ("present", r"present|actual|meas|enc|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#|read"),
     ("present", r"gemessen|(^|[_ .])ist([_ .#-]|wert|winkel|pos|lage|$)"),
-    ("command", r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
+    (
+        "command",
+        r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control",
+    ),
     ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
     ("present", r"^pos(?!e)|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
 _SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
-_UNIT = {"mm": "mm", "cm": "cm", "m": "m", "um": "um", "deg": "deg", "degrees": "deg", "°": "deg", "rad": "rad"}
-_UNIT |= {"radians": "rad", "ticks": "ticks", "ma": "mA", "a": "A", "g": "g", "kg": "kg", "n": "N", "k": "K"}
+_UNIT = {
+    "mm": "mm",
+    "cm": "cm",
+    "m": "m",
+    "um": "um",
+    "deg": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "rad": "rad",
+}
+_UNIT |= {
+    "radians": "rad",
+    "ticks": "ticks",
+    "ma": "mA",
+    "a": "A",
+    "g": "g",
+    "kg": "kg",
+    "n": "N",
+    "k": "K",
+}
 _UNIT |= {"degc": "degC", "°c": "degC", "c": "degC"}
 TICK_DEG, TICK_RAD = 360.0 / 4096, 2 * np.pi / 4096  # the step of a 12-bit servo
 
@@ -73,13 +110,15 @@ class Sheet:
     numbers: Array  # (rows, names); NaN in a column of text
     texts: dict[str, list[str]]
     header: bool = True
-    bare: list[str] = field(default_factory=list)  # the names as they are in the file, where some may be the same
+    # the names as they are in the file, where some may be the same
+    bare: list[str] = field(default_factory=list)
     kind: str = ""  # the type of the messages of a topic
     file: str = ""  # the `file` of the log in a mapping
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
     below: list[str] = field(default_factory=list)  # lines below the table
-    clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
+    # columns of dates or times, in s, and their form
+    clocks: dict[str, str] = field(default_factory=dict)
     head_line: int | None = None  # the number of the line of a text log that names the columns
     rate_hz: float | None = None  # of its rows, as the lines above the table state it
     parts: int = 1  # files of the log
@@ -116,12 +155,18 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
 
 
 def _sheets_of(group: list[Part]) -> list[Sheet]:
-    """Return the sheets of one log: one, or one for each topic of a recording or each length of arrays."""
+    """Return the sheets of one log: one, or one for each topic of a recording or each length of
+    arrays.
+    """
     first = group[0]
     if first.kind in RECORDINGS:
         return _sheets_of_recording(group)
     with called(first.file, first.path):
-        columns = open_parquet(first.file, first=True) if first.kind == "parquet" else open_log(first.file)
+        columns = (
+            open_parquet(first.file, first=True)
+            if first.kind == "parquet"
+            else open_log(first.file)
+        )
         if isinstance(columns, ArrayColumns):
             return [_sheet(first, columns, places) for places in columns.groups()[:_MOST_LENGTHS]]
         return [_sheet(first, columns, list(range(len(columns.names))))]
@@ -129,7 +174,11 @@ def _sheets_of(group: list[Part]) -> list[Sheet]:
 
 def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
     """Return a sheet for each topic that can be decoded."""
-    path = group[0].given if group[0].of_folder or len(group) == 1 else group[0].path.with_name(pattern_of(group))
+    path = (
+        group[0].given
+        if group[0].of_folder or len(group) == 1
+        else group[0].path.with_name(pattern_of(group))
+    )
     recorded = {topic.name: topic for part in group for topic in topics_of(part) if topic.readable}
     if not recorded:
         raise _nothing_readable(path, [topic for part in group for topic in topics_of(part)])
@@ -139,7 +188,9 @@ def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
         cells = held.read(list(range(len(held.names))), None, ROWS)
         numbers = np.where(np.abs(cells.numbers) < LARGEST, cells.numbers, np.nan)
         kind, file = recorded[name].type, pattern_of(group)
-        sheets.append(Sheet(path, name, held.names, {}, numbers, {}, kind=kind, file=file, indexed=True))
+        sheets.append(
+            Sheet(path, name, held.names, {}, numbers, {}, kind=kind, file=file, indexed=True)
+        )
     return sheets
 
 
@@ -149,8 +200,8 @@ def _nothing_readable(path: Path, recorded: list[Topic]) -> RunError:
     if not any(topic.count for topic in recorded):
         return RunError(f"{path}: holds no message (topics: {named}); give the recording of a run")
     return RunError(
-        f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}; convert the "
-        "recording where ROS knows its types: `ros2 bag convert` to MCAP"
+        f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are "
+        f"{named}; convert the recording where ROS knows its types: `ros2 bag convert` to MCAP"
     )
 
 
@@ -158,8 +209,8 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     """Return the first rows of some columns of a log."""
     if len(which) > MOST_COLUMNS:
         raise RunError(
-            f"{part.path}: {len(which)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
-            "in a mapping by hand: docs/reference/mapping.md lists its keys"
+            f"{part.path}: {len(which)} columns, at most {MOST_COLUMNS} are looked at; name those "
+            "of the robot in a mapping by hand: docs/reference/mapping.md lists its keys"
         )
     bare = [columns.names[k] for k in which]
     if isinstance(columns, TextColumns | HeldColumns):
@@ -169,7 +220,12 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     clocks: dict[str, str] = {}
     below: list[str] = []
     if isinstance(columns, TextColumns):
-        below = lines_below(columns.path, columns.delimiter, len(columns.names), columns.fewest or len(columns.names))
+        below = lines_below(
+            columns.path,
+            columns.delimiter,
+            len(columns.names),
+            columns.fewest or len(columns.names),
+        )
         columns = replace(columns, skip_last=len(below))
     if isinstance(columns, TextColumns | PacedColumns):
         texts = columns.texts(200)
@@ -184,13 +240,29 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     numbers[:, at] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
     header = not isinstance(columns, TextColumns) or columns.header
     arrays = isinstance(columns, ArrayColumns)
-    episode = int(numbers[0, names.index(EPISODE)]) if part.kind == "parquet" and EPISODE in names else None
+    episode = (
+        int(numbers[0, names.index(EPISODE)])
+        if part.kind == "parquet" and EPISODE in names
+        else None
+    )
     file = pattern_of([part])
     return Sheet(
-        part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode, clocks=clocks, below=below, head_line=getattr(columns, "head_line", None),
+        part.given,
+        None,
+        names,
+        dict(columns.units),
+        numbers,
+        texts,
+        header,
+        bare,
+        file=file,
+        indexed=arrays,
+        episode=episode,
+        clocks=clocks,
+        below=below,
+        head_line=getattr(columns, "head_line", None),
         rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
-    )  # fmt: skip
+    )
 
 
 def _unique(names: list[str]) -> list[str]:
@@ -201,7 +273,9 @@ def _unique(names: list[str]) -> list[str]:
 
 # --- names ---------------------------------------------------------------------------------
 def last_of(sheet: Sheet, name: str) -> str:
-    """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it is."""
+    """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it
+    is.
+    """
     found = re.fullmatch(r".*?([^.\[\]]+(\[[^\]]*\])*(\.[xyz])?)", name)
     return found[1] if found and sheet.indexed and sheet.topic is None else name
 
@@ -216,7 +290,9 @@ def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | N
 
 # --- points --------------------------------------------------------------------------------
 def points_of(sheet: Sheet) -> Triples:
-    """Return the triples of columns that are x, y, z of a place, in the file's order, and those that are not."""
+    """Return the triples of columns that are x, y, z of a place, in the file's order, and those
+    that are not.
+    """
     keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
     names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
     found = find_triples(names, bare, sheet.rows_of, lambda name: sheet.units.get(name) in LENGTH)
@@ -233,22 +309,32 @@ def points_of(sheet: Sheet) -> Triples:
 
 
 def _turns(sheet: Sheet, name: str) -> bool:
-    """Return whether a place has a rotation: it then belongs to a rigid body of a motion capture."""
+    """Return whether a place has a rotation: it then belongs to a rigid body of a motion
+    capture.
+    """
     return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
 
 
 def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
-    """Return the places among arrays: of three columns without another meaning, or of 3 M by a name such as markers."""
+    """Return the places among arrays: of three columns without another meaning, or of 3 M by a name
+    such as markers.
+    """
     if not sheet.indexed or sheet.topic is not None:
         return []
     arrays: dict[str, list[str]] = {}
     for name in sheet.names:
-        if (found := re.fullmatch(r"(.*)\[\d+\]", name)) and name not in used and not _NO_POINT.search(name):
+        if (
+            (found := re.fullmatch(r"(.*)\[\d+\]", name))
+            and name not in used
+            and not _NO_POINT.search(name)
+        ):
             arrays.setdefault(found[1], []).append(name)
     triples: list[list[str]] = []
     for stem, names in arrays.items():
         last = last_of(sheet, stem)
-        free = len(names) == 3 and not any(re.search(words, f"{last.lower()}#") for _, words in ROLES)
+        free = len(names) == 3 and not any(
+            re.search(words, f"{last.lower()}#") for _, words in ROLES
+        )
         if len(names) % 3 == 0 and (free or _PLACES.search(last)):
             triples += [names[k : k + 3] for k in range(0, len(names), 3)]
     return triples
@@ -264,7 +350,9 @@ def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
     if points.shape[1] == 1:
         span = max(span, float(np.abs(flat).max()))
     for unit in ("mm", "m", "um", "cm"):
-        if 20.0 <= span * LENGTH[unit] <= 2000.0 or (unit == "cm" and ROBOT[0] <= span * 10 <= ROBOT[1]):
+        if 20.0 <= span * LENGTH[unit] <= 2000.0 or (
+            unit == "cm" and ROBOT[0] <= span * 10 <= ROBOT[1]
+        ):
             return unit, f"they span {span:.3g}, {span * LENGTH[unit]:.0f} mm if they are {unit}"
     return "mm", f"they span {span:.3g}, which is no robot's size in any unit"
 
@@ -277,7 +365,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
             plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
-            stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", without_numbers(stem.lower()))
+            stem = re.sub(
+                r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", without_numbers(stem.lower())
+            )
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
     for stem, names in _by_publisher(sheet, groups):
@@ -295,8 +385,22 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             rank = next((k for k, (_, words) in enumerate(ROLES) if re.search(words, text)), None)
             if rank is not None:
                 kind = ROLES[rank][0]
-                unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
-                roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, rank < _SURE, joint)))
+                unit = _UNIT.get(
+                    (sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower()
+                )
+                roles.append(
+                    (
+                        rank,
+                        Role(
+                            kind,
+                            names,
+                            unit if unit in UNITS[kind] else None,
+                            why,
+                            rank < _SURE,
+                            joint,
+                        ),
+                    )
+                )
                 break
     roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
     merged: list[tuple[int, Role]] = []
@@ -309,7 +413,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
 
 
 def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str, list[str]]]:
-    """Return the groups, those cut in parts whose columns never hold a number in one row: of several publishers."""
+    """Return the groups, those cut in parts whose columns never hold a number in one row: of
+    several publishers.
+    """
     found: list[tuple[str, list[str]]] = []
     for stem, names in groups.items():
         parts: list[tuple[NDArray[np.bool_], list[str]]] = []
@@ -326,15 +432,21 @@ def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str,
 
 
 def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
-    """Whether two columns side by side differ only in their last word: `motor_links`, `motor_rechts`."""
+    """Whether two columns side by side differ only in their last word: `motor_links`,
+    `motor_rechts`.
+    """
     place = sheet.names.index(other.columns[0]) - sheet.names.index(one.columns[-1])
     stems = [re.sub(r"[^_]*$", "", role.columns[0].lower()) for role in (one, other)]
-    alone = len(other.columns) == 1 and not any(re.search(r"\d", name) for name in (one.columns[0], other.columns[0]))
+    alone = len(other.columns) == 1 and not any(
+        re.search(r"\d", name) for name in (one.columns[0], other.columns[0])
+    )
     return alone and place == 1 and stems[0] == stems[1] != "" and one.unit == other.unit
 
 
 def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[str, str, bool]:
-    """Return the unit of commands or encoders (T, C), why, and whether that is sure; `joint` are joint states."""
+    """Return the unit of commands or encoders (T, C), why, and whether that is sure; `joint` are
+    joint states.
+    """
     if stated is not None:
         return stated, f"their name says {stated}", True
     known = rows[np.isfinite(rows)]
@@ -344,10 +456,23 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
     whole = rows[np.isfinite(rows).all(axis=1)]
     for tick, unit in ((TICK_DEG, "deg"), (TICK_RAD, "rad")):
         steps = (whole - whole[:1]) / tick  # whatever home is
-        if len(steps) > 1 and np.abs(steps).max() > 10 and np.abs(steps - np.rint(steps)).max() < 0.02:
-            return unit, f"they move in steps of {tick:.6g}, those of a 12-bit servo in {unit}", True
+        if (
+            len(steps) > 1
+            and np.abs(steps).max() > 10
+            and np.abs(steps - np.rint(steps)).max() < 0.02
+        ):
+            return (
+                unit,
+                f"they move in steps of {tick:.6g}, those of a 12-bit servo in {unit}",
+                True,
+            )
     if joint:
-        return "rad", f"joint states are in rad by REP 103, or in m for joints that slide; they reach {peak:.3g}", False
+        return (
+            "rad",
+            "joint states are in rad by REP 103, or in m for joints that slide; they reach "
+            f"{peak:.3g}",
+            False,
+        )
     if (known == np.rint(known)).all() and peak > 360:
         return "ticks", f"they are whole numbers up to {peak:.0f}", False
     for limit, unit in ((0.2, "m"), (3.3, "rad"), (25.0, "mm"), (3600.0, "deg")):
@@ -365,6 +490,11 @@ def label_of(sheet: Sheet) -> str | None:
             return name
     for name in sheet.names:
         values = sheet.column(name) if name not in sheet.texts else np.zeros(0)
-        if _LABELS.search(name) and len(values) and np.isfinite(values).all() and (values == np.rint(values)).all():
+        if (
+            _LABELS.search(name)
+            and len(values)
+            and np.isfinite(values).all()
+            and (values == np.rint(values)).all()
+        ):
             return name
     return None

@@ -1,7 +1,9 @@
-"""Propose how to read a column of time that falls in some rows, and state what is doubtful about it.
+"""Propose how to read a column of time that falls in some rows, and state what is doubtful about
+it.
 
-A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. Steps of a clock that was set are taken out
-by `jumps = "mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain.
+A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. Steps of a clock that
+was set are taken out by `jumps = "mend"`. Other falls are left out by `repeated = "drop"` where
+enough rows remain.
 
 Pinned by tests/logs/test_guess_falls.py.
 """
@@ -57,23 +59,37 @@ def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
     if jump is not None and again is not None:
         cut = f"import the log in parts with to_row = {again - 1} and from_row = {again}"
         doubt = f"'{name}' starts again at row {again}, as in a second recording: {cut}"
-        return Treatment([], f"rises, but starts again at row {again}", doubt, _without_steps(t, rows))
+        return Treatment(
+            [], f"rises, but starts again at row {again}", doubt, _without_steps(t, rows)
+        )
     if jump is not None:
         steps = listed((f"by {-np.diff(t)[row - 1]:.6g} s at row {row}" for row in rows), _LISTED)
         which = f"the step at row {first}" if len(rows) == 1 else f"{len(rows)} steps"
         doubt = (
-            f"whether the clock '{name}' was set back {steps}: jumps = \"mend\" takes {which} out as if no time had "
-            f"passed; {cut}"
+            f"whether the clock '{name}' was set back {steps}: jumps = \"mend\" takes {which} out "
+            f"as if no time had passed; {cut}"
         )
-        moves = f"rises, but for {'a step' if len(rows) == 1 else which} at row {first}{' and later' * (len(rows) > 1)}"
+        moves = (
+            f"rises, but for {'a step' if len(rows) == 1 else which} at row "
+            f"{first}{' and later' * (len(rows) > 1)}"
+        )
         return Treatment(['jumps = "mend"'], moves, doubt, _without_steps(t, rows))
     lost = int((~increasing(t)).sum())
-    moves = f"rises, but falls in {len(rows)} of {len(t)} rows (first at row {first}, by up to {largest:.6g} s)"
+    moves = (
+        f"rises, but falls in {len(rows)} of {len(t)} rows (first at row {first}, by up to "
+        f"{largest:.6g} s)"
+    )
     drops = f'repeated = "drop" leaves out {lost} of {len(t)} rows'
     if lost > _LOST * len(t):
-        doubt = f"why '{name}' falls {len(rows)} times: {drops}, which is too much; {cut.removeprefix('or ')}"
+        doubt = (
+            f"why '{name}' falls {len(rows)} times: {drops}, which is too much; "
+            f"{cut.removeprefix('or ')}"
+        )
         return Treatment([], moves, doubt, t)
-    doubt = f"why '{name}' falls {len(rows)} times (a single wrong stamp, rows out of order, a clock that was "
+    doubt = (
+        f"why '{name}' falls {len(rows)} times (a single wrong stamp, rows out of order, a clock "
+        "that was "
+    )
     doubt += f"set): {drops}; {cut}"
     return Treatment(['repeated = "drop"'], moves, doubt, t)
 
@@ -91,7 +107,8 @@ def _without_steps(t: Array, rows: NDArray[np.int64]) -> Array:
 
 
 def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
-    """Return the unit of a counter that rolls over, and why: the one in which its usual step is a robot's; else None.
+    """Return the unit of a counter that rolls over, and why: the one in which its usual step is a
+    robot's; else None.
 
     Args:
         values: (rows,) counts, finite.
@@ -103,8 +120,15 @@ def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
         return None
     for bits in BITS:
         left = 2.0**bits - fall
-        rolls = bool(((left > 0) & (left <= _NEAR * usual)).all()) and float(values.max()) <= 2.0**bits
-        unit = next((unit for unit in ("s", "ms", "us", "ns") if 2e-4 <= usual * TIME[unit] < 5.0), None)
+        rolls = (
+            bool(((left > 0) & (left <= _NEAR * usual)).all()) and float(values.max()) <= 2.0**bits
+        )
+        unit = next(
+            (unit for unit in ("s", "ms", "us", "ns") if 2e-4 <= usual * TIME[unit] < 5.0), None
+        )
         if rolls and unit is not None and usual != 1.0:
-            return unit, f"it rolls over at 2^{bits} counts, and steps of {usual:.4g} look like {unit}"
+            return (
+                unit,
+                f"it rolls over at 2^{bits} counts, and steps of {usual:.4g} look like {unit}",
+            )
     return None

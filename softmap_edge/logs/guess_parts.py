@@ -1,7 +1,7 @@
 """Find logs that are parts of one log: files with the same columns that follow one another in time.
 
-Files with the same columns that overlap in time are other logs, or other recordings of the same robot; they stay apart,
-and the answer names them. Pinned by tests/logs/test_csv_parts.py.
+Files with the same columns that overlap in time are other logs, or other recordings of the same
+robot; they stay apart, and the answer names them. Pinned by tests/logs/test_csv_parts.py.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ def joined_parts(sheets: Sequence[Sheet]) -> tuple[list[Sheet], list[str], list[
         others = [sheet.path.name for sheet in sheets if all(sheet is not one for one in group)]
         found.append(_one([group[k] for k in order], others))
         names = " and ".join(group[k].path.name for k in order)
-        notes.append(f"{names[:300]}: the same columns, one after another in time, so they are parts of one log")
+        notes.append(
+            f"{names[:300]}: the same columns, one after another in time, so they are parts of "
+            "one log"
+        )
     return found, notes, apart
 
 
@@ -69,13 +72,16 @@ def _order(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[int] | No
 
 
 def _overlap(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[str]:
-    """Return the sentence on logs with the same names that overlap in time; none of a single log."""
+    """Return the sentence on logs with the same names that overlap in time; none of a single
+    log.
+    """
     if len(group) < 2 or not group[0].header or not times[0].columns:
         return []
     names = " and ".join(sheet.path.name for sheet in group)
     return [
-        f"{names[:300]} have the same columns and overlap in time, so they are no parts of one log: if they are runs "
-        "of one robot, import each by itself, then join the runs with `softmap run join`"
+        f"{names[:300]} have the same columns and overlap in time, so they are no parts of one "
+        "log: if they are runs of one robot, import each by itself, then join the runs with "
+        "`softmap run join`"
     ]
 
 
@@ -94,7 +100,9 @@ def _one(group: Sequence[Sheet], others: Sequence[str]) -> Sheet:
 
 
 def _pattern(names: Sequence[str], others: Sequence[str]) -> str | None:
-    """Return a pattern that fits some names of files and none of the others; None if there is none."""
+    """Return a pattern that fits some names of files and none of the others; None if there is
+    none.
+    """
     by_number = {without_numbers(glob.escape(name), "*") for name in names}
     start = os.path.commonprefix(list(names))
     end = os.path.commonprefix([name[len(start) :][::-1] for name in names])[::-1]

@@ -29,7 +29,8 @@ class Found:
     others: list[tuple[Sheet, Role]] = field(default_factory=list)
     points: tuple[Sheet, list[list[str]], str] | None = None
     base: list[list[str]] = field(default_factory=list)  # markers on the clamp
-    left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)  # columns in threes that are no place
+    # columns in threes that are no place
+    left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)
     label: str | None = None
     times: dict[int, TimeFound] = field(default_factory=dict)
 
@@ -43,7 +44,8 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
         lines.append(f'command_unit = "{unit}"')
     if unit == "ticks":
         lines.append(
-            'command_unit = "ticks"   # of a model that is learned; `softmap model calibrate` takes them as well'
+            'command_unit = "ticks"   # of a model that is learned; `softmap model calibrate` '
+            "takes them as well"
         )
     if any(time.calendar for time in found.times.values()):
         lines.append("zero_time = true   # the log counts since 1970, or since midnight")
@@ -58,11 +60,27 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
         sheet = found.points[0]
         t = seconds(sheets, found, sheet)
         rate = (len(t) - 1) / max(float(t[-1] - t[0]), 1e-9)
-        if len(t) > MANY and rate > 1.2 * SEEN_HZ and not any(time.unit == "none" for time in found.times.values()):
-            lines += ["", "[seen]", f"rate_hz = {SEEN_HZ}   # enough for a diagnosis; leave it out to keep every frame"]
+        if (
+            len(t) > MANY
+            and rate > 1.2 * SEEN_HZ
+            and not any(time.unit == "none" for time in found.times.values())
+        ):
+            lines += [
+                "",
+                "[seen]",
+                f"rate_hz = {SEEN_HZ}   # enough for a diagnosis; leave it out to keep every frame",
+            ]
         if found.label is None:
-            lines += ["", "[blocks]", "count = 5   # folds of equal time; a column of labels (block = …) is better"]
-        lines += ["", "[constant]", "# gravity = [0.0, 0.0, 1.0]   # UNKNOWN: hanging (0, 0, 1), standing (0, 0, -1)"]
+            lines += [
+                "",
+                "[blocks]",
+                "count = 5   # folds of equal time; a column of labels (block = …) is better",
+            ]
+        lines += [
+            "",
+            "[constant]",
+            "# gravity = [0.0, 0.0, 1.0]   # UNKNOWN: hanging (0, 0, 1), standing (0, 0, -1)",
+        ]
         lines += [
             "# sigma_mm = 0.1   # noise of a marker coordinate, if you know it",
             "# load_g = 0.0   # known mass at the tip",
@@ -72,9 +90,14 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
 
 def _head(sheet: Sheet, files: int) -> list[str]:
     lines = [f"file = {json.dumps(sheet.file)}"] if files > 1 else []
-    lines += [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
+    lines += (
+        [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
+    )
     if sheet.episode is not None:
-        lines.append(f"episode = {sheet.episode}   # ASSUMED: the first of the file; each episode is a run of its own")
+        lines.append(
+            f"episode = {sheet.episode}   # ASSUMED: the first of the file; each episode is a run "
+            "of its own"
+        )
     if sheet.below:
         what = "".join(c if c.isprintable() else " " for c in sheet.below[0].strip()[:40])
         lines.append(f"skip_last_rows = {len(sheet.below)}   # no rows: '{what}'")
@@ -90,11 +113,16 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
     ):
         if pair is not None and pair[0] is sheet:
             stated = f', unit = "{pair[1].unit}"' if pair[1].unit else ""
-            lines.append(f"{kind} = {{ columns = [{', '.join(cell(sheet, c) for c in pair[1].columns)}]{stated} }}")
+            lines.append(
+                f"{kind} = {{ columns = "
+                f"[{', '.join(cell(sheet, c) for c in pair[1].columns)}]{stated} }}"
+            )
     if found.points is not None and found.points[0] is sheet:
         _, triples, unit = found.points
         for kind, places in (("markers", triples), ("base", found.base)):
-            rows = [f"    [{', '.join(cell(sheet, name) for name in triple)}]," for triple in places]
+            rows = [
+                f"    [{', '.join(cell(sheet, name) for name in triple)}]," for triple in places
+            ]
             lines += [f'{kind} = {{ unit = "{unit}", columns = [', *rows, "] }"] if rows else []
         lines += [] if found.label is None else [f"block = {cell(sheet, found.label)}"]
     return lines

@@ -1,9 +1,10 @@
-"""Find the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
+"""Find the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or
+nothing.
 
-A column whose cells are dates or times always counts. Otherwise a column counts if it rises throughout and has the name
-of a time, or is the first. A clock that falls counts if one roll-over or one step explains it. Full seconds that repeat
-are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
-tests/logs/test_guess_time.py.
+A column whose cells are dates or times always counts. Otherwise a column counts if it rises
+throughout and has the name of a time, or is the first. A clock that falls counts if one roll-over
+or one step explains it. Full seconds that repeat are completed by the fraction next to them: of the
+same name, or because it falls only where they rise. Pinned by tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class TimeFound:
 
     Attributes:
         columns: its columns; empty if only the rows count.
-        unit: of the first column: of `TIME`, `rows` for a counter, `stated` at a rate that the file states, or `none`.
+        unit: of the first column: of `TIME`, `rows` for a counter, `stated` at a rate that the file
+            states, or `none`.
         why: the reason, as a part of a sentence.
         line: the proposed `time` of the mapping.
         seconds: (rows,) s.
@@ -82,10 +84,14 @@ def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
         return TimeFound((unread[0],), "s", why, line, rows)
     if sheet.rate_hz is not None and sheet.topic is None:
         why = f"{why}; the lines above the table state {sheet.rate_hz:g} Hz"
-        return TimeFound((), "stated", why, f"time = {{ rate_hz = {sheet.rate_hz:g} }}", rows / sheet.rate_hz)
+        return TimeFound(
+            (), "stated", why, f"time = {{ rate_hz = {sheet.rate_hz:g} }}", rows / sheet.rate_hz
+        )
     if alone:
         line = f'time = "{NO_TIME}"   # UNKNOWN: {{ rate_hz = … }} if you know the rate of the log'
-        return TimeFound((), "none", f"{why}: only the order of the rows is known", line, rows * ROW_S)
+        return TimeFound(
+            (), "none", f"{why}: only the order of the rows is known", line, rows * ROW_S
+        )
     line = f"time = {{ rate_hz = {RATE_HZ}, assumed = true }}   # UNKNOWN: the rate of the log"
     return TimeFound((), "rows", why, line, rows / RATE_HZ)
 
@@ -96,9 +102,15 @@ def _known(sheet: Sheet, name: str) -> Array:
 
 
 def cell(sheet: Sheet, name: str) -> str:
-    """Return a column as written in a mapping: by number without a header or if the name occurs twice."""
+    """Return a column as written in a mapping: by number without a header or if the name occurs
+    twice.
+    """
     k = sheet.names.index(name)
-    if not sheet.header or sheet.names.count(name) > 1 or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1):
+    if (
+        not sheet.header
+        or sheet.names.count(name) > 1
+        or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1)
+    ):
         return str(k)
     return json.dumps(name, ensure_ascii=False)
 
@@ -106,16 +118,28 @@ def cell(sheet: Sheet, name: str) -> str:
 # --- one column ----------------------------------------------------------------------------
 def _single(sheet: Sheet) -> str | None:
     """The column that is time by itself."""
-    dated = [name for name in sheet.clocks if len(known := _known(sheet, name)) > 1 and np.ptp(known) > 0]
-    best = min(dated, key=lambda name: (sheet.clocks[name] == "day", sheet.names.index(name)), default=None)
+    dated = [
+        name for name in sheet.clocks if len(known := _known(sheet, name)) > 1 and np.ptp(known) > 0
+    ]
+    best = min(
+        dated, key=lambda name: (sheet.clocks[name] == "day", sheet.names.index(name)), default=None
+    )
     if best is not None and not _coarse(sheet, best):
         return best
     rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
-    falling = [name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)]
-    straying = [name for name in dict.fromkeys(sheet.names) if name not in (*rising, *falling) and _strays(sheet, name)]
+    falling = [
+        name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)
+    ]
+    straying = [
+        name
+        for name in dict.fromkeys(sheet.names)
+        if name not in (*rising, *falling) and _strays(sheet, name)
+    ]
     for names in (rising, falling, straying):
         for pattern in (TIME_NAME, _COUNTERS):
-            fits = [name for name in names if name not in dated and _called_so(sheet, name, pattern)]
+            fits = [
+                name for name in names if name not in dated and _called_so(sheet, name, pattern)
+            ]
             finer = [name for name in fits if not _coarse(sheet, name)]
             if best is not None and (pattern is _COUNTERS or not finer):
                 continue
@@ -141,13 +165,19 @@ def _coarse(sheet: Sheet, name: str) -> bool:
 
 
 def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
-    """A column of text called as time is, what it holds, and whether most of its cells are numbers or times."""
+    """A column of text called as time is, what it holds, and whether most of its cells are numbers
+    or times.
+    """
     for name, texts in sheet.texts.items():
         filled = [text for text in texts if text]
         if filled and sheet.header and TIME_NAME.search(_bare(last_of(sheet, name))):
             odd = next((text for text in filled if not is_value(text)), filled[0])[:40]
             most = 2 * sum(map(is_value, filled)) > len(filled)
-            return name, f"holds '{odd}'" + (" as well" if most else ", which is not read as time"), most
+            return (
+                name,
+                f"holds '{odd}'" + (" as well" if most else ", which is not read as time"),
+                most,
+            )
     one = next((name for name, form in sheet.clocks.items() if form != "day"), None)
     return None if one is None else (one, "holds one date only", False)
 
@@ -180,7 +210,9 @@ def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
 
 
 def _ticks_evenly(values: Array) -> bool:
-    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
+    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever
+    name.
+    """
     step = np.diff(values[np.isfinite(values)])
     usual = float(np.median(step))
     return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
@@ -200,9 +232,18 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
     if unit == "rows" and sheet.rate_hz is not None:
         line = f"time = {{ {keys[0]}, rate_hz = {sheet.rate_hz:g} }}   # it counts rows"
         stated = f"the lines above the table state {sheet.rate_hz:g} Hz"
-        return TimeFound((name,), "stated", f"{called.strip()} rises throughout and counts rows; {stated}", line, t)
+        return TimeFound(
+            (name,),
+            "stated",
+            f"{called.strip()} rises throughout and counts rows; {stated}",
+            line,
+            t,
+        )
     if unit == "rows":
-        line = f"time = {{ {keys[0]}, rate_hz = {RATE_HZ}, assumed = true }}   # it counts rows; UNKNOWN: their rate"
+        line = (
+            f"time = {{ {keys[0]}, rate_hz = {RATE_HZ}, assumed = true }}   # it counts rows; "
+            "UNKNOWN: their rate"
+        )
         return TimeFound((name,), "rows", f"{called.strip()} rises throughout; {why}", line, t)
     keys += [] if name in sheet.clocks else [f'unit = "{unit}"']
     moves, doubt = "rises throughout", ""
@@ -216,7 +257,9 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
         moves, doubt = treated.moves, treated.doubt
         keys += treated.keys
         t[np.isfinite(t)] = treated.seconds
-    keys += [key for key in _repeated(known) if not any(other.startswith("repeated") for other in keys)]
+    keys += [
+        key for key in _repeated(known) if not any(other.startswith("repeated") for other in keys)
+    ]
     calendar = name in sheet.clocks or float(np.abs(known).max()) * seconds > 1e8
     line = f"time = {{ {', '.join(keys)} }}"
     return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", line, t, calendar, doubt)
@@ -241,7 +284,9 @@ def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     values = _known(sheet, name)
     step = np.diff(values)
     usual = float(np.median(step[step > 0]))
-    stated = sheet.units.get(name) or unit_in_name(name, TIME) or time_unit(_bare(last_of(sheet, name)))
+    stated = (
+        sheet.units.get(name) or unit_in_name(name, TIME) or time_unit(_bare(last_of(sheet, name)))
+    )
     if stated in TIME:
         return stated, f"its unit {stated} is stated"
     if (counts := counts_of_roll(values, usual)) is not None:
@@ -268,7 +313,11 @@ def _of_pair(sheet: Sheet, names: tuple[str, str], units: tuple[str, str], why: 
         parts[1] = np.mod(parts[1], DAY)
     t = parts[0] * scales[0] + parts[1] * scales[1]
     keys = [f"columns = [{', '.join(cell(sheet, name) for name in names)}]"]
-    keys += [f'units = ["{units[0]}", "{units[1]}"]'] if units != ("s", "ns") and names[0] not in sheet.clocks else []
+    keys += (
+        [f'units = ["{units[0]}", "{units[1]}"]']
+        if units != ("s", "ns") and names[0] not in sheet.clocks
+        else []
+    )
     known = t[np.isfinite(t)]
     keys += _repeated(known)
     calendar = names[0] in sheet.clocks or bool(len(known)) and float(np.abs(known).max()) > 1e8
@@ -279,7 +328,9 @@ def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] 
     """A column of dates, and one of times of day."""
     days = [name for name, form in sheet.clocks.items() if form == "day"]
     dates = [
-        name for name, form in sheet.clocks.items() if form != "day" and not np.mod(_known(sheet, name), DAY).any()
+        name
+        for name, form in sheet.clocks.items()
+        if form != "day" and not np.mod(_known(sheet, name), DAY).any()
     ]
     if not days or not dates:
         return None
@@ -294,22 +345,40 @@ def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str
             continue
         for unit, pattern in _FRACTION.items():
             for name in sheet.names:
-                same = name != full and pattern.search(name) and pattern.sub("", name).lower() == stem.lower()
+                same = (
+                    name != full
+                    and pattern.search(name)
+                    and pattern.sub("", name).lower() == stem.lower()
+                )
                 if same and _completes(_known(sheet, full), _known(sheet, name), TIME[unit]):
-                    return (full, name), ("s", unit), f"'{full}' holds seconds and '{name}' their {unit}"
+                    return (
+                        (full, name),
+                        ("s", unit),
+                        f"'{full}' holds seconds and '{name}' their {unit}",
+                    )
     for full, name in zip(sheet.names, sheet.names[1:]):
         for unit in ("ns", "us", "ms"):
             one, two = _known(sheet, full), _known(sheet, name)
             if _completes(one, two, TIME[unit]) and _turns(one, two, TIME[unit]):
-                return (full, name), ("s", unit), f"column {full} holds seconds and column {name} their {unit}"
+                return (
+                    (full, name),
+                    ("s", unit),
+                    f"column {full} holds seconds and column {name} their {unit}",
+                )
     return None
 
 
 def _completes(full: Array, fraction: Array, seconds: float) -> bool:
-    """Whether two columns of integers are seconds that do not fall, and a fraction below one second."""
+    """Whether two columns of integers are seconds that do not fall, and a fraction below one
+    second.
+    """
     if len(full) != len(fraction) or len(full) < 2 or not (np.rint(full) == full).all():
         return False
-    if not (np.rint(fraction) == fraction).all() or fraction.min() < 0 or fraction.max() * seconds >= 1.0:
+    if (
+        not (np.rint(fraction) == fraction).all()
+        or fraction.min() < 0
+        or fraction.max() * seconds >= 1.0
+    ):
         return False
     return bool(_rises(full + fraction * seconds) and (np.diff(full) >= 0).mean() > 0.999)
 

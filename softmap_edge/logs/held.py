@@ -1,13 +1,14 @@
 """Samples that repeat because they are read more slowly than they are logged: found, said, undone.
 
-A held encoder lags by half its period on average; it is un-held by a straight line between the rows where a new
-value arrives. Longer stillness stays stillness: only gaps up to three typical holds are bridged, and nothing is done
-when the typical hold is over 0.25 s, for that is a robot at rest. Slow moves of a coarse encoder repeat as well, but
-without a beat: new values must be evenly spaced. Channels read in turn (a bus that asks one motor a row) are un-held
-one by one. A frame of markers that repeats the one before bit for bit is an old picture if the noise makes a repeat
-improbable (`chance.py`), or if new pictures come at a beat and move by more than the digits of the file. It is left
-out, unless it stays longer than 0.25 s. A resting finger with coarse digits repeats itself as well; its frames stay.
-Pinned by tests/logs/test_import_held.py and tests/logs/test_old_pictures.py.
+A held encoder lags by half its period on average; it is un-held by a straight line between the rows
+where a new value arrives. Longer stillness stays stillness: only gaps up to three typical holds are
+bridged, and nothing is done when the typical hold is over 0.25 s, for that is a robot at rest. Slow
+moves of a coarse encoder repeat as well, but without a beat: new values must be evenly spaced.
+Channels read in turn (a bus that asks one motor a row) are un-held one by one. A frame of markers
+that repeats the one before bit for bit is an old picture if the noise makes a repeat improbable
+(`chance.py`), or if new pictures come at a beat and move by more than the digits of the file. It is
+left out, unless it stays longer than 0.25 s. A resting finger with coarse digits repeats itself as
+well; its frames stay. Pinned by tests/logs/test_import_held.py and tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ _EVEN = 0.8  # of the gaps between new values lie within a row of a multiple of 
 
 @dataclass(frozen=True)
 class Held:
-    """What was held: the typical time between new values in s (0 when nothing was), the share of repeated rows."""
+    """What was held: the typical time between new values in s (0 when nothing was), the share of
+    repeated rows.
+    """
 
     hold_s: float = 0.0
     share: float = 0.0
@@ -40,7 +43,9 @@ class Held:
         return self.text()
 
     def text(self, beat: str | None = None) -> str:
-        """Return what was held, with the time between new values; `beat` stands for it in a log without time."""
+        """Return what was held, with the time between new values; `beat` stands for it in a log
+        without time.
+        """
         how = "each channel in turn " if self.in_turn else ""
         beat = beat or f"every {self.hold_s * 1e3:.0f} ms"
         return f"{100 * self.share:.0f} % of the rows repeat the one before (read {how}{beat})"
@@ -75,19 +80,24 @@ def unhold(t: Array, rows: Array) -> tuple[Array, Held]:
 
 
 def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, float]:
-    """The rows between which to draw lines, and the typical hold in s; None where nothing is held."""
+    """The rows between which to draw lines, and the typical hold in s; None where nothing is
+    held.
+    """
     if len(fresh) < 3 or len(fresh) > _FRESH * len(t):
         return None, 0.0
     gaps = np.diff(fresh)
     typical, hold = int(np.median(gaps)), float(np.median(np.diff(t[fresh])))
     if typical < 2 or hold > LONGEST_HOLD or not _on_a_beat(gaps):
         return None, 0.0
-    still = np.flatnonzero(gaps > 3 * typical)  # the value really stayed: keep it until one hold before the next
+    # the value really stayed: keep it until one hold before the next
+    still = np.flatnonzero(gaps > 3 * typical)
     return np.union1d(fresh, fresh[still + 1] - typical), hold
 
 
 def _on_a_beat(gaps: NDArray[np.int64]) -> bool:
-    """Whether new values come at the beat of a clock, and not as a slow move passes the steps of an encoder."""
+    """Whether new values come at the beat of a clock, and not as a slow move passes the steps of an
+    encoder.
+    """
     typical = int(np.median(gaps))
     slack = 0 if typical < 4 else 1  # of a beat of 3 rows every gap is within one
     return bool((np.abs(gaps - typical * np.rint(gaps / typical)) <= slack).mean() >= _EVEN)
@@ -100,8 +110,8 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
         t: (K,) s. points: (K, ...) coordinates, NaN where nothing was seen.
 
     Returns:
-        Two (K,) masks: old pictures of a hold of at most 0.25 s, and frames of longer stillness that only a camera that
-        stood still or a simulation explains.
+        Two (K,) masks: old pictures of a hold of at most 0.25 s, and frames of longer stillness
+        that only a camera that stood still or a simulation explains.
     """
     flat = points.reshape(len(points), -1)
     same = (flat[1:] == flat[:-1]) | (np.isnan(flat[1:]) & np.isnan(flat[:-1]))
@@ -118,14 +128,20 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
 
 
 def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
-    """Return whether many new pictures, at rows `first`, differ from those before by more than the digits."""
+    """Return whether many new pictures, at rows `first`, differ from those before by more than the
+    digits.
+    """
     digit = np.array([digit_of(column) for column in flat.T])
     moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0))) > DIGITS * digit
     return bool((moved & (digit > 0)).any(axis=1).mean() > 0.1)
 
 
-def _catches_up(flat: Array, first: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return of each row whether its picture, from `first` to `ends`, is followed by a longer move than usual."""
+def _catches_up(
+    flat: Array, first: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return of each row whether its picture, from `first` to `ends`, is followed by a longer move
+    than usual.
+    """
     moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0)))
     usual = np.quantile(moved, 0.9, axis=0) if len(moved) else np.zeros(flat.shape[1])
     far = (moved > CATCHES_UP * usual) & (usual > 0)

@@ -1,11 +1,13 @@
-"""Find markers that stand still to the last digit while the robot moves: a tracker that repeats the last place.
+"""Find markers that stand still to the last digit while the robot moves: a tracker that repeats the
+last place.
 
-A marker that repeats its place is compared with the other markers. Its place is predicted from each of them by least
-squares over the frames in which it is fresh. If its noise makes a repeat improbable (`chance`), each repeat
-counts in which another marker is fresh. If most predictions move on, far beyond their error and the digits of the
-file, the marker was lost. If all markers stand still together while the commands move, they were lost in a recording
-with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they were lost if
-they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
+A marker that repeats its place is compared with the other markers. Its place is predicted from each
+of them by least squares over the frames in which it is fresh. If its noise makes a repeat
+improbable (`chance`), each repeat counts in which another marker is fresh. If most predictions move
+on, far beyond their error and the digits of the file, the marker was lost. If all markers stand
+still together while the commands move, they were lost in a recording with noise: no sensor repeats
+its noise, but a simulation in a play does. In a recording without noise they were lost if they jump
+afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
 Limit: a marker that is lost while the robot rests is not found, which is harmless. Pinned by
 tests/logs/test_not_seen.py.
 """
@@ -48,7 +50,8 @@ def held_places(points: Array, u: Array | None) -> list[Held]:
     """Find the frames in which a marker was lost and its last place repeated.
 
     Args:
-        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None where unknown.
+        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None
+            where unknown.
     """
     if len(points) < 2:
         return []
@@ -59,7 +62,9 @@ def held_places(points: Array, u: Array | None) -> list[Held]:
 
 
 def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
-    """Yield the first repetition of each stretch of `least` or more (K,), and the frame after its last one."""
+    """Yield the first repetition of each stretch of `least` or more (K,), and the frame after its
+    last one.
+    """
     edges = np.flatnonzero(np.diff(np.r_[False, again, False].astype(int)))
     for first, end in edges.reshape(-1, 2):
         if end - first >= least:
@@ -78,14 +83,20 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
             yield Held(m, rows)
         return
     fresh = known[:, m] & ~again[:, m]
-    since = np.maximum.accumulate(np.where(again[:, m], 0, np.arange(len(points))))[rows]  # where each place is new
-    least = max(BEYOND * _digit(points[fresh, m]), MOVED * float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))))
+    # where each place is new
+    since = np.maximum.accumulate(np.where(again[:, m], 0, np.arange(len(points))))[rows]
+    least = max(
+        BEYOND * _digit(points[fresh, m]),
+        MOVED * float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))),
+    )
     votes = np.zeros(len(rows))
     for n in _others(known, again, m):
         predicted, error = _fitted(points[:, n], points[:, m], known[:, n], fresh)
         if predicted is not None:
             moved = np.linalg.norm(predicted[rows] - predicted[since], axis=1)
-            votes += np.where(moved > max(BEYOND * error, least), 1.0, np.where(np.isnan(moved), 0.0, -1.0))
+            votes += np.where(
+                moved > max(BEYOND * error, least), 1.0, np.where(np.isnan(moved), 0.0, -1.0)
+            )
     _, stretch = np.unique(since, return_inverse=True)
     share = np.bincount(stretch, votes > 0) / np.bincount(stretch)
     if (share > PART).any():
@@ -94,13 +105,17 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
 
 def _others(known: Mask, again: Mask, m: int) -> list[int]:
     """Return the nearest markers of the list that do not stand still whenever marker `m` does."""
-    order = [int(n) for n in np.argsort(np.abs(np.arange(known.shape[1]) - m), kind="stable") if n != m]
+    order = [
+        int(n) for n in np.argsort(np.abs(np.arange(known.shape[1]) - m), kind="stable") if n != m
+    ]
     both = (again & again[:, m : m + 1]).sum(axis=0)
     return [n for n in order if known[:, n].any() and both[n] < again[:, m].sum()][:OTHERS]
 
 
 def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Array | None, float]:
-    """Return places (K, D) by a linear fit to the columns (K, n) in fresh frames, and its RMS error; NaN elsewhere."""
+    """Return places (K, D) by a linear fit to the columns (K, n) in fresh frames, and its RMS
+    error; NaN elsewhere.
+    """
     fit = there & fresh
     if fit.sum() < ROWS * (columns.shape[1] + 1):
         return None, 0.0
@@ -114,7 +129,9 @@ def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Ar
 
 
 def _digit(places: Array) -> float:
-    """Return the step of the last digit of places (n, D): the least distance between two different numbers."""
+    """Return the step of the last digit of places (n, D): the least distance between two different
+    numbers.
+    """
     steps = [np.diff(np.unique(column)) for column in places.T]
     found = [float(step.min()) for step in steps if len(step)]
     return max(found, default=0.0)
@@ -123,35 +140,52 @@ def _digit(places: Array) -> float:
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:
     """Return where all visible markers stand still while the commands move.
 
-    In a recording without noise, the markers must also jump afterwards to where the commands have brought them.
+    In a recording without noise, the markers must also jump afterwards to where the commands have
+    brought them.
     """
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     frozen = np.asarray(again.any(axis=1) & (again | ~known).all(axis=1), np.bool_)
     if u is None or not frozen.any() or frozen[1:][~frozen[:-1]].mean() > SLOW:
         return []
-    stretches = [(a, b) for a, b in _runs(frozen, LEAST) if np.ptp(u[a - 1 : b], axis=0).max() > DRIVEN]
+    stretches = [
+        (a, b) for a, b in _runs(frozen, LEAST) if np.ptp(u[a - 1 : b], axis=0).max() > DRIVEN
+    ]
     if not stretches:
         return []
     if not _noisy(frozen, stretches, u):
         m = int(known.sum(axis=0).argmax())
         stretches = list(_jumped(points[:, m], known[:, m] & ~frozen, stretches, u))
     frames = np.array([k for a, b in stretches for k in range(a, b)], np.intp)
-    return [Held(int(m), frames[known[frames, m]]) for m in np.flatnonzero(known[frames].any(axis=0))]
+    return [
+        Held(int(m), frames[known[frames, m]]) for m in np.flatnonzero(known[frames].any(axis=0))
+    ]
 
 
 def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
-    """Whether the recording has noise: outside the stretches no picture repeats, nor while the commands stand still."""
+    """Whether the recording has noise: outside the stretches no picture repeats, nor while the
+    commands stand still.
+    """
     outside = np.ones(len(frozen), bool)
     for a, b in stretches:
         outside[a:b] = False
     outside[0] = False
     still = outside & (np.abs(np.diff(u, axis=0, prepend=u[:1])).max(axis=1) < 1e-6)
-    return bool(still.sum() >= 2 * LEAST and frozen[still].mean() <= NOISY and frozen[outside].mean() <= NOISY)
+    return bool(
+        still.sum() >= 2 * LEAST
+        and frozen[still].mean() <= NOISY
+        and frozen[outside].mean() <= NOISY
+    )
 
 
-def _jumped(places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Array) -> Iterator[tuple[int, int]]:
-    """Yield the stretches after which a marker (K, D) jumps to where the commands have brought it meanwhile."""
-    squares = np.column_stack([u, *(u[:, i] * u[:, j] for i in range(u.shape[1]) for j in range(i + 1))])
+def _jumped(
+    places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Array
+) -> Iterator[tuple[int, int]]:
+    """Yield the stretches after which a marker (K, D) jumps to where the commands have brought it
+    meanwhile.
+    """
+    squares = np.column_stack(
+        [u, *(u[:, i] * u[:, j] for i in range(u.shape[1]) for j in range(i + 1))]
+    )
     columns = squares if u.shape[1] <= SQUARES else u
     predicted, error = _fitted(columns, places, np.ones(len(u), bool), fresh)
     if predicted is None:
@@ -163,5 +197,7 @@ def _jumped(places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Arr
         if b < len(u) and fresh[b]:
             moved = predicted[b] - predicted[a - 1]
             jump = places[b] - places[a - 1]
-            if np.linalg.norm(moved) > least and np.linalg.norm(jump - moved) < 0.5 * np.linalg.norm(moved):
+            if np.linalg.norm(moved) > least and np.linalg.norm(
+                jump - moved
+            ) < 0.5 * np.linalg.norm(moved):
                 yield a, b

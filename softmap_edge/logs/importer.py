@@ -1,10 +1,10 @@
 """Turn the logs of any robot into a run by a small TOML mapping (columns, units, axes, rates).
 
-`read_mapping(path)` checks the mapping. `import_logs(paths, mapping)` returns the run, with a sentence for each change
-and for each suspicious finding.
-Several logs are joined by time. The rows of the log that holds the commands become the rows of the run. Other recorded
-signals are interpolated to their times; frames keep their own times. A row without a command is left out (commands are
-linear between rows); a cell without a value in another column is interpolated.
+`read_mapping(path)` checks the mapping. `import_logs(paths, mapping)` returns the run, with a
+sentence for each change and for each suspicious finding. Several logs are joined by time. The rows
+of the log that holds the commands become the rows of the run. Other recorded signals are
+interpolated to their times; frames keep their own times. A row without a command is left out
+(commands are linear between rows); a cell without a value in another column is interpolated.
 tests/test_import*.py pin all of it; docs/reference/mapping.md lists the keys.
 """
 
@@ -30,7 +30,13 @@ from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
-from softmap_edge.logs.plausible import doubts_of_both, doubts_of_frozen, doubts_of_rest, doubts_of_rows, doubts_of_time
+from softmap_edge.logs.plausible import (
+    doubts_of_both,
+    doubts_of_frozen,
+    doubts_of_rest,
+    doubts_of_rows,
+    doubts_of_time,
+)
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
@@ -47,7 +53,9 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, with a sentence for each change made, each suspicious finding, and each damage of its logs."""
+    """A run, with a sentence for each change made, each suspicious finding, and each damage of its
+    logs.
+    """
 
     run: Run
     notes: tuple[str, ...]
@@ -63,7 +71,8 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         mapping: from `read_mapping`.
 
     Raises:
-        RunError: a file, a column or a value does not fit the mapping; the message says what to change.
+        RunError: a file, a column or a value does not fit the mapping; the message says what to
+            change.
     """
     notes: list[str] = []
     doubts: list[str] = []
@@ -71,22 +80,38 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     notes += [note for part in parts for note in part.notes]
     mapping, logs = assign(parts, mapping)
     with named(parts):
-        tables = [read_log(one.path, log, open_parts(one.parts, log)) for one, log in zip(logs, mapping.logs)]
-    damage = tuple(dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage)))
+        tables = [
+            read_log(one.path, log, open_parts(one.parts, log))
+            for one, log in zip(logs, mapping.logs)
+        ]
+    damage = tuple(
+        dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage))
+    )
     for one, table in zip(logs, tables):
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
         doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if fields:
-        doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in _unused_time(table.names)]
+        doubts += [
+            f"{one.label}: {doubt}"
+            for one, table in zip(logs, tables)
+            for doubt in _unused_time(table.names)
+        ]
     else:
-        doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in doubts_of_time(table.t)]
+        doubts += [
+            f"{one.label}: {doubt}"
+            for one, table in zip(logs, tables)
+            for doubt in doubts_of_time(table.t)
+        ]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
     doubts += [] if t is None or "timeless" in fields else doubts_of_frozen(t, fields)
     t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
-        raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
+        raise RunError(
+            f"{mapping.path}: names neither commands nor markers nor outputs; give at least one "
+            "of them"
+        )
     doubts += [f"command: no column; {NO_COMMANDS}"] if t is None else []
     t = t_seen if t is None else t
     assert t is not None
@@ -107,40 +132,61 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     files = list(dict.fromkeys(part.path for one in logs for part in one.parts))
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in files]
-    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
+    extra = {
+        name: fields.pop(name)
+        for name in ("base_markers", "marker_labels", PLANE)
+        if name in fields
+    }
     extra |= _looked_for(mapping, fields) | _spool(mapping)
     extra |= {DAMAGE: np.array("; ".join(damage))} if damage else {}
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:
         name = str(fault).split(":")[0]
-        suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
+        # what is wrong in the mapping
+        suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
     return Imported(run, tuple(dict.fromkeys(notes)), tuple(doubts), damage)
 
 
 def _spool(mapping: Mapping) -> dict[str, Array]:
-    """Return the radius (mm) of the spools that turned angles into commands, for the run to keep; {} without one."""
+    """Return the radius (mm) of the spools that turned angles into commands, for the run to keep;
+    {} without one.
+    """
     commands = [log.rows["command"] for log in mapping.logs if "command" in log.rows]
-    radii = {one.spool_radius_mm for one in commands if one.unit in ANGLE and np.all(np.abs(one.scale) == 1.0)}
+    radii = {
+        one.spool_radius_mm
+        for one in commands
+        if one.unit in ANGLE and np.all(np.abs(one.scale) == 1.0)
+    }
     known = mapping.command_unit == "mm" and len(radii) == len({one.unit for one in commands}) == 1
     return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
 
 
 def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[np.generic]]:
-    """Return the field that marks the search for places that stand for "not seen" as done, or as switched off."""
+    """Return the field that marks the search for places that stand for "not seen" as done, or as
+    switched off.
+    """
     if "markers" not in fields:
         return {}
-    kept = any(seen is not None and seen.not_seen is None for log in mapping.logs for seen in (log.markers, log.output))
+    kept = any(
+        seen is not None and seen.not_seen is None
+        for log in mapping.logs
+        for seen in (log.markers, log.output)
+    )
     return {NOT_SEEN: np.array("keep" if kept else "checked")}
 
 
 def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
-    """Return the field of a run whose log has no time; raise RunError where times would have to be joined."""
+    """Return the field of a run whose log has no time; raise RunError where times would have to be
+    joined.
+    """
     if not any(log.clock.timeless for log in mapping.logs):
         return {}
     if len(mapping.logs) > 1:
-        raise RunError(f'{mapping.path}: time = "none" and {len(mapping.logs)} logs: only time could join them')
+        raise RunError(
+            f'{mapping.path}: time = "none" and {len(mapping.logs)} logs: only time could join them'
+        )
     asked = {
         "commands.rate_hz": mapping.command_rate_hz,
         "seen.rate_hz": mapping.seen_rate_hz,
@@ -154,20 +200,26 @@ def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
     named = [key for key, value in asked.items() if value is not None]
     if named:
         raise RunError(
-            f'{mapping.path}: {", ".join(named)} in a mapping with time = "none": a log without time has rows only; '
+            f'{mapping.path}: {", ".join(named)} in a mapping with time = "none": a log without '
+            "time has rows only; "
             "leave one of them out (from_row and to_row cut it, blocks.count divides it)"
         )
-    notes.append("the log has no time: rows count, and nothing about rates or delays can be learned from it")
+    notes.append(
+        "the log has no time: rows count, and nothing about rates or delays can be learned from it"
+    )
     return {"timeless": True}
 
 
 def _unused_time(names: Sequence[str]) -> list[str]:
-    """Return the doubt that a log which is declared to have no time has columns that are called as time is."""
+    """Return the doubt that a log which is declared to have no time has columns that are called as
+    time is.
+    """
     times = [name for name in names if is_time_name(name)]
     if not times:
         return []
     return [
-        f't: time = "none" is declared, but columns are called {listed(times, 4)}: they are not used, and nothing '
+        f't: time = "none" is declared, but columns are called {listed(times, 4)}: they are not '
+        "used, and nothing "
         "about rates or delays is identified; name one in `time` if it holds the time"
     ]
 
@@ -179,35 +231,52 @@ def _sha256(path: Path) -> str:
 
 # --- the rows of the run -------------------------------------------------------------------
 def _command_rows(
-    tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str], doubts: list[str]
+    tables: list[LogTable],
+    mapping: Mapping,
+    fields: dict[str, Any],
+    notes: list[str],
+    doubts: list[str],
 ) -> Array | None:
     """The times of the commands; `fields` gets everything that is sampled at them."""
     owners = [k for k, log in enumerate(mapping.logs) if {"command", "ticks"} & set(log.rows)]
     if len(owners) > 1:
-        raise RunError(f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them only")
+        raise RunError(
+            f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them "
+            "only"
+        )
     t: Array | None = None
     for k in owners:
-        goals = [quantity for name, quantity in mapping.logs[k].rows.items() if name in ("command", "ticks")]
+        goals = [
+            quantity
+            for name, quantity in mapping.logs[k].rows.items()
+            if name in ("command", "ticks")
+        ]
         rows = np.hstack([tables[k].numbers(quantity.columns) for quantity in goals])
         given = np.asarray(np.isfinite(rows).all(axis=1))
         if not given.any():
             raise RunError(
-                f"{tables[k].path}: no row has all commands; name in `command` the columns of one publisher, which "
-                "stand in one row"
+                f"{tables[k].path}: no row has all commands; name in `command` the columns of one "
+                "publisher, which stand in one row"
             )
         if not given.all():
-            notes.append(f"{int((~given).sum())} of {len(given)} rows have no command and were left out")
+            notes.append(
+                f"{int((~given).sum())} of {len(given)} rows have no command and were left out"
+            )
         t = tables[k].t[given]
     for k, log in enumerate(mapping.logs):
         for name, quantity in log.rows.items():
-            own, values = _filled(name, tables[k], counted_on(name, tables[k], quantity, notes, doubts))
+            own, values = _filled(
+                name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
+            )
             doubts += doubts_of_rows(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":
                 values, held = unhold(own, values)
                 if held.hold_s:
                     beat = f"every {held.hold_s / ROW_S:.0f} rows" if "timeless" in fields else None
-                    notes.append(f"{name}: {held.text(beat)}: un-held by straight lines between new values")
+                    notes.append(
+                        f"{name}: {held.text(beat)}: un-held by straight lines between new values"
+                    )
                 elif quantity.held == "unhold":
                     notes.append(f"{name}: no held samples found")
             column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)
@@ -217,18 +286,23 @@ def _command_rows(
                 fields[name] = np.rint(column) if "ticks" in name else column
     if t is None and set(fields) - {"timeless"}:
         raise RunError(
-            f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` or `ticks` as well"
+            f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` "
+            "or `ticks` as well"
         )
     return t
 
 
 def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
-    """The rows that have a value in some column, and in them every value: absent ones lie on the line between."""
+    """The rows that have a value in some column, and in them every value: absent ones lie on the
+    line between.
+    """
     some = np.asarray(np.isfinite(values).any(axis=1))
     empty = np.asarray(~np.isfinite(values).any(axis=0))
     if empty.any():
         column = int(np.argmax(empty)) + 1
-        raise RunError(f"{table.path}: {name}: its column {column} holds no value at all; leave it out")
+        raise RunError(
+            f"{table.path}: {name}: its column {column} holds no value at all; leave it out"
+        )
     t = table.t
     if not some.all():
         t, values = t[some], values[some]
@@ -274,7 +348,8 @@ def _resample_commands(
     count = (t[-1] - t[0]) * mapping.command_rate_hz
     if count > 50_000_000:
         raise RunError(
-            f"{mapping.path}: commands.rate_hz = {mapping.command_rate_hz:g} gives {count:.0f} rows; give a lower rate"
+            f"{mapping.path}: commands.rate_hz = {mapping.command_rate_hz:g} gives {count:.0f} "
+            "rows; give a lower rate"
         )
     regular = np.arange(t[0], t[-1] + 1e-9, 1.0 / mapping.command_rate_hz)
     for name in ("command", "ticks", "present", "present_ticks", "current", "temperature", "load"):
@@ -283,43 +358,59 @@ def _resample_commands(
             rows = _interpolate(regular, t, column.reshape(len(t), -1))
             rows = np.rint(rows) if "ticks" in name else rows
             fields[name] = rows if column.ndim == 2 else rows[:, 0]
-    notes.append(f"commands resampled from {len(t)} rows to {len(regular)} at {mapping.command_rate_hz:g} Hz")
+    notes.append(
+        f"commands resampled from {len(t)} rows to {len(regular)} at {mapping.command_rate_hz:g} Hz"
+    )
     return regular, fields
 
 
 def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -> Array:
-    """Return the times of the frames on the clock of the commands, corrected as the mapping states."""
+    """Return the times of the frames on the clock of the commands, corrected as the mapping
+    states.
+    """
     if mapping.fast_ppm == 0.0 and mapping.clock_step is None:
         return t_seen
     start, step = float(t[0]), mapping.clock_step
     if step is not None and mapping.zero_time:  # `check` counts from the first command
         step = (step[0] + start, step[1])
     moved = corrected(t_seen, start, mapping.fast_ppm, step)
-    notes.append(f"the clock of the frames is corrected by up to {float(np.abs(moved - t_seen).max()):.4g} s")
+    notes.append(
+        f"the clock of the frames is corrected by up to {float(np.abs(moved - t_seen).max()):.4g} s"
+    )
     return moved
 
 
 def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
-    """Take the markers' places at rest from a stretch of the log in which the robot is known to be straight."""
+    """Take the markers' places at rest from a stretch of the log in which the robot is known to be
+    straight.
+    """
     if mapping.marker_rest_s is None:
         return
     low, high = mapping.marker_rest_s
     if mapping.marker_rest_mm is not None or fields.get("markers") is None:
         raise RunError(
-            f"{mapping.path}: marker_rest_s needs markers, and marker_rest_mm gives the same; leave marker_rest_s out"
+            f"{mapping.path}: marker_rest_s needs markers, and marker_rest_mm gives the same; "
+            "leave marker_rest_s out"
         )
     straight = np.asarray(fields["markers"])[(t_seen >= low) & (t_seen <= high)]
     known = np.isfinite(straight).all(axis=2)
     if not len(straight) or not known.any(axis=0).all():
         raise RunError(
-            f"{mapping.path}: marker_rest_s = [{low:g}, {high:g}]: {len(straight)} frames, and some marker is not seen "
-            f"in them; the log is seen from {t_seen[0]:g} to {t_seen[-1]:g} s"
+            f"{mapping.path}: marker_rest_s = [{low:g}, {high:g}]: {len(straight)} frames, and "
+            f"some marker is not seen in them; the log is seen from {t_seen[0]:g} to "
+            f"{t_seen[-1]:g} s"
         )
-    fields["marker_rest"] = np.where(known[..., None], straight, 0.0).sum(axis=0) / known.sum(axis=0)[:, None]
-    notes.append(f"markers at rest: where they were from {low:g} to {high:g} s ({len(straight)} frames)")
+    fields["marker_rest"] = (
+        np.where(known[..., None], straight, 0.0).sum(axis=0) / known.sum(axis=0)[:, None]
+    )
+    notes.append(
+        f"markers at rest: where they were from {low:g} to {high:g} s ({len(straight)} frames)"
+    )
 
 
-def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]) -> None:
+def _constants(
+    files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]
+) -> None:
     fields |= {"robot": mapping.robot, "command_unit": mapping.command_unit}
     fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
     if mapping.marker_rest_mm is not None:
@@ -327,7 +418,11 @@ def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], note
         if PLANE in fields:
             fields["marker_rest"][:, AXES.index(str(fields[PLANE]))] = 0.0
     grams = next(
-        (g for pattern, g in mapping.load_g if any(fnmatch.fnmatch(path.name, pattern) for path in files)),
+        (
+            g
+            for pattern, g in mapping.load_g
+            if any(fnmatch.fnmatch(path.name, pattern) for path in files)
+        ),
         None,
     )
     if grams is not None and mapping.declare_load:
@@ -336,5 +431,6 @@ def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], note
         fields["load"] = np.asarray(grams)
     elif grams:
         notes.append(
-            f"a load of {grams:g} g is known to the mapping but not declared in the run (declare_load = false)"
+            f"a load of {grams:g} g is known to the mapping but not declared in the run "
+            "(declare_load = false)"
         )

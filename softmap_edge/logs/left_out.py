@@ -1,4 +1,6 @@
-"""Choose the log that holds the markers, and name the columns that a proposed mapping leaves out, with the reason."""
+"""Choose the log that holds the markers, and name the columns that a proposed mapping leaves out,
+with the reason.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,19 @@ def no_place(log: str, one: LeftOut) -> str:
 
 def no_role(log: str, one: LeftOut) -> str:
     """Return the remark on columns of a log that are left out."""
-    return f"what {listed(one.columns, _NAMED)} of {log} are: they look like {one.why}, and are left out"
+    return (
+        f"what {listed(one.columns, _NAMED)} of {log} are: they look like {one.why}, and are left "
+        "out"
+    )
 
 
 def worth(pair: tuple[Triples, Sheet]) -> tuple[int, bool, int]:
     """Return what decides which log holds the markers: places in space, that move, and many."""
     places = pair[0].places
     flat = [name for one in places for name in one]
-    moving = any(len(np.unique(values[np.isfinite(values)])) > 1 for values in map(pair[1].column, flat))
+    moving = any(
+        len(np.unique(values[np.isfinite(values)])) > 1 for values in map(pair[1].column, flat)
+    )
     return len(places) and len(places[0]), moving, len(places)
 
 
@@ -33,7 +40,10 @@ def by_reason(left: list[tuple[Sheet, LeftOut]]) -> list[tuple[Sheet, LeftOut]]:
     """Return columns that were left out, with all quaternions of a log together."""
     found: list[tuple[Sheet, LeftOut]] = []
     for sheet, one in left:
-        k = next((k for k, (other, last) in enumerate(found) if other is sheet and last.why == one.why), None)
+        k = next(
+            (k for k, (other, last) in enumerate(found) if other is sheet and last.why == one.why),
+            None,
+        )
         if k is None or len(one.columns) != 4:
             found.append((sheet, one))
         else:

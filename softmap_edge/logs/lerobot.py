@@ -1,9 +1,9 @@
 """Read the metadata of LeRobot: `meta/info.json` of a dataset, and the calibration of an arm.
 
-A dataset holds many episodes of one robot in Parquet files; its info names the elements of `action` and
-`observation.state`. A calibration lists the raw ticks that each motor may take. It holds no length, so it is no
-calibration of a tendon, and it is explained instead of used. Reference: LeRobot's dataset format v2.1 and v3.0,
-`MotorCalibration`.
+A dataset holds many episodes of one robot in Parquet files; its info names the elements of `action`
+and `observation.state`. A calibration lists the raw ticks that each motor may take. It holds no
+length, so it is no calibration of a tendon, and it is explained instead of used. Reference:
+LeRobot's dataset format v2.1 and v3.0, `MotorCalibration`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from softmap_edge.errors import RunError, brief
 from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
-    "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "
-    "the arm's calibration turns the latter into ticks (docs/reference/mapping.md)"
+    "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 "
+    "to 100); the arm's calibration turns the latter into ticks (docs/reference/mapping.md)"
 )
 INFO = Path("meta") / "info.json"
 _SIZE = 2**24  # bytes of an info
@@ -55,12 +55,16 @@ def dataset_files(folder: Path) -> list[Path]:
     """
     files = sorted((folder / "data").glob("chunk-*/*.parquet"))
     if not files:
-        raise RunError(f"{folder}: is a LeRobot dataset without data/chunk-*/*.parquet; download its data as well")
+        raise RunError(
+            f"{folder}: is a LeRobot dataset without data/chunk-*/*.parquet; download its data as "
+            "well"
+        )
     return files
 
 
 def info_near(path: Path) -> Info | None:
-    """Return the info of the dataset that a Parquet file belongs to: two folders above data/chunk-000/.
+    """Return the info of the dataset that a Parquet file belongs to: two folders above
+    data/chunk-000/.
 
     Raises:
         RunError: it is there, and cannot be read.
@@ -78,10 +82,14 @@ def read_info(path: Path) -> Info:
     """
     try:
         if path.stat().st_size > _SIZE:
-            raise RunError(f"{path}: {path.stat().st_size} bytes, at most {_SIZE} are read; download it again")
+            raise RunError(
+                f"{path}: {path.stat().st_size} bytes, at most {_SIZE} are read; download it again"
+            )
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); download it again") from cause
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); download it again"
+        ) from cause
     except (ValueError, RecursionError) as fault:
         raise RunError(f"{path}: is no JSON ({brief(fault)}); download it again") from None
     features = document.get("features") if isinstance(document, dict) else None
@@ -89,12 +97,20 @@ def read_info(path: Path) -> Info:
         raise RunError(f"{path}: has no `features`; expected the info of a LeRobot dataset")
     fps = document.get("fps")
     known = isinstance(fps, int | float) and not isinstance(fps, bool) and 1e-3 <= fps <= 1e5
-    names = {name: found for name, feature in list(features.items())[:_MOST] if (found := _names(feature))}
-    return Info(str(document.get("codebase_version", ""))[:20], float(fps) if known else None, names)
+    names = {
+        name: found
+        for name, feature in list(features.items())[:_MOST]
+        if (found := _names(feature))
+    }
+    return Info(
+        str(document.get("codebase_version", ""))[:20], float(fps) if known else None, names
+    )
 
 
 def _names(feature: object) -> list[str]:
-    """Return the names of the elements of a feature: a list, or a list in a table (`{"motors": […]}`)."""
+    """Return the names of the elements of a feature: a list, or a list in a table (`{"motors":
+    […]}`).
+    """
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         lists = [value for value in names.values() if isinstance(value, list)]
@@ -106,24 +122,33 @@ def _names(feature: object) -> list[str]:
 
 # --- calibration ---------------------------------------------------------------------------
 def explained(document: object) -> str | None:
-    """Return an explanation of a calibration of LeRobot and how to use it; None for another document."""
+    """Return an explanation of a calibration of LeRobot and how to use it; None for another
+    document.
+    """
     if not isinstance(document, dict) or not 0 < len(document) <= _MOST:
         return None
-    motors = {str(name): motor for name, motor in document.items() if isinstance(motor, dict) and motor.keys() >= _KEYS}
+    motors = {
+        str(name): motor
+        for name, motor in document.items()
+        if isinstance(motor, dict) and motor.keys() >= _KEYS
+    }
     if len(motors) != len(document):
         return None
     each = listed((_motor(name, motor) for name, motor in motors.items()), _SHOWN)
     first = next(iter(motors.values()))
     return (
-        f"is the calibration of a LeRobot arm, no log: {each}. It holds the ticks that each motor may "
-        "take, not how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the "
-        "mapping by "
-        f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap model calibrate` finds their mm"
+        f"is the calibration of a LeRobot arm, no log: {each}. It holds the ticks that each motor "
+        "may take, not how many mm a tick moves. Import the dataset itself; values from -100 to "
+        f"100 become ticks in the mapping by ticks = {{ columns = [ONE], {_line(first)} }} of "
+        "each motor, and `softmap model calibrate` finds their mm"
     )
 
 
 def _motor(name: str, motor: dict[str, Any]) -> str:
-    return f"{name[:20]} (id {_short(motor['id'])}, {_short(motor['range_min'])} to {_short(motor['range_max'])})"
+    return (
+        f"{name[:20]} (id {_short(motor['id'])}, {_short(motor['range_min'])} to "
+        f"{_short(motor['range_max'])})"
+    )
 
 
 def _short(value: object) -> str:

@@ -1,7 +1,8 @@
-"""The mapping file of an import: which column is what, in which unit, frame and rate; read and checked.
+"""The mapping file of an import: which column is what, in which unit, frame and rate; read and
+checked.
 
-Every key is known: a misspelt one is named with those that exist. docs/reference/mapping.md lists them;
-examples/trunk.toml shows the form.
+Every key is known: a misspelt one is named with those that exist. docs/reference/mapping.md lists
+them; examples/trunk.toml shows the form.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.toml import TomlTable, shown
-from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, not_seen_of, per_column
+from softmap_edge.logs.measured import (
+    Column,
+    Measured,
+    columns_of,
+    measured_of,
+    not_seen_of,
+    per_column,
+)
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
@@ -73,7 +81,8 @@ class Quantity:
     swaps: str = "report"
     not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
     axes: int = 3  # of a marker: 2 in a plane
-    unwrap: Array | None = None  # (columns,) the turn after which each rolls over, in the unit of the log
+    # (columns,) the turn after which each rolls over, in the unit of the log
+    unwrap: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -120,11 +129,15 @@ class Mapping:
     marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
-    fast_ppm: float = 0.0  # by how much the clock of the frames runs fast against that of the commands
-    clock_step: tuple[float, float] | None = None  # s: when the clock of the frames is set, and by how much
+    # by how much the clock of the frames runs fast against that of the commands
+    fast_ppm: float = 0.0
+    # s: when the clock of the frames is set, and by how much
+    clock_step: tuple[float, float] | None = None
 
     def to_base(self, points: Array) -> Array:
-        """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes turned."""
+        """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes
+        turned.
+        """
         shifted = points - self.origin_mm
         return np.stack([sign * shifted[..., axis] for axis, sign in self.axes], axis=-1)
 
@@ -139,7 +152,8 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
     try:
         if path.stat().st_size > _SIZE:
             raise RunError(
-                f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the mapping, not the log"
+                f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the "
+                "mapping, not the log"
             )
         return parse_mapping(path.read_bytes().decode("utf-8"), path)
     except OSError as cause:
@@ -159,7 +173,9 @@ def parse_mapping(text: str, path: Path) -> Mapping:
     try:
         document = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as cause:
-        raise RunError(f"{path}: is not a TOML file ({brief(cause)}); examples/trunk.toml shows the form") from cause
+        raise RunError(
+            f"{path}: is not a TOML file ({brief(cause)}); examples/trunk.toml shows the form"
+        ) from cause
     return _mapping(path, TomlTable(document, str(path)))
 
 
@@ -168,7 +184,8 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
     schema = top.get("schema", (str,), "")
     if schema != SCHEMA:
         raise RunError(
-            f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in the first line"
+            f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in "
+            "the first line"
         )
     unit = top.get("command_unit", (str,), "mm")
     logs = top.get("log", (list,), [])
@@ -192,7 +209,9 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         robot=top.get("robot", (str,)),
         command_unit=unit,
         zero_time=bool(top.get("zero_time", (bool,), False)),
-        logs=tuple(_log(TomlTable(log, f"{path}: log {k + 1}"), unit) for k, log in enumerate(logs)),
+        logs=tuple(
+            _log(TomlTable(log, f"{path}: log {k + 1}"), unit) for k, log in enumerate(logs)
+        ),
         axes=_axes(frame),
         origin_mm=np.zeros(3) if origin is None else origin,
         command_rate_hz=commands.number("rate_hz", None, 1e-3, 1e5),
@@ -222,7 +241,9 @@ def _stretch(constant: TomlTable) -> tuple[float, float] | None:
         return None
     low, high = map(float, limits)
     if not low <= high:
-        raise RunError(f"{constant.where}: marker_rest_s = [{low:g}, {high:g}]: it ends before it begins")
+        raise RunError(
+            f"{constant.where}: marker_rest_s = [{low:g}, {high:g}]: it ends before it begins"
+        )
     return low, high
 
 
@@ -240,7 +261,8 @@ def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
     signs = [(-1 if str(name).startswith("-") else 1, str(name).lstrip("+-")) for name in names]
     if sorted(letter for _, letter in signs) != ["x", "y", "z"]:
         raise RunError(
-            f"{frame.where}: axes = {str(names)[:60]}, expected each of x, y, z once, with - where it is turned round"
+            f"{frame.where}: axes = {str(names)[:60]}, expected each of x, y, z once, with - "
+            "where it is turned round"
         )
     axes = tuple(("xyz".index(letter), sign) for sign, letter in signs)
     matrix = np.zeros((3, 3))
@@ -248,7 +270,8 @@ def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
         matrix[row, axis] = sign
     if np.linalg.det(matrix) < 0:
         raise RunError(
-            f"{frame.where}: axes = {str(names)[:60]} mirror the robot; turn one sign round or swap two axes"
+            f"{frame.where}: axes = {str(names)[:60]} mirror the robot; turn one sign round or "
+            "swap two axes"
         )
     return axes
 
@@ -260,12 +283,17 @@ def _log(table: TomlTable, command_unit: str) -> Log:
     markers, base = (rows.pop(name, None) for name in POINTS)
     delimiter = table.get("delimiter", (str,))
     if delimiter is not None and (len(delimiter) != 1 or delimiter in '\r\n"'):
-        raise RunError(f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab")
+        raise RunError(
+            f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or "
+            "; or a tab"
+        )
     log = Log(
         file=table.get("file", (str,)),
         topic=table.get("topic", (str,)),
         delimiter=delimiter,
-        decimal=table.choice("decimal", (".", ","), ".") if "decimal" in table.values else table.get("decimal", (str,)),
+        decimal=table.choice("decimal", (".", ","), ".")
+        if "decimal" in table.values
+        else table.get("decimal", (str,)),
         header=bool(table.get("header", (bool,), True)),
         skip_rows=table.integer("skip_rows", 0, 0, 10**9) or 0,
         skip_last_rows=table.integer("skip_last_rows", 0, 0, 10**9) or 0,
@@ -280,11 +308,19 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         to_row=table.integer("to_row", None, 0, 10**9),
     )
     if log.decimal == "," and log.delimiter == ",":
-        raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
+        raise RunError(
+            f"{table.where}: comma is both delimiter and decimal; the file cannot be read so"
+        )
     if log.output is not None and (markers is not None or base is not None):
-        raise RunError(f"{table.where}: output and markers: a run holds outputs or places; make two runs of them")
+        raise RunError(
+            f"{table.where}: output and markers: a run holds outputs or places; make two runs of "
+            "them"
+        )
     if markers is not None and base is not None and markers.axes != base.axes:
-        raise RunError(f"{table.where}: markers have {markers.axes} columns each, base {base.axes}; give both alike")
+        raise RunError(
+            f"{table.where}: markers have {markers.axes} columns each, base {base.axes}; give "
+            "both alike"
+        )
     if (log.block is not None or base is not None) and markers is None and log.output is None:
         what = "block labels belong" if base is None else "base markers belong"
         raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
@@ -298,15 +334,25 @@ def _column(table: TomlTable, key: str) -> Column | None:
 
 def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
-    points = ("not_seen", "labels", "swaps") if name == "markers" else ("not_seen",) if name in POINTS else ()
+    points = (
+        ("not_seen", "labels", "swaps")
+        if name == "markers"
+        else ("not_seen",)
+        if name in POINTS
+        else ()
+    )
     table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
-    sizes = {len(e) if isinstance(e, list) else 0 for e in listed} if isinstance(listed, list) else set()
+    sizes = (
+        {len(e) if isinstance(e, list) else 0 for e in listed}
+        if isinstance(listed, list)
+        else set()
+    )
     axes = 2 if sizes == {2} else 3
     if name in POINTS and (len(flat) % axes or not sizes <= {0, axes}):
         raise RunError(
-            f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …], or x, y of '
-            'each in a plane: [["x1", "y1"], …]'
+            f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", '
+            '"z1"], …], or x, y of each in a plane: [["x1", "y1"], …]'
         )
     if name in ("temperature", "load") and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
@@ -314,14 +360,20 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     allowed = UNITS[name] if own in UNITS[name] else (*UNITS[name], own)
     unit = table.choice("unit", allowed, FILE if name in POINTS else own)
     radius = table.number("spool_radius_mm", None, 1e-3, 1e4)
-    if name in ("command", "present") and command_unit == "mm" and unit not in LENGTH and radius is None:
+    if (
+        name in ("command", "present")
+        and command_unit == "mm"
+        and unit not in LENGTH
+        and radius is None
+    ):
         raise RunError(
             f"{table.where}: unit {unit} and command_unit mm need spool_radius_mm; "
             f'without one set command_unit = "{unit}"'
         )
     if name in ("command", "present") and command_unit == "mm" and unit == "ticks":
         raise RunError(
-            f"{table.where}: ticks are kept as ticks; call the columns `{'present_' * (name == 'present')}ticks`"
+            f"{table.where}: ticks are kept as ticks; call the columns "
+            f"`{'present_' * (name == 'present')}ticks`"
         )
     if (
         name in ("command", "present")
@@ -329,7 +381,10 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         and unit != command_unit
         and {unit, command_unit} != set(ANGLE)
     ):
-        raise RunError(f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in one unit")
+        raise RunError(
+            f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in "
+            "one unit"
+        )
     return Quantity(
         columns=tuple(flat),
         unit=unit,
@@ -338,7 +393,9 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,
         labels=_labels(table, name, flat, axes),
-        swaps=table.choice("swaps", ("report", "mend"), "report") if name == "markers" else "report",
+        swaps=table.choice("swaps", ("report", "mend"), "report")
+        if name == "markers"
+        else "report",
         not_seen=not_seen_of(table) if name in POINTS else (),
         axes=axes if name in POINTS else 1,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
@@ -349,7 +406,10 @@ def _unwrap(table: TomlTable, count: int) -> Array:
     """Return the turn of each column."""
     turns = per_column(table, "unwrap", count, 0.0)
     if not (np.isfinite(turns) & (turns > 0)).all():
-        raise RunError(f"{table.where}: unwrap = {shown(table.values['unwrap'])}, expected the size of a turn: 4096")
+        raise RunError(
+            f"{table.where}: unwrap = {shown(table.values['unwrap'])}, expected the size of a "
+            "turn: 4096"
+        )
     return turns
 
 
@@ -368,15 +428,24 @@ def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tu
     given = table.get("labels", (list,))
     if given is not None:
         if len(given) != count or not all(isinstance(label, str) for label in given):
-            raise RunError(f"{table.where}: labels = {shown(given)}, expected {count} texts, one for each marker")
+            raise RunError(
+                f"{table.where}: labels = {shown(given)}, expected {count} texts, one for each "
+                "marker"
+            )
         return tuple(given)
-    return tuple(_label([str(column) for column in columns[axes * k : axes * (k + 1)]], k) for k in range(count))
+    return tuple(
+        _label([str(column) for column in columns[axes * k : axes * (k + 1)]], k)
+        for k in range(count)
+    )
 
 
 def _label(triple: list[str], k: int) -> str:
     """What three names share once their x, y, z is taken out: x1, y1, z1 are marker 1."""
     for turned in (False, True):  # x at the end, or the x in front
-        cut = [re.sub(r"[xX]|[yY]|[zZ]", "", name[::-1] if turned else name, count=1) for name in triple]
+        cut = [
+            re.sub(r"[xX]|[yY]|[zZ]", "", name[::-1] if turned else name, count=1)
+            for name in triple
+        ]
         shared = (cut[0][::-1] if turned else cut[0]).strip(" ._-:")
         if len(set(cut)) == 1 and shared:
             return f"marker {shared}" if shared.isdigit() else shared

@@ -1,4 +1,5 @@
-"""The part of a mapping that names outputs other than places (force, angle, level), and the names of columns.
+"""The part of a mapping that names outputs other than places (force, angle, level), and the names
+of columns.
 
 Pinned by tests/run/test_output.py.
 """
@@ -20,7 +21,9 @@ Column = str | int
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of outputs other than places (force, angle, level): value · scale + offset, in `unit`."""
+    """Columns of outputs other than places (force, angle, level): value · scale + offset, in
+    `unit`.
+    """
 
     columns: tuple[Column, ...]
     names: tuple[str, ...]
@@ -43,7 +46,10 @@ def measured_of(log: TomlTable) -> Measured | None:
     columns = columns_of(table)
     names = table.get("names", (list,), [str(column) for column in columns])
     if len(names) != len(columns) or not all(isinstance(name, str) for name in names):
-        raise RunError(f"{table.where}: names = {shown(names)}, expected {len(columns)} texts, one for each column")
+        raise RunError(
+            f"{table.where}: names = {shown(names)}, expected {len(columns)} texts, one for each "
+            "column"
+        )
     unit = table.get("unit", (str,), "")
     if not unit:
         raise RunError(f'{table.where}: unit is missing; say what the numbers are: unit = "N"')
@@ -66,7 +72,10 @@ def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
     given = table.get("not_seen", (str, list), "auto")
     if isinstance(given, str):
         if given not in ("auto", "keep"):
-            raise RunError(f"{table.where}: not_seen = '{given[:60]}', expected auto, keep or a list of numbers")
+            raise RunError(
+                f"{table.where}: not_seen = '{given[:60]}', expected auto, keep or a list of "
+                "numbers"
+            )
         return () if given == "auto" else None
     numbers = table.numbers("not_seen", (None,))
     assert numbers is not None
@@ -80,9 +89,16 @@ def columns_of(table: TomlTable) -> list[Any]:
         RunError: there are none, or one is no name and no number.
     """
     listed = table.get("columns", (list,), [])
-    flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
-    if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
-        raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
+    flat: list[Any] = [
+        cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])
+    ]
+    if not flat or not all(
+        isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat
+    ):
+        raise RunError(
+            f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or "
+            "numbers"
+        )
     return flat
 
 

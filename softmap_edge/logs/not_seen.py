@@ -1,18 +1,19 @@
 """Find places that stand for "not seen": constants that a tracker writes for a marker that it lost.
 
-Many exporters write a lost marker as 0, 0, 0, as −1, −1, −1 or as 9999.99, or repeat its last place (`held_places`). A
-real marker repeats a place only where the robot rests. A place of a marker that moves counts as not seen if
+Many exporters write a lost marker as 0, 0, 0, as −1, −1, −1 or as 9999.99, or repeat its last place
+(`held_places`). A real marker repeats a place only where the robot rests. A place of a marker that
+moves counts as not seen if
 
     marked    its three numbers are equal (0, 0, 0), or it repeats to the last digit, and
     alone     it lies far from every other place of the marker, or
     jumps     the marker jumps to it and away, farther than it ever moves between two frames, or
-    driven    it stays the same while a command crosses half of its range, and no other place repeats
+    driven  it stays the same while a command crosses half of its range, and no other place repeats
 
-One coordinate may stand for "not seen" alone (`one_coordinate`).
-A place that only repeats, with three different numbers, needs `alone` and one of the others. A marker that is alone at
-rest, under one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
-Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames.
-Pinned by tests/logs/test_not_seen.py.
+One coordinate may stand for "not seen" alone (`one_coordinate`). A place that only repeats, with
+three different numbers, needs `alone` and one of the others. A marker that is alone at rest, under
+one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
+Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames. Pinned
+by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ APART = 0.25  # of the extent of its other places, likewise; of a number, its co
 JUMPS = 2.0  # of the longest of its other steps
 DRIVEN = 0.5  # of the range of a command: more than a play
 DISTINCT = 0.9  # share of the other places that occur once: a sensor with noise repeats none
-AT_REST, NEAR = 0.05, 0.1  # of the range of each command: one command, and a command nearly the same
+# of the range of each command: one command, and a command nearly the same
+AT_REST, NEAR = 0.05, 0.1
 STEEP = 3.0  # of the extent of a marker for the range of a command: no marker moves farther
 MOST = 3  # repeated places of one marker that are tested
 MARKS = 10  # places of three equal numbers, likewise
@@ -65,22 +67,31 @@ class Lost:
     coordinates: tuple[Coordinate, ...] = ()
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
-        """Return a sentence for each place that stands for "not seen", and one for places that are held."""
+        """Return a sentence for each place that stands for "not seen", and one for places that are
+        held.
+        """
         count = len(self.mask)
         lines = []
         for place in dict.fromkeys(one.place for one in self.constants):
             ones = [one for one in self.constants if one.place == place]
             frames = np.unique(np.concatenate([one.frames for one in ones]))
-            where = f"({', '.join(f'{x + 0.0:.10g}' for x in place)})" if len(place) > 1 else f"{place[0]:.10g}"
+            where = (
+                f"({', '.join(f'{x + 0.0:.10g}' for x in place)})"
+                if len(place) > 1
+                else f"{place[0]:.10g}"
+            )
             named = _named([(labels[one.marker], len(one.frames)) for one in ones])
-            lines.append(f"{len(frames)} of {count} frames at exactly {where} are taken as not seen: {named}; {remedy}")
+            lines.append(
+                f"{len(frames)} of {count} frames at exactly {where} are taken as not seen: "
+                f"{named}; {remedy}"
+            )
         for number, axis in dict.fromkeys((one.number, one.axis) for one in self.coordinates):
             same = [one for one in self.coordinates if (one.number, one.axis) == (number, axis)]
             frames = np.unique(np.concatenate([one.frames for one in same]))
             named = _named([(labels[one.marker], len(one.frames)) for one in same])
             lines.append(
-                f"{len(frames)} of {count} frames with {NAMES[axis]} at exactly {number + 0.0:.10g} are taken as not "
-                f"seen: {named}; {remedy}"
+                f"{len(frames)} of {count} frames with {NAMES[axis]} at exactly "
+                f"{number + 0.0:.10g} are taken as not seen: {named}; {remedy}"
             )
         if self.held:
             frames = np.unique(np.concatenate([one.frames for one in self.held]))
@@ -88,8 +99,9 @@ class Lost:
             for one in self.held:
                 each[labels[one.marker]] = each.get(labels[one.marker], 0) + len(one.frames)
             lines.append(
-                f"{len(frames)} of {count} frames repeat the last place of a marker to the last digit while the robot "
-                f"moves, and are taken as not seen: {_named(list(each.items()))}; {remedy}"
+                f"{len(frames)} of {count} frames repeat the last place of a marker to the last "
+                "digit while the robot moves, and are taken as not seen: "
+                f"{_named(list(each.items()))}; {remedy}"
             )
         return lines
 
@@ -103,7 +115,8 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
     """Find the points that stand for "not seen".
 
     Args:
-        points: (K, M, D) places as the file has them, in order of time, NaN where nothing was seen; D = 1 for outputs.
+        points: (K, M, D) places as the file has them, in order of time, NaN where nothing was seen;
+            D = 1 for outputs.
         commands: (K, C) at these frames, in any unit; None where nothing is known of them.
     """
     shown = np.array(points, float)
@@ -124,13 +137,18 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
 
 
 def declared(points: Array, numbers: Sequence[float]) -> Lost:
-    """Return the points (K, M, D) whose numbers all equal one of those that a mapping declares as not seen."""
+    """Return the points (K, M, D) whose numbers all equal one of those that a mapping declares as
+    not seen.
+    """
     mask, found = np.zeros(points.shape[:2], bool), []
     for number in numbers:
         at = np.asarray((points == number).all(axis=2))
         mask |= at
         place = (float(number),) * points.shape[2]
-        found += [Constant(int(m), place, np.flatnonzero(at[:, m])) for m in np.flatnonzero(at.any(axis=0))]
+        found += [
+            Constant(int(m), place, np.flatnonzero(at[:, m]))
+            for m in np.flatnonzero(at.any(axis=0))
+        ]
     return Lost(mask, tuple(found))
 
 
@@ -154,18 +172,24 @@ def _constants(places: Array, u: Array | None, only_marked: bool) -> Iterator[ND
     marked = _marked(distinct, count)
     if len(distinct) < 2 or (only_marked and not marked.any()):
         return
-    candidates = np.flatnonzero(marked).tolist() + ([] if only_marked else _repeated(distinct, count))
+    candidates = np.flatnonzero(marked).tolist() + (
+        [] if only_marked else _repeated(distinct, count)
+    )
     lost = np.zeros(len(distinct), bool)
     for k in dict.fromkeys(candidates):
         rest = ~marked & ~lost
         rest[k] = False
-        if rest.any() and _stands_for_lost(_Seen(own, distinct, which, count, drive), k, rest, bool(marked[k]), lost):
+        if rest.any() and _stands_for_lost(
+            _Seen(own, distinct, which, count, drive), k, rest, bool(marked[k]), lost
+        ):
             lost[k] = True
             yield seen[which == k]
 
 
 def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the distinct places of (n, D) in order, which of them each row is, and how often each is there."""
+    """Return the distinct places of (n, D) in order, which of them each row is, and how often each
+    is there.
+    """
     order = np.lexsort(own.T[::-1])
     new = np.r_[True, (own[order[1:]] != own[order[:-1]]).any(axis=1)]
     which = np.empty(len(own), np.intp)
@@ -174,7 +198,9 @@ def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
-    """Return which distinct places (n, D) are three equal numbers, if they are few; the commonest of them."""
+    """Return which distinct places (n, D) are three equal numbers, if they are few; the commonest
+    of them.
+    """
     marked = (distinct == distinct[:, :1]).all(axis=1) & (distinct.shape[1] > 1)
     if marked.sum() > MARKS:
         rare = np.flatnonzero(marked)[np.argsort(-count[marked], kind="stable")[MARKS:]]
@@ -183,16 +209,23 @@ def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
 
 
 def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
-    """Return which places (n, D) occur more than once: those farthest from the middle, and those that occur most."""
+    """Return which places (n, D) occur more than once: those farthest from the middle, and those
+    that occur most.
+    """
     several = np.flatnonzero(count > 1)
     away = np.linalg.norm(places[several] - np.median(places, axis=0), axis=1)
-    far, often = np.argsort(-away, kind="stable")[:MOST], np.argsort(-count[several], kind="stable")[:MOST]
+    far, often = (
+        np.argsort(-away, kind="stable")[:MOST],
+        np.argsort(-count[several], kind="stable")[:MOST],
+    )
     return [int(k) for k in dict.fromkeys([*several[far], *several[often]])]
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """The places (n, D) of a marker, the distinct ones, which each row is and how often each is there; the commands."""
+    """The places (n, D) of a marker, the distinct ones, which each row is and how often each is
+    there; the commands.
+    """
 
     own: Array
     distinct: Array
@@ -202,7 +235,9 @@ class _Seen:
 
 
 def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) -> bool:
-    """Return whether distinct place `k` is no place, compared with the distinct places `rest`; `lost` are no places."""
+    """Return whether distinct place `k` is no place, compared with the distinct places `rest`;
+    `lost` are no places.
+    """
     at, u = seen.which == k, seen.drive
     driven = u is not None and at.sum() > 2 and bool(np.ptp(u[at], axis=0).max() > DRIVEN)
     total = int(seen.count[rest].sum())
@@ -225,12 +260,16 @@ def _alone(here: Array, places: Array) -> bool:
     apart = np.linalg.norm(some[:, None] - some[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     usual = float(np.quantile(apart.min(axis=1), 0.95))
-    extent = float(np.linalg.norm(np.quantile(places, 0.95, axis=0) - np.quantile(places, 0.05, axis=0)))
+    extent = float(
+        np.linalg.norm(np.quantile(places, 0.95, axis=0) - np.quantile(places, 0.05, axis=0))
+    )
     return away > ALONE * usual and away > (APART if places.shape[1] > 1 else 1.0) * extent
 
 
 def _jumps(own: Array, at: Mask, others: Mask) -> bool:
-    """Whether a marker (n, D) comes to the place `at` and leaves it only by steps longer than all its other steps."""
+    """Whether a marker (n, D) comes to the place `at` and leaves it only by steps longer than all
+    its other steps.
+    """
     step = np.linalg.norm(np.diff(own, axis=0), axis=1)
     usual = step[others[1:] & others[:-1]]
     into = (at[1:] & others[:-1]) | (at[:-1] & others[1:])
@@ -240,11 +279,15 @@ def _jumps(own: Array, at: Mask, others: Mask) -> bool:
 
 
 def _rests(own: Array, u: Array, at: Mask, others: Mask) -> bool:
-    """Whether the frames `at` may be a robot at rest: under one command, near which no frame has a place far away."""
+    """Whether the frames `at` may be a robot at rest: under one command, near which no frame has a
+    place far away.
+    """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST or not others.any():
         return False
     rest, off = own[others], np.abs(u[others] - middle).max(axis=1)
-    extent = float(np.linalg.norm(np.quantile(rest, 0.95, axis=0) - np.quantile(rest, 0.05, axis=0)))
+    extent = float(
+        np.linalg.norm(np.quantile(rest, 0.95, axis=0) - np.quantile(rest, 0.05, axis=0))
+    )
     away = np.linalg.norm(rest - own[at][0], axis=1)
     return not bool(((off < NEAR) & (away > (STEEP * off + AT_REST) * extent)).any())

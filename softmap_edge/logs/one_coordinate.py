@@ -1,8 +1,10 @@
-"""Find places with one coordinate that stands for "not seen", such as the depth 0 or 65535 of a depth camera.
+"""Find places with one coordinate that stands for "not seen", such as the depth 0 or 65535 of a
+depth camera.
 
-Such a number is the same to the last digit in several frames, and lies farther from all other numbers of the coordinate
-than these reach. The marker jumps to it and away, or it is not the place of a robot at rest. The other coordinates may
-go on, as a pixel does without depth. Pinned by tests/logs/test_one_coordinate.py.
+Such a number is the same to the last digit in several frames, and lies farther from all other
+numbers of the coordinate than these reach. The marker jumps to it and away, or it is not the place
+of a robot at rest. The other coordinates may go on, as a pixel does without depth. Pinned by
+tests/logs/test_one_coordinate.py.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ NAMES = "xyz"
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A number that stands for "not seen": coordinate `axis` of marker `marker` is `number` in `frames` (n,)."""
+    """A number that stands for "not seen": coordinate `axis` of marker `marker` is `number` in
+    `frames` (n,).
+    """
 
     marker: int
     axis: int
@@ -40,7 +44,8 @@ def lost_coordinates(points: Array, u: Array | None) -> list[Coordinate]:
     """Find the coordinates that stand for "not seen".
 
     Args:
-        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None where unknown.
+        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None
+            where unknown.
     """
     found = []
     for axis in range(points.shape[2]) if points.shape[2] > 1 else ():
@@ -61,27 +66,39 @@ def _candidates(part: Array) -> list[float]:
     return [float(x) for x in several[np.argsort(-away, kind="stable")[:MOST]]]
 
 
-def _of_markers(part: Array, number: float, u: Array | None) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield the markers of one coordinate (K, M) for which a number stands for "not seen", and their frames."""
+def _of_markers(
+    part: Array, number: float, u: Array | None
+) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield the markers of one coordinate (K, M) for which a number stands for "not seen", and
+    their frames.
+    """
     for m in np.flatnonzero((part == number).any(axis=0)):
         at, known = part[:, m] == number, np.isfinite(part[:, m])
         others = part[known & ~at, m]
         if len(others) < LEAST or len(np.unique(others)) < MOVES:
             continue
         far = np.abs(others - number).min() > FAR * float(np.ptp(others))
-        if far and _jumps(part[known, m], at[known]) and not (u is not None and _rests(u, at, known & ~at)):
+        if (
+            far
+            and _jumps(part[known, m], at[known])
+            and not (u is not None and _rests(u, at, known & ~at))
+        ):
             yield int(m), np.flatnonzero(at)
 
 
 def _jumps(numbers: Array, at: Mask) -> bool:
-    """Return whether a coordinate (n,) comes to its number and leaves it by steps longer than all others."""
+    """Return whether a coordinate (n,) comes to its number and leaves it by steps longer than all
+    others.
+    """
     step = np.abs(np.diff(numbers))
     usual, into = step[~at[1:] & ~at[:-1]], step[at[1:] != at[:-1]]
     return bool(len(usual) and len(into) and into.min() > STEPS * usual.max())
 
 
 def _rests(u: Array, at: Mask, others: Mask) -> bool:
-    """Return whether the robot may rest there: under one command, and it is elsewhere under other commands only."""
+    """Return whether the robot may rest there: under one command, and it is elsewhere under other
+    commands only.
+    """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST:
         return False

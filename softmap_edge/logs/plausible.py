@@ -1,9 +1,11 @@
-"""Says when numbers do not look like what a mapping declares: wrong units, a frame that is not the base frame.
+"""Says when numbers do not look like what a mapping declares: wrong units, a frame that is not the
+base frame.
 
-Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a robot of 3 mm to 3 m,
-0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range tells (cm for mm, a scale of 2) is not
-found. The robot's rest axis is z of the base frame by definition, so markers that run along another axis at rest mean a
-y-up log or swapped axes. Pinned by tests/logs/test_import_doubts.py.
+Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a
+robot of 3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range
+tells (cm for mm, a scale of 2) is not found. The robot's rest axis is z of the base frame by
+definition, so markers that run along another axis at rest mean a y-up log or swapped axes. Pinned
+by tests/logs/test_import_doubts.py.
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ Array = NDArray[np.float64]
 ROBOT = (3.0, 3000.0)  # mm: what all markers together span
 TENDON = (0.2, 300.0)  # mm: the largest command
 _USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: what a proposed unit must give
-HALF_TURN, TURNS = 3.2, 25.0  # rad: degrees are rarely below the one, radians rarely beyond the other
+# rad: degrees are rarely below the one, radians rarely beyond the other
+HALF_TURN, TURNS = 3.2, 25.0
 _HOME = 0.1  # of the largest command: nearer than this the robot is taken to be at rest
-_STILL_ROWS, _CROSSED = 20, 0.5  # rows of a reading that stands still, and of the range of a command meanwhile
+# rows of a reading that stands still, and of the range of a command meanwhile
+_STILL_ROWS, _CROSSED = 20, 0.5
 _SAMPLE = 20_000  # frames looked at
 _LETTERS = "xyz"
 
@@ -33,14 +37,22 @@ def doubts_of_time(t: Array) -> list[str]:
     largest = float(np.abs(t).max()) if len(t) else 0.0
     for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
         if largest > limit:
-            return [f't: up to {largest:.4g} s looks like {unit} since 1970: set time.unit = "{unit}"']
+            return [
+                f't: up to {largest:.4g} s looks like {unit} since 1970: set time.unit = "{unit}"'
+            ]
     if len(t) < 20:
         return []
     step = float(np.median(np.diff(t)))
     if step >= 5.0:
-        return [f't: rows are {step:.4g} s apart, which looks like ms: set time.unit = "ms" unless a pose took so long']
+        return [
+            f't: rows are {step:.4g} s apart, which looks like ms: set time.unit = "ms" unless a '
+            "pose took so long"
+        ]
     if step < 2e-5:
-        return [f't: rows are {step:.3g} s apart, faster than any robot is logged: set time.unit = "s" or another']
+        return [
+            f"t: rows are {step:.3g} s apart, faster than any robot is logged: set time.unit = "
+            '"s" or another'
+        ]
     return []
 
 
@@ -61,7 +73,13 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
         guess = "deg"
     elif name == "temperature":
         middle = float(np.median(finite))
-        guess = "K" if unit == "degC" and middle > 150 else "degC" if unit == "K" and middle < 150 else None
+        guess = (
+            "K"
+            if unit == "degC" and middle > 150
+            else "degC"
+            if unit == "K" and middle < 150
+            else None
+        )
     elif name == "current":
         guess = "A" if unit == "mA" and peak < 10 else "mA" if unit == "A" and peak > 100 else None
     elif name == "load" and unit == "g" and peak < 0.5:
@@ -73,7 +91,9 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
 
 
 def doubts_of_both(fields: dict[str, Any]) -> list[str]:
-    """Say whether commands and encoders are in two units: their ranges are 57.3 or 1000 times apart."""
+    """Say whether commands and encoders are in two units: their ranges are 57.3 or 1000 times
+    apart.
+    """
     command, present = fields.get("command"), fields.get("present")
     if command is None or present is None or command.shape[1] != present.shape[1]:
         return []
@@ -85,37 +105,48 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
         for times in (factor, 1.0 / factor):
             if abs(ratio / times - 1.0) < 0.25:
                 return [
-                    f"present: moves {ratio:.3g} times as far as command, which looks like {what}: set unit of each"
+                    f"present: moves {ratio:.3g} times as far as command, which looks like "
+                    f"{what}: set unit of each"
                 ]
     return []
 
 
 def doubts_of_frozen(t: Array, fields: dict[str, Any]) -> list[str]:
-    """Name readings of drives that repeat to the last digit while a command crosses much of its range.
+    """Name readings of drives that repeat to the last digit while a command crosses much of its
+    range.
 
     Args:
         t: (T,) s, of the rows. fields: the fields of the run, with an entry for each row.
     """
-    given = next((np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None)
+    given = next(
+        (np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None
+    )
     doubts: list[str] = []
     for name in ("present", "present_ticks", "current") if given is not None and given.size else ():
         rows = np.asarray(fields.get(name, np.zeros((0, 0))), float)
         for c in range(rows.shape[1]):
             assert given is not None
-            own = given[:, c : c + 1] if rows.shape[1] == given.shape[1] and name != "current" else given
+            own = (
+                given[:, c : c + 1]
+                if rows.shape[1] == given.shape[1] and name != "current"
+                else given
+            )
             found = _frozen(rows[:, c], own) if len(np.unique(rows[:, c])) > 1 else None
             if found is not None:
                 first, end = found
                 doubts.append(
-                    f"{name}: column {c + 1} repeats to the last digit in rows {first} to {end - 1} ({t[first]:.6g} to "
-                    f"{t[end - 1]:.6g} s) while a command crosses {100 * _CROSSED:.0f} % of its range or more: the "
-                    "reading was lost, or the servo is blocked; cut the log there with from_row and to_row"
+                    f"{name}: column {c + 1} repeats to the last digit in rows {first} to "
+                    f"{end - 1} ({t[first]:.6g} to {t[end - 1]:.6g} s) while a command crosses "
+                    f"{100 * _CROSSED:.0f} % of its range or more: the reading was lost, or the "
+                    "servo is blocked; cut the log there with from_row and to_row"
                 )
     return doubts
 
 
 def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
-    """Return the longest stretch (first row, row after the last) in which a column (T,) stands still and should not."""
+    """Return the longest stretch (first row, row after the last) in which a column (T,) stands
+    still and should not.
+    """
     edges = np.flatnonzero(np.r_[True, np.diff(column) != 0, True])
     span = np.ptp(commands, axis=0)
     k = int(np.argmax(np.diff(edges)))
@@ -127,7 +158,9 @@ def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
 
 
 def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[str]:
-    """Say whether points (K, M, 3) of a key `name`, converted to mm from `unit`, are no robot's size."""
+    """Say whether points (K, M, 3) of a key `name`, converted to mm from `unit`, are no robot's
+    size.
+    """
     sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
     sample = sample[np.isfinite(sample).all(axis=1)]
     if len(sample) < 2:
@@ -139,13 +172,21 @@ def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[st
         return []
     guess = _length(span / LENGTH[unit], "robot")
     if guess is None or guess == unit:
-        return [f'{name}: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
-    return [f'{name}: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
+        return [
+            f'{name}: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, '
+            "unit and scale"
+        ]
+    return [
+        f'{name}: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = '
+        f'"{guess}"'
+    ]
 
 
 def _length(number: float, what: str) -> str | None:
     low, high = _USUAL[what]
-    return next((unit for unit in ("mm", "m", "um", "cm") if low <= number * LENGTH[unit] <= high), None)
+    return next(
+        (unit for unit in ("mm", "m", "um", "cm") if low <= number * LENGTH[unit] <= high), None
+    )
 
 
 # --- the frame -----------------------------------------------------------------------------
@@ -165,23 +206,28 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
     if along[2] < 0.5:
         log_axis, sign = mapping.axes[k]
         towards = ("-" if along[k] < 0 else "") + _LETTERS[k]
-        axes = ", ".join(f'"{axis}"' for axis in axes_for(log_axis, sign * (-1 if along[k] < 0 else 1)))
+        axes = ", ".join(
+            f'"{axis}"' for axis in axes_for(log_axis, sign * (-1 if along[k] < 0 else 1))
+        )
         doubts.append(
-            f"markers: at rest they run along {towards} of the base frame, but the robot's axis is z by definition, "
-            f"which looks like a y-up log or swapped axes: set frame.axes = [{axes}]"
+            f"markers: at rest they run along {towards} of the base frame, but the robot's axis "
+            "is z by definition, which looks like a y-up log or swapped axes: set frame.axes = "
+            f"[{axes}]"
         )
     length = float(np.linalg.norm(rest[-1] - rest[0]))
     far = float(np.linalg.norm(rest[0]))
     if len(rest) > 1 and start is None and far > 5 * length:
         doubts.append(
-            f"markers: the first is {far:.4g} mm from the origin of the base frame and only {length:.4g} mm from the "
-            "last: set frame.origin_mm to the place of the clamp"
+            f"markers: the first is {far:.4g} mm from the origin of the base frame and only "
+            f"{length:.4g} mm from the last: set frame.origin_mm to the place of the clamp"
         )
     return doubts
 
 
 def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
-    """Whether markers (M, 3) sit close together, up the z axis of a clamp whose place is given: a plate at the tip."""
+    """Whether markers (M, 3) sit close together, up the z axis of a clamp whose place is given: a
+    plate at the tip.
+    """
     rest = rest[np.isfinite(rest).all(axis=1)]
     middle = rest.mean(axis=0)
     away = float(np.linalg.norm(middle))
@@ -216,10 +262,11 @@ def _middle(points: Array) -> Array:
 
 
 def rest_axis(rest: Array, base: Array | None) -> Array | None:
-    """Return the unit vector (3,) along which a robot lies, from markers (M, 3) listed base first; None if unknown.
+    """Return the unit vector (3,) along which a robot lies, from markers (M, 3) listed base first;
+    None if unknown.
 
-    From the base (3,) to the middle of the markers where a base is known, else from the first to the last of an
-    elongated set, else from the origin to a single marker.
+    From the base (3,) to the middle of the markers where a base is known, else from the first to
+    the last of an elongated set, else from the origin to a single marker.
     """
     rest = rest[np.isfinite(rest).all(axis=1)]
     if len(rest) == 0:
@@ -238,7 +285,9 @@ def rest_axis(rest: Array, base: Array | None) -> Array | None:
 
 
 def axes_for(axis: int, sign: int) -> list[str]:
-    """Return `frame.axes` that makes the log's axis `axis`, turned by `sign`, the robot's z; right-handed."""
+    """Return `frame.axes` that makes the log's axis `axis`, turned by `sign`, the robot's z;
+    right-handed.
+    """
     z, x = np.zeros(3), np.zeros(3)
     z[axis] = sign
     x[0 if axis else 1] = 1.0

@@ -1,7 +1,9 @@
-"""Find where a clock was set, back or forward: time falls or leaps, and the values go on as if no time had passed.
+"""Find where a clock was set, back or forward: time falls or leaps, and the values go on as if no
+time had passed.
 
-Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps as well, but the
-robot rests before or after it, or is elsewhere. Pinned by tests/logs/test_clock.py.
+Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps
+as well, but the robot rests before or after it, or is elsewhere. Pinned by
+tests/logs/test_clock.py.
 """
 
 from __future__ import annotations
@@ -16,12 +18,15 @@ from softmap_edge.logs.readers.columns import Array
 Rows = NDArray[np.int64]
 
 LONG = 3.0  # usual steps: a fall of a clock that was set is longer
-LEAP = 50.0  # times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was set
+# times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was
+# set
+LEAP = 50.0
 LEAST_LEAP = 1.0  # s, likewise
 NEAR = 20  # rows on either side that show how far values move from row to row
 ON = 3.0  # usual moves: the mean over moving columns of one that goes on
 APART = 8.0, 0.02  # usual moves, and the range of a column: a value that does not go on
-MOVING = 7.0  # by which two halves of `NEAR` rows differ, in usual moves, times the square root of the rows
+# by which two halves of `NEAR` rows differ, in usual moves, times the square root of the rows
+MOVING = 7.0
 
 
 @dataclass(frozen=True)
@@ -60,13 +65,16 @@ def set_back(t: Array, values: Array) -> Jump | None:
     usual = usual_step(t)
     if not all(-step[k - 1] > LONG * usual and not _soon_reached(t, int(k), usual) for k in rows):
         return None
-    if any(returns(step, int(k), float(-step[k - 1])) or goes_on(values, int(k)) is False for k in rows):
+    if any(
+        returns(step, int(k), float(-step[k - 1])) or goes_on(values, int(k)) is False for k in rows
+    ):
         return None
     return Jump(rows, step[rows - 1], None)
 
 
 def set_forward(t: Array, values: Array) -> Jump | None:
-    """Return the leaps of a clock that was set: the values move, and go on as if no time had passed; else None.
+    """Return the leaps of a clock that was set: the values move, and go on as if no time had
+    passed; else None.
 
     Args:
         t: (rows,) s. values: (rows, columns) without those of time.
@@ -96,13 +104,17 @@ def _soon_reached(t: Array, row: int, usual: float) -> bool:
 
 
 def returns(step: Array, row: int, size: float) -> bool:
-    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a stamp of 0."""
+    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a
+    stamp of 0.
+    """
     near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
     return bool(near) and max(near) > 0.5 * size
 
 
 def goes_on(values: Array, row: int) -> bool | None:
-    """Return whether values (rows, columns) go on from the row before to `row`; None if nothing moves there."""
+    """Return whether values (rows, columns) go on from the row before to `row`; None if nothing
+    moves there.
+    """
     first, last = max(row - NEAR, 0), min(row + NEAR, len(values))
     before, after = values[first:row], values[row:last]
     moves = np.abs(np.r_[np.diff(before, axis=0), np.diff(after, axis=0)])
@@ -127,7 +139,9 @@ def _span(values: Array) -> Array:
 
 
 def _moves(side: Array, usual: Array) -> NDArray[np.bool_]:
-    """Return which columns (rows, columns) move steadily: their halves differ by more than noise."""
+    """Return which columns (rows, columns) move steadily: their halves differ by more than
+    noise.
+    """
     half = len(side) // 2
     if half < 2:
         return np.zeros(side.shape[1], np.bool_)

@@ -1,14 +1,17 @@
-"""Find frames in which a list of markers gets shorter, so that columns show the neighbour of their marker.
+"""Find frames in which a list of markers gets shorter, so that columns show the neighbour of their
+marker.
 
-Trackers without labels write the markers that they see one after the other. If one is lost, all later columns move up
-and the last column is empty, or repeats the one before. In other lists the first column is empty. In such a log the
-markers that are seen always fill the first columns, or the last ones. Two markers at one place to the last digit are
-one measurement, unless they come as near to each other as the digits of the file.
+Trackers without labels write the markers that they see one after the other. If one is lost, all
+later columns move up and the last column is empty, or repeats the one before. In other lists the
+first column is empty. In such a log the markers that are seen always fill the first columns, or the
+last ones. Two markers at one place to the last digit are one measurement, unless they come as near
+to each other as the digits of the file.
 
-In a frame with all markers the columns are right. From it, each next frame is matched in order, with the least total
-distance to the last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance
-between the two. Two columns of one place whose marker is not clear are both not seen.
-Limit: frames so far apart that markers move farther are not tested. Pinned by tests/logs/test_shifted.py.
+In a frame with all markers the columns are right. From it, each next frame is matched in order,
+with the least total distance to the last places; a marker counts as found in another column if it
+moved by at most `CLEAR` of the distance between the two. Two columns of one place whose marker is
+not clear are both not seen. Limit: frames so far apart that markers move farther are not tested.
+Pinned by tests/logs/test_shifted.py.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ from softmap_edge.files.printable import listed
 Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
-CLEAR = 0.3  # of the distance between two markers: what a marker may have moved when it is found in another column
+# of the distance between two markers: what a marker may have moved when it is found in another
+# column
+CLEAR = 0.3
 NEAR = 10.0  # digits of the file: markers that come nearer to each other may round to one place
 NOWHERE = -1  # a column that repeats the place of another
 MOST = 64  # markers of a list: matching takes their square
@@ -33,7 +38,9 @@ _LISTED = 5
 
 @dataclass(frozen=True)
 class Shifted:
-    """Which marker each column shows: `shows` (K, M), the column's own number where it is right, else `NOWHERE`."""
+    """Which marker each column shows: `shows` (K, M), the column's own number where it is right,
+    else `NOWHERE`.
+    """
 
     shows: Whole
 
@@ -56,14 +63,15 @@ class Shifted:
         moved = self.wrong & (self.shows != NOWHERE)
         if moved.any():
             lines.append(
-                f"{int(moved.any(axis=1).sum())} of {len(moved)} frames list fewer markers, and a column shows the "
-                f"neighbour of its marker: {_named(moved, labels)}; {remedy}"
+                f"{int(moved.any(axis=1).sum())} of {len(moved)} frames list fewer markers, and a "
+                f"column shows the neighbour of its marker: {_named(moved, labels)}; {remedy}"
             )
         twice = self.shows == NOWHERE
         if twice.any():
             lines.append(
-                f"{int(twice.any(axis=1).sum())} of {len(twice)} frames give two markers one place to the last digit, "
-                f"which is one measurement: {_named(twice, labels)} taken as not seen"
+                f"{int(twice.any(axis=1).sum())} of {len(twice)} frames give two markers one "
+                f"place to the last digit, which is one measurement: {_named(twice, labels)} "
+                "taken as not seen"
             )
         return lines
 
@@ -88,8 +96,12 @@ def find_shifted(points: Array) -> Shifted | None:
     column, seen = np.arange(count), np.asarray(np.isfinite(points).all(axis=2))
     number, first = seen.sum(axis=1), _first_of(points)
     twice = np.asarray((first != column).any(axis=1))
-    listed = (seen == (column < number[:, None])).all() or (seen == (column >= count - number[:, None])).all()
-    doubtful: NDArray[np.bool_] = np.asarray(twice | (listed & (number > 0) & (number < count)), np.bool_)
+    listed = (seen == (column < number[:, None])).all() or (
+        seen == (column >= count - number[:, None])
+    ).all()
+    doubtful: NDArray[np.bool_] = np.asarray(
+        twice | (listed & (number > 0) & (number < count)), np.bool_
+    )
     full = np.flatnonzero((number == count) & ~twice)
     if not doubtful.any() or not (len(full) or twice.any()):
         return None
@@ -103,19 +115,25 @@ def find_shifted(points: Array) -> Shifted | None:
 
 
 def _first_of(points: Array) -> Whole:
-    """Return the first column (K, M) with the same place to the last digit; its own number where no other has it."""
+    """Return the first column (K, M) with the same place to the last digit; its own number where no
+    other has it.
+    """
     count = points.shape[1]
     first = np.tile(np.arange(count), (len(points), 1))
     for b in range(1, count):
         same = (points[:, :b] == points[:, b : b + 1]).all(axis=2)
         for a in np.flatnonzero(same.any(axis=0)):
             if _apart(points[:, a], points[:, b], same[:, a]):
-                first[:, b] = np.where(same[:, a], np.minimum(first[:, b], first[:, a]), first[:, b])
+                first[:, b] = np.where(
+                    same[:, a], np.minimum(first[:, b], first[:, a]), first[:, b]
+                )
     return first
 
 
 def _apart(one: Array, other: Array, same: NDArray[np.bool_]) -> bool:
-    """Return whether two markers (K, D) are elsewhere too far from each other to round to one place."""
+    """Return whether two markers (K, D) are elsewhere too far from each other to round to one
+    place.
+    """
     away = np.linalg.norm(one - other, axis=1)[~same]
     away = away[np.isfinite(away)]
     steps = [np.diff(np.unique(np.r_[a, b])) for a, b in zip(one.T, other.T)]
@@ -133,16 +151,25 @@ def _follow(
 ) -> None:
     """Write which marker each column of each frame shows, beginning with a frame of all markers."""
     last = np.full(points.shape[1:], np.nan)
-    before: tuple[Whole, Whole] | None = None  # the columns of the frame before, and the markers that they show
+    # the columns of the frame before, and the markers that they show
+    before: tuple[Whole, Whole] | None = None
     for k in frames:
         columns = _one_of_each(points[k], last, first[k], seen[k])
         if not len(columns):
             continue
         if doubtful[k]:
-            own = before[1] if before is not None and np.array_equal(before[0], columns) else columns
+            own = (
+                before[1] if before is not None and np.array_equal(before[0], columns) else columns
+            )
             away = np.linalg.norm(points[k, columns][:, None] - last[None], axis=2)
             markers = _matched(away, last, own)
-            _write(shows[k], first[k], columns, markers, _clear_groups(away, last, first[k], columns, markers))
+            _write(
+                shows[k],
+                first[k],
+                columns,
+                markers,
+                _clear_groups(away, last, first[k], columns, markers),
+            )
             before = columns, markers
         else:
             before = columns, columns
@@ -151,7 +178,9 @@ def _follow(
 
 
 def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]) -> Whole:
-    """Return one column for each place (M, D): of those that repeat it, the one whose marker was nearest to it."""
+    """Return one column for each place (M, D): of those that repeat it, the one whose marker was
+    nearest to it.
+    """
     column = np.arange(len(last))
     if (first == column).all():
         return np.flatnonzero(seen)
@@ -160,13 +189,19 @@ def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]
     return np.array(sorted(group[away[group].argmin()] for group in groups), np.intp)
 
 
-def _clear_groups(away: Array, last: Array, first: Whole, columns: Whole, markers: Whole) -> list[bool]:
+def _clear_groups(
+    away: Array, last: Array, first: Whole, columns: Whole, markers: Whole
+) -> list[bool]:
     """Return of each place (n, M) whether it is clear which marker of its columns it shows."""
     clear = []
     for i, (column, marker) in enumerate(zip(columns, markers)):
         group = np.flatnonzero(first == first[column])
         others = group[group != marker]
-        apart = np.linalg.norm(last[others] - last[marker], axis=1) if len(others) else np.array([np.inf])
+        apart = (
+            np.linalg.norm(last[others] - last[marker], axis=1)
+            if len(others)
+            else np.array([np.inf])
+        )
         clear.append(len(group) == 1 or bool(away[i, marker] <= CLEAR * apart.min()))
     return clear
 
@@ -181,7 +216,9 @@ def _write(shows: Whole, first: Whole, columns: Whole, markers: Whole, clear: li
 
 
 def _matched(away: Array, last: Array, own: Whole) -> Whole:
-    """Return which marker each place shows, in rising order, by its distances (n, M) from the last places of all."""
+    """Return which marker each place shows, in rising order, by its distances (n, M) from the last
+    places of all.
+    """
     nearest = away.argmin(axis=1)
     best = nearest if (np.diff(nearest) > 0).all() else _in_order(away)
     moved = best != own

@@ -1,7 +1,9 @@
-"""Find the files behind the paths of `softmap import` (files, folders, packed files), and assign them to logs.
+"""Find the files behind the paths of `softmap import` (files, folders, packed files), and assign
+them to logs.
 
-A folder stands for its files, a packed file for its contents. Several recordings that fit one log are its parts. Logs
-whose mappings differ only in `file` are one log in parts. Pinned by tests/logs/test_containers.py.
+A folder stands for its files, a packed file for its contents. Several recordings that fit one log
+are its parts. Logs whose mappings differ only in `file` are one log in parts. Pinned by
+tests/logs/test_containers.py.
 """
 
 from __future__ import annotations
@@ -144,27 +146,34 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
             return open_log(first.file, log)
     if log.clock.column is None:
         names = ", ".join(part.path.name for part in parts)
-        raise RunError(f"{names}: only a column of time could put them in order; import each file alone")
+        raise RunError(
+            f"{names}: only a column of time could put them in order; import each file alone"
+        )
     opened = [(part.path.name, open_parts([part], log)) for part in parts]
     _check_alike(first.path, opened, log)
     return joined(first.path, opened, log.clock)
 
 
 def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) -> None:
-    """Raise RunError if files are no parts of one log: a column is missing in one of them, or units differ."""
+    """Raise RunError if files are no parts of one log: a column is missing in one of them, or units
+    differ.
+    """
     asked = [column for column in columns_named(log) if isinstance(column, str)]
     known = {column for column in asked if any(column in columns.names for _, columns in opened)}
     for name, columns in opened:
         missing = [column for column in asked if column in known and column not in columns.names]
         if missing:
             raise RunError(
-                f"{path}: {len(opened)} of the given files fit one log, but {name} has no column {missing[0][:40]}"
-                f"{header_hint(columns)}; give exactly one, or change `file` in the mapping"
+                f"{path}: {len(opened)} of the given files fit one log, but {name} has no column "
+                f"{missing[0][:40]}{header_hint(columns)}; give exactly one, or change `file` in "
+                "the mapping"
             )
     units = [{name: columns.units.get(name) for name in known} for _, columns in opened]
     other = next((k for k, one in enumerate(units) if one != units[0]), None)
     if other is not None:
-        raise RunError(f"{path}: states other units than {opened[other][0]}; import each file alone")
+        raise RunError(
+            f"{path}: states other units than {opened[other][0]}; import each file alone"
+        )
 
 
 def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None) -> Columns:
@@ -180,7 +189,11 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     if not holders:
         raise no_message(parts[0].given, asked, named)
     opened = tuple((part.path.name, open_topic(part, asked, most)) for part in holders)
-    return opened[0][1] if len(opened) == 1 else JoinedColumns(parts[0].given, opened, Clock("log_time", 1.0))
+    return (
+        opened[0][1]
+        if len(opened) == 1
+        else JoinedColumns(parts[0].given, opened, Clock("log_time", 1.0))
+    )
 
 
 def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
@@ -193,7 +206,8 @@ def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
 
 
 def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
-    """Return files in groups: the parts of one recording together, by their folder or by names that differ in numbers.
+    """Return files in groups: the parts of one recording together, by their folder or by names that
+    differ in numbers.
 
     A dataset of several files is one group as well; every other file is alone.
     """
@@ -232,25 +246,31 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
     """Find the files of each log of a mapping.
 
     Returns:
-        The mapping, in which logs that differ in `file` alone are merged, and the files of each of its logs.
+        The mapping, in which logs that differ in `file` alone are merged, and the files of each of
+        its logs.
 
     Raises:
-        RunError: a log has no file, or several that are no parts of one recording; or a file has no log.
+        RunError: a log has no file, or several that are no parts of one recording; or a file has no
+            log.
     """
     logs, patterns = _alike(mapping.logs)
     mapping = replace(mapping, logs=tuple(logs))
     if len(logs) == 1 and len(parts) == 1:
         return mapping, [_chosen(parts)]
     chosen = [_fitting(parts, log, names, mapping) for log, names in zip(logs, patterns)]
-    used = {part.given for fits in chosen for part in fits}  # of a folder other logs, or none, may take the rest
+    # of a folder other logs, or none, may take the rest
+    used = {part.given for fits in chosen for part in fits}
     spare = list(dict.fromkeys(part.given.name for part in parts if part.given not in used))
     named = ", ".join(pattern for names in patterns for pattern in names)
     again = [
-        (tuple(part.path for part in fits), log.topic) for fits, log in zip(chosen, logs) if fits[0].kind not in ARRAYS
+        (tuple(part.path for part in fits), log.topic)
+        for fits, log in zip(chosen, logs)
+        if fits[0].kind not in ARRAYS
     ]
     if spare or len(set(again)) < len(again):
         raise RunError(
-            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
+            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the "
+            f"mapping has {named}"
         )
     return mapping, [_chosen(fits) for fits in chosen]
 
@@ -263,10 +283,16 @@ def _chosen(parts: list[Part]) -> Chosen:
 
 
 def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
-    """Return the logs that differ in more than their file, and the patterns of the files of each."""
+    """Return the logs that differ in more than their file, and the patterns of the files of
+    each.
+    """
     found: dict[str, tuple[Log, list[str]]] = {}
     for log in logs:
-        key = _described(replace(log, file=None)) if log.file is not None else _described(log) + f" {len(found)}"
+        key = (
+            _described(replace(log, file=None))
+            if log.file is not None
+            else _described(log) + f" {len(found)}"
+        )
         found.setdefault(key, (log, []))[1].append(log.file or "*")
     return [log for log, _ in found.values()], [names for _, names in found.values()]
 
@@ -288,14 +314,19 @@ def _fitting(parts: list[Part], log: Log, patterns: list[str], mapping: Mapping)
     if len(fits) > 1 and all(part.kind == "parquet" for part in fits):
         fits = _with_episode(fits, log, mapping)
     recorded = bool(fits) and all(part.kind in RECORDINGS for part in fits)
-    parted = len(fits) > 1 and log.clock.column is not None and (log.file is not None or len(mapping.logs) == 1)
+    parted = (
+        len(fits) > 1
+        and log.clock.column is not None
+        and (log.file is not None or len(mapping.logs) == 1)
+    )
     alike = parted and not any(part.kind in (*RECORDINGS, "parquet") for part in fits)
     if len(fits) == 1 or recorded or alike or (1 < len(fits) == len(patterns)):
         return fits
     names = ", ".join(part.path.name for part in fits)
     found = f"{len(fits)} of the given files fit ({names[:300]})" if fits else "no given file fits"
     raise RunError(
-        f"{mapping.path}: log '{', '.join(patterns)}': {found}; give exactly one, or change `file` in the mapping"
+        f"{mapping.path}: log '{', '.join(patterns)}': {found}; give exactly one, or change "
+        "`file` in the mapping"
     )
 
 
@@ -303,15 +334,19 @@ def _with_episode(fits: list[Part], log: Log, mapping: Mapping) -> list[Part]:
     """Return the file of a dataset that holds the episode of a log."""
     if log.episode is None:
         raise RunError(
-            f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and each is a run of its "
-            "own; name one in the mapping: episode = 0"
+            f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and "
+            "each is a run of its own; name one in the mapping: episode = 0"
         )
-    called = [part for part in fits if part.path.stem == f"episode_{log.episode:06d}"]  # LeRobot before v3
+    # LeRobot before v3
+    called = [part for part in fits if part.path.stem == f"episode_{log.episode:06d}"]
     for part in called or fits:
         span = episodes_in(part.file)
         if span is not None and span[0] <= log.episode <= span[1]:
             return [part]
-    raise RunError(f"{mapping.path}: no file of {fits[0].given.name} holds episode {log.episode}; change `episode`")
+    raise RunError(
+        f"{mapping.path}: no file of {fits[0].given.name} holds episode {log.episode}; change "
+        "`episode`"
+    )
 
 
 def _matches(part: Part, pattern: str) -> bool:

@@ -1,10 +1,11 @@
 """Markers that change places: two labels whose points exchange between one frame and the next.
 
-Between frames a marker moves little beside its distance to the others. Where each of some markers is nearest to the
-last place of another of them, the labels were exchanged. A dropout in between is bridged for half a second. The
-labels of most frames are the right ones: a tracker may have begun with exchanged ones. Known limits: labels that
-exchange while one of them is not seen, and moves between frames of more than 0.3 of the distance between two
-markers, are not judged. Pinned by tests/logs/test_import_markers.py.
+Between frames a marker moves little beside its distance to the others. Where each of some markers
+is nearest to the last place of another of them, the labels were exchanged. A dropout in between is
+bridged for half a second. The labels of most frames are the right ones: a tracker may have begun
+with exchanged ones. Known limits: labels that exchange while one of them is not seen, and moves
+between frames of more than 0.3 of the distance between two markers, are not judged. Pinned by
+tests/logs/test_import_markers.py.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 BRIDGED = 0.5  # s without a sight of a marker after which its last place says nothing
 _CLEAR = (
-    0.3  # of the distance between two markers: what a marker may have moved when it is distinguished from the other
+    # of the distance between two markers: what a marker may have moved when it is distinguished
+    # from the other
+    0.3
 )
 _CHUNK = 2**19  # distances in memory at a time
 

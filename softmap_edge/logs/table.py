@@ -1,8 +1,9 @@
 """Read the columns of one log that a mapping names, and its time; report what is odd about either.
 
-Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). A row that repeats the row before,
-time and all, is left out. A time that stands still or goes backwards is refused unless the mapping states a treatment.
-Missing rows are counted where the log has a regular clock.
+Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). A row that
+repeats the row before, time and all, is left out. A time that stands still or goes backwards is
+refused unless the mapping states a treatment. Missing rows are counted where the log has a regular
+clock.
 """
 
 from __future__ import annotations
@@ -61,7 +62,9 @@ class LogTable:
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
         """Return (rows, len(columns)); absent cells are NaN."""
-        return np.stack([self.values[place(self.path, self.names, column)] for column in columns], axis=1)
+        return np.stack(
+            [self.values[place(self.path, self.names, column)] for column in columns], axis=1
+        )
 
     def texts(self) -> NDArray[np.generic]:
         """Return the (rows,) labels."""
@@ -75,7 +78,12 @@ class LogTable:
     def rows(self, keep: NDArray[np.bool_]) -> LogTable:
         """Return the same with the rows (rows,) to `keep`."""
         values = {k: column[keep] for k, column in self.values.items()}
-        return replace(self, t=self.t[keep], values=values, labels=None if self.labels is None else self.labels[keep])
+        return replace(
+            self,
+            t=self.t[keep],
+            values=values,
+            labels=None if self.labels is None else self.labels[keep],
+        )
 
 
 def open_log(path: Path, log: Log | None = None) -> Columns:
@@ -96,14 +104,18 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     if kind == "db3":
         return open_db3(path, None if log is None else log.topic)
     if log is not None and log.topic is not None:
-        raise RunError(f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out")
+        raise RunError(
+            f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out"
+        )
     if kind == "parquet":
         return open_parquet(path) if log is None else open_parquet(path, log.episode)
     if kind in ARRAYS:
         return {"mat": open_matlab, "hdf5": open_hdf5}.get(kind, open_npz)(path)
     if kind in _VENDORS and not (log is not None and (log.skip_rows or not log.header)):
         return _VENDORS[kind](path)
-    skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
+    skip_rows, skip_last, header = (
+        (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
+    )
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
     order = None if log is None else log.clock.date_order
     if kind == "lvm" and not skip_rows:
@@ -133,11 +145,15 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     if isinstance(columns, TextColumns):
         for clock in clocks:
             columns.refuse_words(clock)
-    cells = without_fills(_finite(_cut(path, cells, log), places, names), [names[k] for k in places])
+    cells = without_fills(
+        _finite(_cut(path, cells, log), places, names), [names[k] for k in places]
+    )
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
-    times = times_of(path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks])
+    times = times_of(
+        path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
+    )
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
@@ -148,7 +164,12 @@ def columns_named(log: Log) -> list[Column]:
     """Return the columns of numbers that a log of a mapping names, time first."""
     found: list[Column] = [*log.clock.columns]
     found += [column for quantity in log.rows.values() for column in quantity.columns]
-    found += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
+    found += [
+        column
+        for points in (log.markers, log.base)
+        if points is not None
+        for column in points.columns
+    ]
     return [*found, *([] if log.output is None else log.output.columns)]
 
 
@@ -160,9 +181,13 @@ def _cut(path: Path, cells: Cells, log: Log) -> Cells:
     chosen = (row >= log.from_row) & (row <= (last if log.to_row is None else log.to_row))
     if not chosen.any():
         raise RunError(
-            f"{path}: from_row = {log.from_row}, to_row = {log.to_row}: no row is left; the log has rows 0 to {last}"
+            f"{path}: from_row = {log.from_row}, to_row = {log.to_row}: no row is left; the log "
+            f"has rows 0 to {last}"
         )
-    note = f"{int(chosen.sum())} of {len(chosen)} rows, {log.from_row} to {int(row[chosen][-1])}, as the mapping asks"
+    note = (
+        f"{int(chosen.sum())} of {len(chosen)} rows, {log.from_row} to {int(row[chosen][-1])}, as "
+        "the mapping asks"
+    )
     return replace(kept(cells, chosen), notes=(*cells.notes, note))
 
 
@@ -172,7 +197,8 @@ def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
         return ()
     what = "the number of the row" if clock.column is None else f"'{clock.column}'"
     return (
-        f"t: the times of {rows} rows are {what} at {1.0 / clock.seconds:g} Hz, a rate that is assumed: put the rate "
+        f"t: the times of {rows} rows are {what} at {1.0 / clock.seconds:g} Hz, a rate that is "
+        "assumed: put the rate "
         'of the log into the mapping and remove `assumed`, or declare time = "none"',
     )
 
@@ -190,7 +216,9 @@ def place(path: Path, names: list[str], column: Column) -> int:
     if column in names:
         if names.count(column) > 1:
             numbers = " and ".join(str(k) for k, name in enumerate(names) if name == column)
-            raise RunError(f"{path}: columns {numbers} are all called '{column[:60]}'; give the number instead")
+            raise RunError(
+                f"{path}: columns {numbers} are all called '{column[:60]}'; give the number instead"
+            )
         return names.index(column)
     raise RunError(f"{path}: no column '{column[:60]}'; there are {_listed(names)}")
 
@@ -207,19 +235,30 @@ def _listed(names: list[str]) -> str:
 
 def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: str | None) -> None:
     names = columns.names
-    missing = [c for c in dict.fromkeys(wanted) if (c not in names if isinstance(c, str) else not 0 <= c < len(names))]
+    missing = [
+        c
+        for c in dict.fromkeys(wanted)
+        if (c not in names if isinstance(c, str) else not 0 <= c < len(names))
+    ]
     if not missing:
         return
     absent = listed((str(column)[:40] for column in missing), _NAMED)
     hint = ""
-    if len(names) == 1 and delimiter is not None and (other := find_delimiter(names[0])) in names[0]:
+    if (
+        len(names) == 1
+        and delimiter is not None
+        and (other := find_delimiter(names[0])) in names[0]
+    ):
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
     hint += header_hint(columns)
-    raise RunError(f"{path}: no column {absent}; there are {_listed(names)}{hint}; change the mapping")
+    raise RunError(
+        f"{path}: no column {absent}; there are {_listed(names)}{hint}; change the mapping"
+    )
 
 
 def header_hint(columns: object) -> str:
-    """Return the line from which names were taken and the ways out if it is the wrong one; "" of other formats.
+    """Return the line from which names were taken and the ways out if it is the wrong one; "" of
+    other formats.
 
     Args:
         columns: the log, or what else has its `head_line`.
@@ -228,8 +267,8 @@ def header_hint(columns: object) -> str:
     if line is None:
         return ""
     return (
-        f"; line {line} was taken for the names: if another line holds them, set skip_rows to the number of lines "
-        "above it, or header = false and give column numbers"
+        f"; line {line} was taken for the names: if another line holds them, set skip_rows to the "
+        "number of lines above it, or header = false and give column numbers"
     )
 
 
@@ -240,24 +279,30 @@ def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
         return cells
     counted = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_TOLD]]
     more = f" and {int((count > 0).sum()) - _TOLD} more" if (count > 0).sum() > _TOLD else ""
-    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {', '.join(counted)}{more}"
+    note = (
+        f"infinite values of {len(cells.numbers)} rows are taken as missing: "
+        f"{', '.join(counted)}{more}"
+    )
     numbers = np.where(np.isinf(cells.numbers), np.nan, cells.numbers)
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
 
 
-def _within_reason(path: Path, where: str, cells: Cells, places: list[int], names: list[str]) -> None:
+def _within_reason(
+    path: Path, where: str, cells: Cells, places: list[int], names: list[str]
+) -> None:
     for j, column in enumerate(places):
         wild = np.abs(cells.numbers[:, j]) > LARGEST  # NaN is an absent cell
         if wild.any():
             row = int(np.argmax(wild))
             raise RunError(
-                f"{path}: {where} {cells.lines[row]}, column {names[column]}: {cells.numbers[row, j]:g} is no "
-                "measurement; correct or remove the line"
+                f"{path}: {where} {cells.lines[row]}, column {names[column]}: "
+                f"{cells.numbers[row, j]:g} is no measurement; correct or remove the line"
             )
 
 
 def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list[str]]:
-    """Leave out rows that hold a time but no other column of the mapping: those of another publisher or device.
+    """Leave out rows that hold a time but no other column of the mapping: those of another
+    publisher or device.
 
     Messages always; rows of other logs where time does not rise with them.
     """
@@ -270,7 +315,10 @@ def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list
     if where != "message" and (np.diff(t[np.isfinite(t)]) > 0).all():
         return cells, []
     what = "messages" if where == "message" else "rows"
-    note = f"{int(bare.sum())} of {len(bare)} {what} hold none of the columns that the mapping names and were left out"
+    note = (
+        f"{int(bare.sum())} of {len(bare)} {what} hold none of the columns that the mapping names "
+        "and were left out"
+    )
     return kept(cells, ~bare), [note]
 
 
@@ -298,7 +346,8 @@ def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clo
         if at in texts:
             if column == clock.column and seconds != 1.0:
                 raise RunError(
-                    f"{path}: {columns.names[at]} holds dates or times; leave unit and rate_hz out of `time`"
+                    f"{path}: {columns.names[at]} holds dates or times; leave unit and rate_hz "
+                    "out of `time`"
                 )
             part = np.mod(part, DAY) if dated and texts[at].form == "day" else part
             dated, seconds = True, 1.0

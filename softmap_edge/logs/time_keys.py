@@ -1,4 +1,6 @@
-"""The `time` of a mapping: its columns, their units, and the treatment of times that do not increase."""
+"""The `time` of a mapping: its columns, their units, and the treatment of times that do not
+increase.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ class Clock:
         repeated: the treatment of rows whose time does not increase.
         timeless: whether the log has no time.
         date_order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
-        more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of day to a date.
+        more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of
+            day to a date.
         jumps: `mend` to count on over a roll-over, and to remove one step of a clock that was set.
         assumed: whether the rate is an assumption.
     """
@@ -47,7 +50,10 @@ class Clock:
     @property
     def columns(self) -> list[Column]:
         """The columns that time is made of."""
-        return [*([] if self.column is None else [self.column]), *(column for column, _ in self.more)]
+        return [
+            *([] if self.column is None else [self.column]),
+            *(column for column, _ in self.more),
+        ]
 
 
 def clock_of(log: TomlTable) -> Clock:
@@ -61,7 +67,8 @@ def clock_of(log: TomlTable) -> Clock:
         return Clock(None, ROW_S, timeless=True)
     if isinstance(given, str):
         raise RunError(
-            f"{log.where}: time = '{shown(given)}', expected a table such as {{ column = \"t\" }}, or time = "
+            f"{log.where}: time = '{shown(given)}', expected a table such as {{ column = \"t\" "
+            f"}}, or time = "
             f'"{NO_TIME}" (in lower case) for a log without time'
         )
     time = log.table("time")
@@ -73,11 +80,14 @@ def clock_of(log: TomlTable) -> Clock:
         raise RunError(f"{time.where}: column and columns; give one of them")
     if one is None and not several and rate is None:
         raise RunError(
-            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say where the log has its "
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say "
+            "where the log has its "
             f'time, or time = "{NO_TIME}" if it has none'
         )
     if several and rate is not None:
-        raise RunError(f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter")
+        raise RunError(
+            f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter"
+        )
     unit = time.choice("unit", tuple(TIME), "s")
     return Clock(
         column=several[0][0] if several else one,
@@ -103,11 +113,16 @@ def _columns(time: TomlTable) -> list[tuple[Column, float]]:
     units = time.get("units", (list,))
     if listed is None:
         if units is not None:
-            raise RunError(f"{time.where}: units without columns; give both, or `column` and `unit`")
+            raise RunError(
+                f"{time.where}: units without columns; give both, or `column` and `unit`"
+            )
         return []
-    if len(listed) != 2 or not all(isinstance(c, str | int) and not isinstance(c, bool) for c in listed):
+    if len(listed) != 2 or not all(
+        isinstance(c, str | int) and not isinstance(c, bool) for c in listed
+    ):
         raise RunError(
-            f'{time.where}: columns = {shown(listed)}, expected two: ["sec", "nanosec"], or a date and a time of day'
+            f'{time.where}: columns = {shown(listed)}, expected two: ["sec", "nanosec"], or a '
+            "date and a time of day"
         )
     units = ["s", "ns"] if units is None else units
     if len(units) != 2 or not all(isinstance(unit, str) and unit in TIME for unit in units):

@@ -1,4 +1,6 @@
-"""Recognise the names of columns of time, and the unit that is a word of them: `millis`, `timeMs`, `t_usec`."""
+"""Recognise the names of columns of time, and the unit that is a word of them: `millis`, `timeMs`,
+`t_usec`.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,47 @@ import re
 TIME_NAME = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _WORDS = {
     "s": ("s", "sec", "secs", "second", "seconds"),
-    "ms": ("ms", "msec", "msecs", "milli", "millis", "millisec", "millisecs", "millisecond", "milliseconds"),
-    "us": ("us", "µs", "μs", "usec", "usecs", "micro", "micros", "microsec", "microsecond", "microseconds"),
-    "ns": ("ns", "nsec", "nsecs", "nano", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
+    "ms": (
+        "ms",
+        "msec",
+        "msecs",
+        "milli",
+        "millis",
+        "millisec",
+        "millisecs",
+        "millisecond",
+        "milliseconds",
+    ),
+    "us": (
+        "us",
+        "µs",
+        "μs",
+        "usec",
+        "usecs",
+        "micro",
+        "micros",
+        "microsec",
+        "microsecond",
+        "microseconds",
+    ),
+    "ns": (
+        "ns",
+        "nsec",
+        "nsecs",
+        "nano",
+        "nanos",
+        "nanosec",
+        "nanosecs",
+        "nanosecond",
+        "nanoseconds",
+    ),
     "min": ("min", "mins", "minute", "minutes"),
     "h": ("hour", "hours", "hrs"),
 }
 _UNIT = {word: unit for unit, words in _WORDS.items() for word in words}
-_ALONE = {word for unit, words in _WORDS.items() for word in words if unit in ("ms", "us", "ns")} - {
+_ALONE = {
+    word for unit, words in _WORDS.items() for word in words if unit in ("ms", "us", "ns")
+} - {
     "micro",
     "nano",
     "milli",
@@ -29,7 +64,9 @@ def time_unit(name: str) -> str | None:
 
 
 def is_time_unit(name: str) -> bool:
-    """Whether a name is nothing but a unit of time below a second, as `millis` of Arduino, or `elapsed` with it."""
+    """Whether a name is nothing but a unit of time below a second, as `millis` of Arduino, or
+    `elapsed` with it.
+    """
     words = [word.lower() for word in _WORD.findall(name)]
     return (
         bool(words)

@@ -2,14 +2,15 @@
 
 | form | example | seconds since |
 |---|---|---|
-| `ymd` | `2031-05-07T10:15:00.050Z`, `2031/05/07 10:15:00,05 +0200`, `20310507T101500` | 1970, of UTC or local time |
+| `ymd` | `2031-05-07T10:15:00.050Z`, `2031/05/07 10:15:00,05 +0200`, `20310507T101500` | 1970, of
+    UTC or local time |
 | `local` | `07.05.2031 10:15:00`, `5/7/2031 10:15:00 AM` | 1970 |
 | `named` | `07-May-2031 10:15:00`, `May 7, 2031 10:15:00` | 1970 |
 | `day` | `10:15:00.050`, `15:00.05` (minutes and seconds) | midnight, or the full hour |
 
-Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence of the rows decides
-(`TimeText.settle`). A time of day that falls by most of its period has passed midnight and counts on. Pinned by
-tests/logs/test_time_text.py.
+Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence
+of the rows decides (`TimeText.settle`). A time of day that falls by most of its period has passed
+midnight and counts on. Pinned by tests/logs/test_time_text.py.
 """
 
 from __future__ import annotations
@@ -27,9 +28,14 @@ ORDERS = ("dmy", "mdy")
 DAY, HOUR = 86400.0, 3600.0
 _LONGEST = 48  # characters of a time
 _MOST = 0.9  # of the cells: if so many are times, the others are faults of the file
-_CLEARER = 5.0  # an order of day and month whose largest step is so many times smaller is the right one
-_FRACTION = r"(?:[.,](?P<f>\d{1,12})|:(?P<ms>\d{3}))?"  # two digits after a colon are frames of a film, no fraction
-_CLOCK = rf"(?P<h>\d{{1,2}}):(?P<mi>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+# an order of day and month whose largest step is so many times smaller is the right one
+_CLEARER = 5.0
+# two digits after a colon are frames of a film, no fraction
+_FRACTION = r"(?:[.,](?P<f>\d{1,12})|:(?P<ms>\d{3}))?"
+_CLOCK = (
+    rf"(?P<h>\d{{1,2}}):(?P<mi>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?"
+    r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
 _ZONE = r"(?: ?(?P<zone>Z|z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))?"
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _NAME = r"(?P<name>[A-Za-z]{3,9})\.?"
@@ -41,7 +47,9 @@ _FORMS: dict[str, tuple[re.Pattern[str], ...]] = {
         re.compile(rf"(?P<y>\d{{4}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep)(?P<a>\d{{1,2}}){_REST}"),
         re.compile(rf"(?P<y>\d{{4}})(?P<b>\d{{2}})(?P<a>\d{{2}})[T_ ]{_TIGHT}{_ZONE}"),
     ),
-    "local": (re.compile(rf"(?P<a>\d{{1,2}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep){_YEAR}{_REST}"),),
+    "local": (
+        re.compile(rf"(?P<a>\d{{1,2}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep){_YEAR}{_REST}"),
+    ),
     "named": (
         re.compile(rf"(?:[A-Za-z]{{3}},? )?(?P<a>\d{{1,2}})[-/. ]{_NAME}[-/. ]{_YEAR}{_REST}"),
         re.compile(rf"(?:[A-Za-z]{{3}},? )?{_NAME} {{1,2}}(?P<a>\d{{1,2}}), ?{_YEAR}{_REST}"),
@@ -69,7 +77,8 @@ class TimeText:
     period: float = 0.0
 
     def parse(self, cells: Sequence[str]) -> Array:
-        """Return the seconds (rows, 2) of times in both orders of day and month; an empty cell is NaN.
+        """Return the seconds (rows, 2) of times in both orders of day and month; an empty cell is
+        NaN.
 
         Raises:
             TimeTextError: a cell is no time of this form; `args[1]` is its row.
@@ -94,7 +103,8 @@ class TimeText:
         return next((found for form in _FORMS[self.form] if (found := form.fullmatch(cell))), None)
 
     def settle(self, both: Array) -> tuple[Array, str | None]:
-        """Return the seconds (rows,) of both orders' (rows, 2) in the right one, and a note on how it was chosen.
+        """Return the seconds (rows,) of both orders' (rows, 2) in the right one, and a note on how
+        it was chosen.
 
         Raises:
             TimeTextError: the rows do not decide between day/month and month/day.
@@ -110,7 +120,11 @@ class TimeText:
 
     def words(self) -> str:
         """Return the name of this form."""
-        names = {"ymd": "date (year-month-day)", "local": "date", "named": "date with the name of a month"}
+        names = {
+            "ymd": "date (year-month-day)",
+            "local": "date",
+            "named": "date with the name of a month",
+        }
         return names.get(self.form, "time of day (hours:minutes:seconds)")
 
 
@@ -125,13 +139,21 @@ def is_time(cell: str) -> bool:
 def form_of(cell: str) -> str | None:
     """Return the form in which a time is written; None if the cell is no time."""
     cell = cell.strip()
-    if not 4 <= len(cell) <= _LONGEST or not any(map(cell.count, ":-/.T ")) or not any(c.isdigit() for c in cell):
+    if (
+        not 4 <= len(cell) <= _LONGEST
+        or not any(map(cell.count, ":-/.T "))
+        or not any(c.isdigit() for c in cell)
+    ):
         return None
-    return next((name for name, forms in _FORMS.items() if any(form.fullmatch(cell) for form in forms)), None)
+    return next(
+        (name for name, forms in _FORMS.items() if any(form.fullmatch(cell) for form in forms)),
+        None,
+    )
 
 
 def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | None:
-    """Return how the times of a column are written, from its first cells; None where they are no times.
+    """Return how the times of a column are written, from its first cells; None where they are no
+    times.
 
     Args:
         cells: the first cells; empty ones do not count, and one in ten may be something else.
@@ -146,11 +168,15 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
     if form == "local" and order is None and all("." in cell.split(" ")[0] for cell in filled):
         order = "dmy"
     hours = form == "day" and all(_FORMS["day"][0].fullmatch(cell) for cell in filled)
-    return TimeText(form, order if form == "local" else None, 0.0 if form != "day" else DAY if hours else HOUR)
+    return TimeText(
+        form, order if form == "local" else None, 0.0 if form != "day" else DAY if hours else HOUR
+    )
 
 
 def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
-    """Return times (rows,) of a day counted on where they fall by more than half a `period` (s), and a note."""
+    """Return times (rows,) of a day counted on where they fall by more than half a `period` (s),
+    and a note.
+    """
     known = np.flatnonzero(np.isfinite(seconds))
     falls = np.diff(seconds[known]) < -0.5 * period
     if not falls.any():
@@ -158,11 +184,14 @@ def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
     turns = np.zeros(len(seconds))
     turns[known[1:]] = falls
     what = "midnight" if period == DAY else "the full hour"
-    return seconds + period * np.cumsum(turns), f"the time passes {what} {int(falls.sum())} times and counts on"
+    return seconds + period * np.cumsum(
+        turns
+    ), f"the time passes {what} {int(falls.sum())} times and counts on"
 
 
 def common_order(parts: Sequence[Array]) -> str | None:
-    """Return the order of day and month of the parts of one log, `dmy` or `mdy`; None if it makes no difference.
+    """Return the order of day and month of the parts of one log, `dmy` or `mdy`; None if it makes
+    no difference.
 
     Args:
         parts: the seconds (rows, 2) of the dates of each part, in both orders.
@@ -174,7 +203,9 @@ def common_order(parts: Sequence[Array]) -> str | None:
     known = [both for both in known if len(both)]
     possible = [k for k in (0, 1) if not any(np.isnan(both[:, k]).any() for both in known)]
     if not possible:
-        raise TimeTextError("the dates of its parts are neither all day/month/year nor all month/day/year")
+        raise TimeTextError(
+            "the dates of its parts are neither all day/month/year nor all month/day/year"
+        )
     if len(possible) == 1:
         return ORDERS[possible[0]]
     if not known or not np.ptp(np.concatenate([both[:, 0] - both[:, 1] for both in known])):
@@ -189,8 +220,11 @@ def common_order(parts: Sequence[Array]) -> str | None:
     return ORDERS[k]
 
 
-def around_the_clock(spans: Sequence[tuple[float, float]], period: float) -> tuple[list[int], list[int]]:
-    """Return the order of parts whose times begin again after a period, and the turns to add to each of them.
+def around_the_clock(
+    spans: Sequence[tuple[float, float]], period: float
+) -> tuple[list[int], list[int]]:
+    """Return the order of parts whose times begin again after a period, and the turns to add to
+    each of them.
 
     Of all orders on the circle of the clock, that with the shortest longest pause is taken.
 
@@ -203,12 +237,16 @@ def around_the_clock(spans: Sequence[tuple[float, float]], period: float) -> tup
     ways = []
     for first in range(len(order)):
         turned = [*order[first:], *order[:first]]
-        start = [begins[k] + period * (place >= len(order) - first) for place, k in enumerate(turned)]
+        start = [
+            begins[k] + period * (place >= len(order) - first) for place, k in enumerate(turned)
+        ]
         ends = [begin + lengths[k] for begin, k in zip(start, turned)]
         pauses = [begin - end for begin, end in zip(start[1:], ends)]
         ways.append((min(pauses, default=0.0) < 0.0, max(pauses, default=0.0), turned, start))
     _, _, turned, start = min(ways, key=lambda way: way[:2])
-    turns = dict(zip(turned, (round((begin - spans[k][0]) / period) for begin, k in zip(start, turned))))
+    turns = dict(
+        zip(turned, (round((begin - spans[k][0]) / period) for begin, k in zip(start, turned)))
+    )
     return turned, [turns[k] for k in range(len(spans))]
 
 
@@ -223,7 +261,10 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
         return both[:, k], f"the dates are {ORDER_WORDS[ORDERS[k]]}"
     largest = [float(np.abs(np.diff(both[there, k])).max(initial=0.0)) for k in (0, 1)]
     if not np.ptp(both[there, 0] - both[there, 1]):  # one date
-        note = "the date may be day/month or month/day; the time within the log is the same (time.date_order sets it)"
+        note = (
+            "the date may be day/month or month/day; the time within the log is the same "
+            "(time.date_order sets it)"
+        )
         return both[:, 0], None if np.array_equal(both[there, 0], both[there, 1]) else note
     k = int(np.argmin(largest))
     if largest[1 - k] < _CLEARER * largest[k]:
@@ -231,8 +272,12 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
     return both[:, k], f"the dates are {ORDER_WORDS[ORDERS[k]]}: in the other order they leap"
 
 
-def _seconds(found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]) -> tuple[float, float]:
-    """Seconds of one time in both orders of day and month; NaN where the calendar has no such day."""
+def _seconds(
+    found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]
+) -> tuple[float, float]:
+    """Seconds of one time in both orders of day and month; NaN where the calendar has no such
+    day.
+    """
     part = found.groupdict()
     of_day = _of_day(part)
     if part.get("y") is None:

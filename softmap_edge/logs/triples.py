@@ -1,16 +1,20 @@
-"""Find the triples of columns that are x, y, z of a place, and name all other triples, with the reason.
+"""Find the triples of columns that are x, y, z of a place, and name all other triples, with the
+reason.
 
-A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`. Forces, angles and
-rates are triples too. Three things decide, in this order:
+A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`.
+Forces, angles and rates are triples too. Three things decide, in this order:
 
-    name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a length: a place
-    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a direction or gravity; one
+    name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a
+            length: a place
+    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a
+            direction or gravity; one
             that is called desired or computed and follows a place was not seen (`goals.py`)
-    size    any other name counts as a place only if it fits the places: near them, within a factor `FITS` of their
+    size    any other name counts as a place only if it fits the places: near them, within a factor
+            `FITS` of their
             distance from the origin, and not within ±π, where angles and unit vectors are
 
-Triples whose names differ in digits only (`m1`, `m2`, `m3`) are classified together. In doubt a triple is left out.
-Pinned by tests/logs/test_triples.py.
+Triples whose names differ in digits only (`m1`, `m2`, `m3`) are classified together. In doubt a
+triple is left out. Pinned by tests/logs/test_triples.py.
 """
 
 from __future__ import annotations
@@ -30,14 +34,19 @@ Array = NDArray[np.float64]
 Rows = Callable[[list[str]], Array]
 
 FITS = 100.0  # times larger or smaller than the places: markers of one robot differ by less
-NEAR = 10.0  # times the extent of the places, and 0.9 of their distance from the origin: how far apart markers are
+# times the extent of the places, and 0.9 of their distance from the origin: how far apart markers
+# are
+NEAR = 10.0
 LONGEST = 200  # characters of a name
 STEADY = 1e-3  # of its length, by which a triple of constant length varies
 _OFFSET = "an offset, for they never change"
 DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
-    ("a force or torque", r"force|torque|moment|wrench|load|press|strain|stress|tension|tof|tau|curr|volt|effort"),
+    (
+        "a force or torque",
+        r"force|torque|moment|wrench|load|press|strain|stress|tension|tof|tau|curr|volt|effort",
+    ),
     (
         "angles",
         r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir|ori|"
@@ -55,8 +64,10 @@ _PLACE = re.compile(
     re.IGNORECASE,
 )
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
-_NUMBERED_OTHER = {"f", "g", "q", "w", "v"}  # F1, q2: one letter is no place, with a number or without
-_SHORT_OTHER = {*_NUMBERED_OTHER, "a", "b", "e", "i", "m", "n", "r"}  # without a number: m1 is a marker, M a torque
+# F1, q2: one letter is no place, with a number or without
+_NUMBERED_OTHER = {"f", "g", "q", "w", "v"}
+# without a number: m1 is a marker, M a torque
+_SHORT_OTHER = {*_NUMBERED_OTHER, "a", "b", "e", "i", "m", "n", "r"}
 _SHORT_PLACE = {"p", "m", "mk", "pt", "ee"}
 _INDEX = re.compile(r"^(.*[^\d,\s(\[{])?\s*([(\[{])\s*((?:\d+\s*,\s*)*)(\d+)\s*([)\]}])$")
 
@@ -75,12 +86,15 @@ class Triples:
 
     places: list[list[str]] = field(default_factory=list)
     left: list[LeftOut] = field(default_factory=list)
-    by_size: list[list[str]] = field(default_factory=list)  # of the places, those with uninformative names
+    # of the places, those with uninformative names
+    by_size: list[list[str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A triple of columns, its name without axis and digits, and whether its name marks it as a place."""
+    """A triple of columns, its name without axis and digits, and whether its name marks it as a
+    place.
+    """
 
     columns: list[str]
     stem: str
@@ -93,7 +107,9 @@ class _Candidate:
     extent: float  # of its places
 
 
-def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_length: Callable[[str], bool]) -> Triples:
+def find_triples(
+    names: Sequence[str], bare: Sequence[str], rows: Rows, is_length: Callable[[str], bool]
+) -> Triples:
     """Find the places among the columns of a log.
 
     Args:
@@ -109,15 +125,22 @@ def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_lengt
     accepted, left = _classified(_families(candidates))
     accepted, unseen = _seen_only(accepted, list(_goals(list(names), list(bare))), rows)
     order = {one.columns[0]: k for k, one in enumerate(candidates)}
-    places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
+    places = sorted(
+        (one.columns for family in accepted for one in family),
+        key=lambda columns: order[columns[0]],
+    )
     loose = [one.columns for family in accepted for one in family if not one.named]
-    return Triples(places, [*sorted(left, key=lambda one: order[one.columns[0]]), *unseen, *turned], loose)
+    return Triples(
+        places, [*sorted(left, key=lambda one: order[one.columns[0]]), *unseen, *turned], loose
+    )
 
 
 def _seen_only(
     accepted: list[list[_Candidate]], goals: list[list[str]], rows: Rows
 ) -> tuple[list[list[_Candidate]], list[LeftOut]]:
-    """Return the families of places that were seen, and the triples that repeat the motion of one of them."""
+    """Return the families of places that were seen, and the triples that repeat the motion of one
+    of them.
+    """
     stems = [one.stem for family in accepted for one in family]
     doubtful = [family for family in accepted if is_computed(family[0].stem, stems)]
     seen = [family for family in accepted if family not in doubtful]
@@ -126,7 +149,12 @@ def _seen_only(
     for columns in [*(one.columns for family in doubtful for one in family), *goals]:
         leader = next((place for place in places if follows(rows(columns), rows(place))), None)
         if leader is not None:
-            left.append(LeftOut(tuple(columns), f"a desired or computed place by the name, and follow {leader[0]}"))
+            left.append(
+                LeftOut(
+                    tuple(columns),
+                    f"a desired or computed place by the name, and follow {leader[0]}",
+                )
+            )
     gone = {one.columns for one in left}
     kept = [[one for one in family if tuple(one.columns) not in gone] for family in accepted]
     return [family for family in kept if family], left
@@ -134,7 +162,9 @@ def _seen_only(
 
 def _goals(names: list[str], bare: list[str]) -> Iterator[list[str]]:
     """Yield the triples whose names mark them as goals."""
-    return (columns for columns, stem in _by_letter(names, bare) if len(columns) == 3 and is_goal(stem))
+    return (
+        columns for columns, stem in _by_letter(names, bare) if len(columns) == 3 and is_goal(stem)
+    )
 
 
 def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
@@ -157,7 +187,11 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
     for family in families:
         why = family[0].other
         steady = {one.steady for one in family}
-        if why is None and None not in steady and (not family[0].named or (moves and _never_changes(family))):
+        if (
+            why is None
+            and None not in steady
+            and (not family[0].named or (moves and _never_changes(family)))
+        ):
             why = family[0].steady
         if why is None:
             standing.append(family)
@@ -179,14 +213,19 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
 
 
 def _never_changes(family: list[_Candidate]) -> bool:
-    """Whether triples never change, such as the place of a camera; markers on the clamp may rest."""
+    """Whether triples never change, such as the place of a camera; markers on the clamp may
+    rest.
+    """
     return all(one.steady == _OFFSET and not is_base(one.stem) for one in family)
 
 
-def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
+def _by_size(
+    families: list[list[_Candidate]],
+) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
     """Return the families that are taken for places if no name marks one, and the others.
 
-    Those beyond ±π, and of them those nearest in size to the largest set; if all are within it, all: places in m.
+    Those beyond ±π, and of them those nearest in size to the largest set; if all are within it,
+    all: places in m.
     """
     sizes = [float(np.median([one.size for one in family])) for family in families]
     beyond = [k for k, family in enumerate(families) if max(one.largest for one in family) > np.pi]
@@ -194,7 +233,9 @@ def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], 
         return families, []
     top = sizes[max(beyond, key=lambda k: len(families[k]))]
     alike = [k for k in beyond if top / FITS < sizes[k] < top * FITS]
-    return [families[k] for k in alike], [family for k, family in enumerate(families) if k not in alike]
+    return [families[k] for k in alike], [
+        family for k, family in enumerate(families) if k not in alike
+    ]
 
 
 @dataclass(frozen=True)
@@ -217,9 +258,15 @@ def _together(family: list[_Candidate]) -> _Set:
 
 
 def _misfit(family: _Set, known: _Set) -> str | None:
-    """Return why triples without an informative name are no places alongside the `known` places; None if they are."""
+    """Return why triples without an informative name are no places alongside the `known` places;
+    None if they are.
+    """
     if family.largest <= np.pi:
-        return "angles, within ±π" if known.largest > np.pi else "angles or places in m, for they are within ±π"
+        return (
+            "angles, within ±π"
+            if known.largest > np.pi
+            else "angles or places in m, for they are within ±π"
+        )
     if not known.size / FITS < family.size < known.size * FITS:
         return f"no place: they are of size {family.size:.3g}, the places of size {known.size:.3g}"
     apart = float(np.linalg.norm(family.middle - known.middle))
@@ -228,7 +275,9 @@ def _misfit(family: _Set, known: _Set) -> str | None:
     return None
 
 
-def _candidate(columns: list[str], stem: str, rows: Rows, is_length: Callable[[str], bool]) -> _Candidate:
+def _candidate(
+    columns: list[str], stem: str, rows: Rows, is_length: Callable[[str], bool]
+) -> _Candidate:
     points = rows(columns)
     points = points[np.isfinite(points).all(axis=1)]
     length = np.linalg.norm(points, axis=1)
@@ -237,13 +286,19 @@ def _candidate(columns: list[str], stem: str, rows: Rows, is_length: Callable[[s
         other, named = None, True
     size = float(np.median(length))
     largest = float(np.quantile(np.abs(points), 0.99))
-    extent = float(np.linalg.norm(np.quantile(points, 0.95, axis=0) - np.quantile(points, 0.05, axis=0)))
+    extent = float(
+        np.linalg.norm(np.quantile(points, 0.95, axis=0) - np.quantile(points, 0.05, axis=0))
+    )
     middle = np.median(points, axis=0)
-    return _Candidate(columns, stem, named, other, size, largest, _steady(points, length), middle, extent)
+    return _Candidate(
+        columns, stem, named, other, size, largest, _steady(points, length), middle, extent
+    )
 
 
 def _steady(points: Array, length: Array) -> str | None:
-    """Return what points (n, 3) are that do not change, or whose distance (n,) from the origin does not."""
+    """Return what points (n, 3) are that do not change, or whose distance (n,) from the origin does
+    not.
+    """
     if len(points) < 3:
         return None
     if not np.ptp(points, axis=0).any():
@@ -256,14 +311,18 @@ def _steady(points: Array, length: Array) -> str | None:
 
 
 def _by_name(stem: str) -> tuple[str | None, bool]:
-    """Return the other quantity that a name indicates (None: no other), and whether it marks a place."""
+    """Return the other quantity that a name indicates (None: no other), and whether it marks a
+    place.
+    """
     words = [word.lower() for word in _WORD.findall(stem)]
     text = "_".join(words)
     place = any(_PLACE.search(word) or word in _SHORT_PLACE for word in words) or not words
     if _NAMELESS.search(stem):
         return "a marker without a name", False
     for what, pattern in _OTHER:
-        if any(re.match(pattern, word) for word in words) or (not place and re.search(pattern, text)):
+        if any(re.match(pattern, word) for word in words) or (
+            not place and re.search(pattern, text)
+        ):
             return f"{what}, by the name", False
     short = _NUMBERED_OTHER if re.search(r"\d", stem) else _SHORT_OTHER
     if re.fullmatch(r"[\W_]*T[\W_]*", stem) or (words and all(word in short for word in words)):
@@ -272,7 +331,8 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
 
 
 def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
-    """Find x, y of markers in a plane, for a log without places in space; one of them at least has a place's name.
+    """Find x, y of markers in a plane, for a log without places in space; one of them at least has
+    a place's name.
 
     Args:
         names, bare, rows: as of `find_triples`.
@@ -284,10 +344,17 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
 
     pairs = list(_pairs(list(names), list(bare), rows))
     families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
-    accepted, left = _classified(families) if any(family[0].named for family in families) else ([], [])
+    accepted, left = (
+        _classified(families) if any(family[0].named for family in families) else ([], [])
+    )
     order = {pair[0]: k for k, (pair, _) in enumerate(pairs)}
-    places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
-    return Triples(places, left, [one.columns for family in accepted for one in family if not one.named])
+    places = sorted(
+        (one.columns for family in accepted for one in family),
+        key=lambda columns: order[columns[0]],
+    )
+    return Triples(
+        places, left, [one.columns for family in accepted for one in family if not one.named]
+    )
 
 
 def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
@@ -296,7 +363,9 @@ def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list
     for name in bare:
         for at in _letters(name):
             upper = name[at] == "X"
-            second, third = (name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz")
+            second, third = (
+                name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz"
+            )
             if second in where and third not in where and not is_drive(name):
                 columns = [names[where[one]] for one in (name, second)]
                 points = rows(columns)
@@ -319,18 +388,24 @@ def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[li
 
 def _letters(name: str) -> list[int]:
     """Return the positions of x in a name, the last first; none for a name that is too long."""
-    return [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
+    return (
+        [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
+    )
 
 
 def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples whose names differ in x, y, z; where names repeat, the first of each, then the second of each."""
+    """Yield triples whose names differ in x, y, z; where names repeat, the first of each, then the
+    second of each.
+    """
     where: dict[str, list[int]] = {}
     for k, name in enumerate(bare):
         where.setdefault(name, []).append(k)
     for k, name in enumerate(bare):
         for at in _letters(name):
             upper = name[at] == "X"
-            triple = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
+            triple = [
+                name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"
+            ]
             fourth = name[:at] + ("W" if upper else "w") + name[at + 1 :]
             nth = where[name].index(k)
             four = [*triple, fourth] if fourth in where else triple
@@ -340,15 +415,23 @@ def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], s
 
 
 def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name marks a place."""
+    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name marks a
+    place.
+    """
     groups: dict[str, list[tuple[int, int]]] = {}
     for k, name in enumerate(bare):
         if len(name) <= LONGEST and (parts := _INDEX.match(name)) is not None and parts[1]:
             groups.setdefault(f"{parts[1]}{parts[2]}{parts[3]}", []).append((int(parts[4]), k))
     for stem, members in groups.items():
         numbers, columns = [n for n, _ in members], [k for _, k in members]
-        even = numbers == list(range(numbers[0], numbers[0] + len(numbers))) and numbers[0] in (0, 1)
+        even = numbers == list(range(numbers[0], numbers[0] + len(numbers))) and numbers[0] in (
+            0,
+            1,
+        )
         other, place = _by_name(stem)
         if even and len(members) % 3 == 0 and place and other is None:
             for i in range(0, len(members), 3):
-                yield [names[k] for k in columns[i : i + 3]], f"{stem}{i // 3 if len(members) > 3 else ''}"
+                yield (
+                    [names[k] for k in columns[i : i + 3]],
+                    f"{stem}{i // 3 if len(members) > 3 else ''}",
+                )

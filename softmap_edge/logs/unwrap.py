@@ -1,4 +1,6 @@
-"""Count commands and encoders of a log on over their roll-overs, as the mapping asks; report those it does not name."""
+"""Count commands and encoders of a log on over their roll-overs, as the mapping asks; report those
+it does not name.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,17 @@ _GAP = 1.5  # usual steps between rows: more is a gap
 _NEAR = 5  # rows on either side of a gap that show the speed
 
 
-def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]) -> Floats:
-    """Return the raw values (rows, columns) of a quantity, counted on over the roll-overs that the mapping declares.
+def counted_on(
+    name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]
+) -> Floats:
+    """Return the raw values (rows, columns) of a quantity, counted on over the roll-overs that the
+    mapping declares.
 
     Args:
         name: of the quantity.
         table: the log. quantity: its columns, and the size of their turns.
-        notes: receives what was counted on. doubts: receives roll-overs that the mapping does not declare.
+        notes: receives what was counted on. doubts: receives roll-overs that the mapping does not
+            declare.
 
     Raises:
         RunError: a column spans more than one turn.
@@ -27,7 +33,10 @@ def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str],
     values = table.numbers(quantity.columns)
     if name not in DRIVES:
         return values
-    named = [f"'{column}'" if isinstance(column, str) else f"column {column}" for column in quantity.columns]
+    named = [
+        f"'{column}'" if isinstance(column, str) else f"column {column}"
+        for column in quantity.columns
+    ]
     if quantity.unwrap is None:
         found = [roll_over(column[np.isfinite(column)]) for column in values.T]
         line = roll_over_line(name, named, found)
@@ -38,8 +47,9 @@ def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str],
         known = values[np.isfinite(values[:, c]), c]
         if len(known) and float(np.ptp(known)) > turn * (1 + 1e-9):
             raise RunError(
-                f"{table.path}: {named[c]} spans {float(np.ptp(known)):.7g}, more than {name}.unwrap = {turn:.7g}; "
-                "give the size of a full turn in the unit of the log, or leave unwrap out"
+                f"{table.path}: {named[c]} spans {float(np.ptp(known)):.7g}, more than "
+                f"{name}.unwrap = {turn:.7g}; give the size of a full turn in the unit of the "
+                "log, or leave unwrap out"
             )
         values[:, c], jumps = unwrapped(values[:, c], float(turn))
         count += jumps
@@ -49,7 +59,9 @@ def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str],
 
 
 def _over_gaps(name: str, column: str, t: Floats, values: Floats, turn: float) -> list[str]:
-    """Return a doubt on gaps in which a channel (T,) may have turned by more than half a turn, counted as less."""
+    """Return a doubt on gaps in which a channel (T,) may have turned by more than half a turn,
+    counted as less.
+    """
     known = np.flatnonzero(np.isfinite(values))
     step, moved = np.diff(t[known]), np.abs(np.diff(values[known]))
     if len(step) < 2 or (step <= 0).any():
@@ -61,7 +73,8 @@ def _over_gaps(name: str, column: str, t: Floats, values: Floats, turn: float) -
         return []
     first = int(far[0])
     return [
-        f"{name}: {column} has {len(far)} gaps in which it may turn by more than half a turn at its speed (the first "
-        f"lasts {step[first]:.3g} s after {t[known[first]]:.6g} s): the fewest turns are counted, and later rows may "
-        "be off by whole turns; cut the log there with to_row and from_row"
+        f"{name}: {column} has {len(far)} gaps in which it may turn by more than half a turn at "
+        f"its speed (the first lasts {step[first]:.3g} s after {t[known[first]]:.6g} s): the "
+        "fewest turns are counted, and later rows may be off by whole turns; cut the log there "
+        "with to_row and from_row"
     ]

@@ -1,7 +1,8 @@
-"""The terms of a static map: monomials of the commands, of the pulls of cables, or tensor products of splines.
+"""The terms of a static map: monomials of the commands, of the pulls of cables, or tensor products
+of splines.
 
-Learning fits them (`rod/regression.py`), a bundle holds their weights, and coverage counts in them. Pinned by
-tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
+Learning fits them (`rod/regression.py`), a bundle holds their weights, and coverage counts in them.
+Pinned by tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations
@@ -18,20 +19,23 @@ Floats = NDArray[np.float64]
 
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
 SPLINE_DEGREE = 3
-ROUGHNESS = 1e-3  # penalty of a roughness of 1, at a ridge of 1: ridges then reach from interpolation to a straight map
+# penalty of a roughness of 1, at a ridge of 1: ridges then reach from interpolation to a straight
+# map
+ROUGHNESS = 1e-3
 
 
 @dataclass(frozen=True)
 class Basis:
     """The terms of a static map.
 
-    They are all monomials up to `degree` of the normalised commands, or of the pulls of cables, or with `intervals`
-    the tensor products of cubic B-splines, so many intervals a command. A command above 0 pulls one cable and lets the
-    other one fall slack, and the reverse: a `pulled` basis has two variables a command, max(u, 0) and max(−u, 0).
+    They are all monomials up to `degree` of the normalised commands, or of the pulls of cables, or
+    with `intervals` the tensor products of cubic B-splines, so many intervals a command. A command
+    above 0 pulls one cable and lets the other one fall slack, and the reverse: a `pulled` basis has
+    two variables a command, max(u, 0) and max(−u, 0).
 
-    Splines are taken in the directions of their roughness R = Σ_c |second differences along c|². A ridge on each
-    direction, in proportion to its roughness, is then the smoothness penalty of a P-spline (Eilers and Marx 1996,
-    doi:10.1214/ss/1038425655).
+    Splines are taken in the directions of their roughness R = Σ_c |second differences along c|². A
+    ridge on each direction, in proportion to its roughness, is then the smoothness penalty of a
+    P-spline (Eilers and Marx 1996, doi:10.1214/ss/1038425655).
     """
 
     degree: int
@@ -67,7 +71,9 @@ class Basis:
         return np.array([RIDGE[degree - 1] for degree in degrees])
 
     def in_core(self, weights: Floats, channels: int) -> Floats:
-        """Return weights (1 + F, outputs) of the terms, intercept first, as the rod of the core takes them."""
+        """Return weights (1 + F, outputs) of the terms, intercept first, as the rod of the core
+        takes them.
+        """
         if not self.intervals:
             return weights
         return np.concatenate([weights[:1], _smooth(channels, self.intervals)[0] @ weights[1:]])
@@ -85,7 +91,9 @@ class Basis:
 
 @cache
 def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
-    """Return directions (S, F) of tensor splines by their roughness, without the constant, and their penalties (F,)."""
+    """Return directions (S, F) of tensor splines by their roughness, without the constant, and
+    their penalties (F,).
+    """
     each = intervals + SPLINE_DEGREE
     second = np.diff(np.eye(each), 2, axis=0)
     rough: Floats = np.zeros((each**channels, each**channels))
@@ -104,6 +112,8 @@ SQUARES = Basis(2)
 
 
 def commanded_range(u: Floats) -> tuple[Floats, Floats]:
-    """Return the centre and the half width (C,) of the range of commands (n, C); 1 where one never moves."""
+    """Return the centre and the half width (C,) of the range of commands (n, C); 1 where one never
+    moves.
+    """
     low, high = u.min(axis=0), u.max(axis=0)
     return (low + high) / 2.0, np.where(high > low, (high - low) / 2.0, 1.0)

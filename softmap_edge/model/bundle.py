@@ -1,23 +1,33 @@
-"""The bundle: the folder that carries a model from one machine to another. Nothing in it is run unasked.
+"""The bundle: the folder that carries a model from one machine to another. Nothing in it is run
+unasked.
 
-manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a learned model
+manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a
+                learned model
                 `made_from` has `runs` (their hashes) and `learned_in` (`model/learned_in.py`)
-prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
-                the rest as a table), or a rod with the `coverage_…` of the commands that it was learned from
-template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
+prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes,
+                scale, power and
+                the rest as a table), or a rod with the `coverage_…` of the commands that it was
+                learned from
+template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a
+                body without a mesh;
                 handles, where not all vertices are
-fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
+fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer
+                commands; `second_…`
                 the second order of the loads
 effects.json    the chain: names and parameters
-prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads is run
+prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only
+                onnxruntime reads is run
                 only if the user allows it, and becomes a table of its outputs (`network.elsewhere`)
-residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any: as a scattered family, or as
+residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any: as a
+                scattered family, or as
 residual.onnx   a network
 NAME_step       next to an array of whole numbers NAME in an archive: NAME counts these steps
-NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only if the user
+NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run
+                only if the user
                 has loaded the same file before (`load_effect`) or confirms it
 calibration.json   the map from servo ticks to commands (`softmap model calibrate`), if it is known
-safety.toml     limits of the finger (`safety.py`); may be edited: another hash than the manifest's is reported, and
+safety.toml     limits of the finger (`safety.py`); may be edited: another hash than the manifest's
+                is reported, and
                 every limit is checked whatever its hash
 """
 
@@ -61,7 +71,13 @@ if TYPE_CHECKING:
     from softmap_edge.model.user_effect import OwnEffect
 
 _MAX_BYTES = 256 << 20
-_MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MAX_ONNX_BYTES, ".toml": MOST_TEXT, ".py": MAX_EFFECT_BYTES}
+_MOST = {
+    ".json": 16 << 20,
+    ".npz": _MAX_BYTES,
+    ".onnx": MAX_ONNX_BYTES,
+    ".toml": MOST_TEXT,
+    ".py": MAX_EFFECT_BYTES,
+}
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 # Further files that its manifest may name.
@@ -70,13 +86,17 @@ Trust = Callable[[Path, str], bool]
 
 
 def save_bundle(model: Model, path: str | Path) -> Path:
-    """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the folder.
+    """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the
+    folder.
 
-    A bundle that stands there is replaced. Raises BundleError when something else does, or a bundle with further files.
+    A bundle that stands there is replaced. Raises BundleError when something else does, or a bundle
+    with further files.
     """
     folder = Path(path).resolve()
     if not model.arrays:
-        raise BundleError("this model has no arrays to write; build it, learn it, or load it from a bundle")
+        raise BundleError(
+            "this model has no arrays to write; build it, learn it, or load it from a bundle"
+        )
     check_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -129,7 +149,9 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         manifest["output"] = model.output.to_dict()
     if own:
         manifest["own_effects"] = {effect.name: effect.sha256 for effect in own}
-    (partial / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n")
+    (partial / "manifest.json").write_text(
+        json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    )
     if folder.exists():
         shutil.rmtree(folder)
     partial.replace(folder)
@@ -137,7 +159,9 @@ def save_bundle(model: Model, path: str | Path) -> Path:
 
 
 def _loaded() -> Mapping[str, OwnEffect]:
-    """Return the own effects of this process by name; their module is loaded for models with effects only."""
+    """Return the own effects of this process by name; their module is loaded for models with
+    effects only.
+    """
     from softmap_edge.model.user_effect import loaded
 
     return loaded()
@@ -169,51 +193,88 @@ def _schema(model: Model, files: list[str], own: bool) -> int:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise BundleError when `folder` holds something that is not a bundle, or more: that is never overwritten."""
+    """Raise BundleError when `folder` holds something that is not a bundle, or more: that is never
+    overwritten.
+    """
     if not folder.exists() or folder.is_dir() and not any(folder.iterdir()):
         return
     try:
         manifest = load_manifest(folder)
     except BundleError:
-        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it") from None
-    ours = {"manifest.json", *_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))}
+        raise BundleError(
+            f"{folder} exists and is not a bundle; choose another name or remove it"
+        ) from None
+    ours = {
+        "manifest.json",
+        *_FILES,
+        *_named(manifest),
+        *(f"{name}.py" for name in manifest.get("own_effects", {})),
+    }
     if foreign := sorted({entry.name for entry in folder.iterdir()} - ours):
-        raise BundleError(f"{folder}: holds {foreign[0]} next to a bundle, which would be lost; take it out first")
+        raise BundleError(
+            f"{folder}: holds {foreign[0]} next to a bundle, which would be lost; take it out first"
+        )
 
 
-def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool | Trust = False) -> Model:
+def load_bundle(
+    path: str | Path, trust: Trust | None = None, trust_onnx: bool | Trust = False
+) -> Model:
     """Read a bundle folder and return its model.
 
     Args:
         path: the folder.
-        trust: asked for each own effect that is not loaded yet whether its file may be run, `trust(file, sha256)`;
-            without it none is.
-        trust_onnx: whether onnxruntime may run a graph that the core does not read, in a child process with limits of
-            memory and time; or a function that is asked, `trust_onnx(file, sha256)`.
+        trust: asked for each own effect that is not loaded yet whether its file may be run,
+            `trust(file, sha256)`; without it none is.
+        trust_onnx: whether onnxruntime may run a graph that the core does not read, in a child
+            process with limits of memory and time; or a function that is asked, `trust_onnx(file,
+            sha256)`.
 
     Raises:
-        BundleError: it is damaged or newer, or holds code or a graph that the user has not allowed to run.
+        BundleError: it is damaged or newer, or holds code or a graph that the user has not allowed
+            to run.
     """
     folder = Path(path)
     manifest = load_manifest(folder)
-    for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
+    for name in (
+        *_FILES,
+        *_named(manifest),
+        *(f"{name}.py" for name in manifest.get("own_effects", {})),
+    ):
         if not (folder / name).is_file():
-            raise BundleError(f"{folder.name}: {name} is missing; copy the complete bundle folder again")
+            raise BundleError(
+                f"{folder.name}: {name} is missing; copy the complete bundle folder again"
+            )
         check_within(folder / name)
         _check_size(folder / name)
-        if name != SAFETY and _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
+        if name != SAFETY and _sha256(folder / name) != (
+            manifest["sha256"] | _own_hashes(manifest)
+        ).get(name):
             raise BundleError(
-                f"{folder.name}: {name} is not the file that the manifest names (hash differs); copy it again"
+                f"{folder.name}: {name} is not the file that the manifest names (hash differs); "
+                "copy it again"
             )
     for name, digest in manifest.get("own_effects", {}).items():
         _allow(folder / f"{name}.py", name, digest, trust)
     try:
-        return _model(folder, manifest, trust_onnx if callable(trust_onnx) else lambda _file, _sha256: trust_onnx)
+        return _model(
+            folder,
+            manifest,
+            trust_onnx if callable(trust_onnx) else lambda _file, _sha256: trust_onnx,
+        )
     except BundleError:
         raise
-    except (SoftmapError, KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError) as fault:
+    except (
+        SoftmapError,
+        KeyError,
+        ValueError,
+        TypeError,
+        IndexError,
+        OverflowError,
+        MemoryError,
+    ) as fault:
         raise BundleError(
-            f"{folder.name}: its arrays do not fit together ({brief(fault)}); build or copy it again"
+            f"{folder.name}: its arrays do not fit together ({brief(fault)}); build or copy it "
+            "again"
         ) from None
 
 
@@ -230,14 +291,15 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
     if known is None:
         if trust is None or not trust(file, digest):
             raise BundleError(
-                f"{file.parent}: its effect '{name}' is Python code, which is not run unasked; read {file}, then "
-                f"allow it with --effects {file} (in Python: load_effect)"
+                f"{file.parent}: its effect '{name}' is Python code, which is not run unasked; "
+                f"read {file}, then allow it with --effects {file} (in Python: load_effect)"
             )
         known = load_effect(file, digest)
     if known.sha256 != digest or known.name != name:
         raise BundleError(
-            f"{file.parent}: its effect '{name}' is a file of sha256 {digest[:12]}…, loaded is {known.name} of "
-            f"{known.sha256[:12]}… ({known.file}); a name stands for one file, so give --effects {file}"
+            f"{file.parent}: its effect '{name}' is a file of sha256 {digest[:12]}…, loaded is "
+            f"{known.name} of {known.sha256[:12]}… ({known.file}); a name stands for one file, so "
+            f"give --effects {file}"
         )
 
 
@@ -253,12 +315,22 @@ def _arrays(folder: Path, manifest: Document, trusted: Trust) -> tuple[dict[str,
     """
     learned = _named(manifest)
     foreign: Document = {}
-    files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]
-    arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
+    files = [
+        "prior.npz",
+        "fields.npz",
+        "template.npz",
+        *(name for name in learned if name.endswith(".npz")),
+    ]
+    arrays = {
+        file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES)
+        for file in files
+    }
     for name, group in arrays.items():
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
-                raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
+                raise BundleError(
+                    f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again"
+                )
             low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
             if max(high, -low) > LARGEST or (key == "form_error_mm" and low < 0):
                 raise BundleError(
@@ -266,7 +338,10 @@ def _arrays(folder: Path, manifest: Document, trusted: Trust) -> tuple[dict[str,
                     f"{'0 to ' if key == 'form_error_mm' else '±'}{LARGEST:g}; build it again"
                 )
             if key in ("triangles", "tip", "handles") and array.dtype.kind not in "iu":
-                raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
+                raise BundleError(
+                    f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole "
+                    "numbers"
+                )
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     for file in (name for name in learned if name.endswith(".onnx")):
         group = arrays.setdefault(file.removesuffix(".onnx"), {})
@@ -284,7 +359,10 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     template = template_from(folder.name, arrays["template"])
     if manifest["kind"] != "rod":
         if (manifest["kind"] == "network") != ("prior.onnx" in _named(manifest)):
-            raise BundleError(f"{folder.name}: a prior.onnx goes with the kind network, not with {manifest['kind']}")
+            raise BundleError(
+                f"{folder.name}: a prior.onnx goes with the kind network, not with "
+                f"{manifest['kind']}"
+            )
         prior: Any = family_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
         cables = cables_from(arrays["prior"], arrays["fields"])
@@ -295,13 +373,20 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
         prior, fields = rod_from_arrays(arrays["prior"])
         from softmap_edge.model.coverage import Coverage
 
-        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or reports what is wrong with it
+        # or reports what is wrong with it
+        Coverage.from_arrays(arrays["prior"], manifest["channels"])
         cables = second = None
     rest = template.rest
     if prior.size != rest.size:
-        raise BundleError(f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit together")
+        raise BundleError(
+            f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit "
+            "together"
+        )
     if prior.channels != manifest["channels"]:
-        raise BundleError(f"{folder.name}: prior of {prior.channels} channels, manifest says {manifest['channels']}")
+        raise BundleError(
+            f"{folder.name}: prior of {prior.channels} channels, manifest says "
+            f"{manifest['channels']}"
+        )
     apart = foreign["prior"]["table_off_mm"] if "prior" in foreign else 0.0
     made_from = _made_from(manifest) | ({"through_onnxruntime": foreign} if foreign else {})
     model = Model(
@@ -334,11 +419,17 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     )
     features = len(model.structure.positions)
     if model.form_error.shape != (features, 3):
-        raise BundleError(f"{folder.name}: form error of shape {model.form_error.shape}, expected ({features}, 3)")
+        raise BundleError(
+            f"{folder.name}: form error of shape {model.form_error.shape}, expected ({features}, 3)"
+        )
     names, params = load_chain(folder)
-    nameless = [name for name in names if name in _loaded() and name not in manifest.get("own_effects", {})]
+    nameless = [
+        name for name in names if name in _loaded() and name not in manifest.get("own_effects", {})
+    ]
     if nameless:
-        raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
+        raise BundleError(
+            f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name"
+        )
     model = model.with_effects(names, params)
     if "residual" not in arrays:
         return model
@@ -354,7 +445,9 @@ def _calibration(folder: Path, manifest: Document) -> Calibration | None:
     except CalibrationError as fault:
         raise BundleError(f"{folder.name}: {fault}") from None
     if len(found.b) != manifest["channels"]:
-        raise BundleError(f"{folder.name}: calibration of {len(found.b)} servos, {manifest['channels']} channels")
+        raise BundleError(
+            f"{folder.name}: calibration of {len(found.b)} servos, {manifest['channels']} channels"
+        )
     return found
 
 
@@ -365,13 +458,16 @@ def _safety(folder: Path, manifest: Document) -> Safety | None:
     file, reach = folder / SAFETY, np.array(manifest["command_range"], float).reshape(-1, 2)
     if file.stat().st_size > MOST_TEXT or not len(reach):
         raise BundleError(
-            f"{folder.name}: {SAFETY} of {file.stat().st_size} bytes for {len(reach)} commands; copy it again"
+            f"{folder.name}: {SAFETY} of {file.stat().st_size} bytes for {len(reach)} commands; "
+            "copy it again"
         )
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise BundleError(f"{folder.name}: {SAFETY} is no text; copy it again") from None
-    read = read_safety(text, reach, str(manifest.get("command_unit", "mm")), f"{folder.name}: {SAFETY}")
+    read = read_safety(
+        text, reach, str(manifest.get("command_unit", "mm")), f"{folder.name}: {SAFETY}"
+    )
     return replace(read, edited=_sha256(file) != manifest["sha256"][SAFETY])
 
 
@@ -380,10 +476,16 @@ def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
     folder = Path(path)
     effects = read_json(folder / "effects.json")
     names, params = effects.get("chain"), effects.get("params")
-    if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
+    if (
+        not isinstance(names, list)
+        or not all(isinstance(n, str) for n in names)
+        or not isinstance(params, dict)
+    ):
         raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
     if not all(finite_number(v) for v in params.values()):
-        raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{LARGEST:g}")
+        raise BundleError(
+            f"{folder.name}: effects.json: every parameter must be a number within ±{LARGEST:g}"
+        )
     return names, params
 
 
@@ -398,7 +500,9 @@ def _made_from(manifest: Document) -> Document:
 
         read_learned_in(made["learned_in"])
     runs = made.get("runs", [])
-    if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
+    if not isinstance(runs, list) or not all(
+        isinstance(run, str) and len(run) == 64 for run in runs
+    ):
         raise SoftmapError("made_from: `runs` is not a list of sha256")
     parts = made.get("pieces", [])
     if not isinstance(parts, list) or not all(map(_is_piece, parts)):
@@ -411,7 +515,9 @@ def _is_piece(part: object) -> bool:
     if not isinstance(part, list) or len(part) != 3:
         return False
     return (
-        isinstance(part[0], str) and len(part[0]) == 64 and all(type(t) is float and math.isfinite(t) for t in part[1:])
+        isinstance(part[0], str)
+        and len(part[0]) == 64
+        and all(type(t) is float and math.isfinite(t) for t in part[1:])
     )
 
 
@@ -420,7 +526,8 @@ def _check_size(file: Path) -> None:
     size, most = file.stat().st_size, _MOST[file.suffix]
     if size > most:
         raise BundleError(
-            f"{file.parent.name}: {file.name} has {size} bytes, at most {most} are read; build or copy it again"
+            f"{file.parent.name}: {file.name} has {size} bytes, at most {most} are read; build or "
+            "copy it again"
         )
 
 

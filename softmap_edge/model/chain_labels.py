@@ -1,10 +1,12 @@
-"""Parameters of a chain by label: a shared parameter has one label for all channels, and a number for each.
+"""Parameters of a chain by label: a shared parameter has one label for all channels, and a number
+for each.
 
-`chain.labels` (P,) name every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and `dead_zone.slack[0-]`
-of the cables that a channel pulls to either side. The numbers of one group of `chain.tie` are equal unless they are set
-separately, and `chain.group_labels` (P,) name the group (`backlash.gap`). Input may use either label, or that of a
-channel for both of its cables; the most exact one counts. Output has one entry for a group while its numbers are equal,
-else one for each. Pinned by tests/model/test_shared_numbers.py.
+`chain.labels` (P,) name every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and
+`dead_zone.slack[0-]` of the cables that a channel pulls to either side. The numbers of one group of
+`chain.tie` are equal unless they are set separately, and `chain.group_labels` (P,) name the group
+(`backlash.gap`). Input may use either label, or that of a channel for both of its cables; the most
+exact one counts. Output has one entry for a group while its numbers are equal, else one for each.
+Pinned by tests/model/test_shared_numbers.py.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ def readings(label: str, group: str) -> tuple[str, ...]:
 
 
 def grouped(chain: _core.Chain) -> dict[str, list[int]]:
-    """Return the numbers of each group, as indices into the labels of a chain, by the label of the group."""
+    """Return the numbers of each group, as indices into the labels of a chain, by the label of the
+    group.
+    """
     groups: dict[str, list[int]] = {}
     for i, label in enumerate(chain.group_labels):
         groups.setdefault(label, []).append(i)
@@ -34,7 +38,9 @@ def grouped(chain: _core.Chain) -> dict[str, list[int]]:
 
 
 def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
-    """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one for each."""
+    """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one
+    for each.
+    """
     found: dict[str, float] = {}
     for label, members in grouped(chain).items():
         if np.all(params[members] == params[members[0]]):
@@ -45,19 +51,29 @@ def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
 
 
 def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> Floats:
-    """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has none of them."""
+    """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has
+    none of them.
+    """
     names = (readings(label, group) for label, group in zip(chain.labels, chain.group_labels))
-    found = (next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent))
+    found = (
+        next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent)
+    )
     return np.array(list(found), float)
 
 
 def spread(chain: _core.Chain, params: Floats) -> Floats:
-    """Return parameters (P,) of a chain from all of them, or from one for each group (G,); others are unchanged."""
+    """Return parameters (P,) of a chain from all of them, or from one for each group (G,); others
+    are unchanged.
+    """
     groups = np.unique(chain.tie)
     return params[chain.tie] if params.shape == groups.shape else params
 
 
 def differing(chain: _core.Chain, params: Floats) -> frozenset[str]:
-    """Return the effects of a chain with a group whose numbers in `params` (P,) differ between channels."""
+    """Return the effects of a chain with a group whose numbers in `params` (P,) differ between
+    channels.
+    """
     members = grouped(chain).items()
-    return frozenset(group.split(".")[0] for group, some in members if np.any(params[some] != params[some[0]]))
+    return frozenset(
+        group.split(".")[0] for group, some in members if np.any(params[some] != params[some[0]])
+    )

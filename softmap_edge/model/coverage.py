@@ -2,13 +2,14 @@
 
     h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, monomials(q)],   q = (v − middle)/half
 
-The monomials are the squares and products of the commands or, for a map of the pulls of cables, its own terms.
+The monomials are the squares and products of the commands or, for a map of the pulls of cables, its
+own terms.
 
-h/n is the diagonal of the hat matrix of this regression: the variance of a prediction there, in units of the noise
-variance. h is large for a command whose channels are each within their range but were never moved together. For
-directions that the runs never moved, ε sets the tolerance. The limit is the largest h of the frames that taught the
-model.
-Source: Hoaglin and Welsch, The American Statistician 32 (1978) 17. Pinned by tests/model/test_coverage.py.
+h/n is the diagonal of the hat matrix of this regression: the variance of a prediction there, in
+units of the noise variance. h is large for a command whose channels are each within their range but
+were never moved together. For directions that the runs never moved, ε sets the tolerance. The limit
+is the largest h of the frames that taught the model. Source: Hoaglin and Welsch, The American
+Statistician 32 (1978) 17. Pinned by tests/model/test_coverage.py.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ from softmap_edge.model.basis import RIDGE, SQUARES, Basis
 
 Floats = NDArray[np.float64]
 
-EPSILON = 1e-5  # of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
+# of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
+EPSILON = 1e-5
 FAR = 0.15  # of the range from its ends: where a pair of channels is tested
 MOST_PAIRS = 4  # pairs that a sentence names
-LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of its half range beyond
+# times the largest leverage: a single channel reaches it 10 % of its half range beyond
+LARGER = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Commands that taught a model: `middle` and `half` (C,), `root` (F, F), `most` (1,); h = |φ root|² ≤ most."""
+    """Commands that taught a model: `middle` and `half` (C,), `root` (F, F), `most` (1,); h = |φ
+    root|² ≤ most.
+    """
 
     middle: Floats
     half: Floats
@@ -43,15 +48,21 @@ class Coverage:
 
     @classmethod
     def of(cls, acting: Floats, basis: Basis = SQUARES) -> Coverage:
-        """Return the coverage of the effective commands (n, C) that taught a model, in the terms of a basis."""
+        """Return the coverage of the effective commands (n, C) that taught a model, in the terms of
+        a basis.
+        """
         middle, half = basis.span(acting)
         features = _features((acting - middle) / half, basis)
         strength, directions = np.linalg.eigh(features.T @ features / len(features))
         root = directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON)
-        return cls(middle, half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]), basis)
+        return cls(
+            middle, half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]), basis
+        )
 
     def excess(self, acting: Floats) -> Floats:
-        """Return the leverage (n,) of effective commands (n, C), relative to the largest that taught the model."""
+        """Return the leverage (n,) of effective commands (n, C), relative to the largest that
+        taught the model.
+        """
         features = _features((acting - self.middle) / self.half, self.basis)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
 
@@ -61,11 +72,15 @@ class Coverage:
 
     def to_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return the arrays as `prior.npz` holds them."""
-        arrays = {f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")}
+        arrays = {
+            f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")
+        }
         return arrays | {"coverage_basis": np.array([self.basis.degree, self.basis.pulled], float)}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], channels: int) -> Coverage | None:
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[np.generic]], channels: int
+    ) -> Coverage | None:
         """Read the arrays of `prior.npz`; return None if it has none.
 
         Raises:
@@ -73,21 +88,30 @@ class Coverage:
         """
         if not any(name.startswith("coverage_") for name in arrays):
             return None
-        given = np.asarray(arrays.get("coverage_basis", [SQUARES.degree, SQUARES.pulled]), float).ravel().tolist()
-        if given not in [[degree, pulled] for degree in range(1, len(RIDGE) + 1) for pulled in (0.0, 1.0)]:
+        given = (
+            np.asarray(arrays.get("coverage_basis", [SQUARES.degree, SQUARES.pulled]), float)
+            .ravel()
+            .tolist()
+        )
+        if given not in [
+            [degree, pulled] for degree in range(1, len(RIDGE) + 1) for pulled in (0.0, 1.0)
+        ]:
             raise SoftmapError(
-                f"coverage: 'basis' is {given[:3]}, expected a degree and 0 or 1; learn the bundle again"
+                f"coverage: 'basis' is {given[:3]}, expected a degree and 0 or 1; learn the "
+                "bundle again"
             )
         basis = Basis(int(given[0]), given[1] == 1.0)
         count = 1 + basis.count(channels)
         shapes = {"middle": (channels,), "half": (channels,), "root": (count, count), "most": (1,)}
-        values = {name: np.asarray(arrays.get(f"coverage_{name}", np.zeros(0)), float) for name in shapes}
+        values = {
+            name: np.asarray(arrays.get(f"coverage_{name}", np.zeros(0)), float) for name in shapes
+        }
         wrong = [name for name, shape in shapes.items() if values[name].shape != shape]
         if wrong or not (values["half"] > 0).all() or not values["most"][0] > 0:
             name = wrong[0] if wrong else "half"
             raise SoftmapError(
-                f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} channels, or is not above "
-                "0; learn the bundle again"
+                f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} "
+                "channels, or is not above 0; learn the bundle again"
             )
         return cls(**values, basis=basis)
 
@@ -95,8 +119,8 @@ class Coverage:
 def apart(commands: Floats) -> list[tuple[int, int]]:
     """Return the pairs of channels that were moved, but never far enough together.
 
-    The criterion is the leverage of [1, u, v, u·v] at the four corners of their ranges (`FAR` inside). A circle covers
-    the corners, a cross does not.
+    The criterion is the leverage of [1, u, v, u·v] at the four corners of their ranges (`FAR`
+    inside). A circle covers the corners, a cross does not.
 
     Args:
         commands: of a run, shape (n, C); channels that never move are left out.
@@ -104,13 +128,19 @@ def apart(commands: Floats) -> list[tuple[int, int]]:
     middle, half = SQUARES.span(commands)
     q = (commands - middle) / half
     moving = np.flatnonzero(np.ptp(commands, axis=0) > 0)
-    return [(int(i), int(j)) for i, j in combinations(moving, 2) if _never_together(q[:, i], q[:, j])]
+    return [
+        (int(i), int(j)) for i, j in combinations(moving, 2) if _never_together(q[:, i], q[:, j])
+    ]
 
 
 def _never_together(u: Floats, v: Floats) -> bool:
-    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside the covered range."""
+    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside the covered
+    range.
+    """
     corners = (1.0 - 2.0 * FAR) * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-    moved, asked = (np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T))
+    moved, asked = (
+        np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T)
+    )
     strength, directions = np.linalg.eigh(moved.T @ moved / len(moved))
     root = directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON)
     most = ((moved @ root) ** 2).sum(axis=1).max()

@@ -1,4 +1,5 @@
-"""Declarations of the effects: the compiled ones and a user's own, by name in the order of their stages.
+"""Declarations of the effects: the compiled ones and a user's own, by name in the order of their
+stages.
 
 Pinned by tests/model/test_look.py and tests/model/test_own_effect.py.
 """
@@ -13,11 +14,13 @@ from softmap_edge import _core
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: no change at `null`; a fit starts at `start` and searches from `low` to `high`.
+    """A parameter of an effect: no change at `null`; a fit starts at `start` and searches from
+    `low` to `high`.
 
-    `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers are equal unless they
-    are split. Where the data require it, a fit goes beyond `high`: to `half_ranges` of the command, or to the weight
-    that moves the body by so many of its `lengths`. An `instant` is a time of the run, in seconds.
+    `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers
+    are equal unless they are split. Where the data require it, a fit goes beyond `high`: to
+    `half_ranges` of the command, or to the weight that moves the body by so many of its `lengths`.
+    An `instant` is a time of the run, in seconds.
     """
 
     name: str
@@ -42,9 +45,10 @@ class Parameter:
 class EffectInfo:
     """The declaration of an effect.
 
-    `stage` is where it acts on the way to the measurement, `role` what its law takes ("channel", "shape", "prior" or
-    "sensing"), `kind` "effect" or "fault". `experiment` is the block that shows it, and its minutes. `alike` names
-    effects of the same form and the condition that separates them ("never" if none does). `needs` are fields of a run.
+    `stage` is where it acts on the way to the measurement, `role` what its law takes ("channel",
+    "shape", "prior" or "sensing"), `kind` "effect" or "fault". `experiment` is the block that shows
+    it, and its minutes. `alike` names effects of the same form and the condition that separates
+    them ("never" if none does). `needs` are fields of a run.
     """
 
     name: str

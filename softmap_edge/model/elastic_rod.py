@@ -1,8 +1,10 @@
-"""The elastic-tendon rod as Python holds it: its layout, its numbers, which of them are free, and its load fields.
+"""The elastic-tendon rod as Python holds it: its layout, its numbers, which of them are free, and
+its load fields.
 
-The rod itself is rust/rod/elastic.rs: segments of constant curvature, tendons that stretch and may go slack. Its
-numbers stand in one vector, named by the core: slack · angle, radius, pretension of each tendon · stiffness, length,
-rest bending (2) of each segment · base (3) · tilt (2); rad, mm, stiffness in mm².
+The rod itself is rust/rod/elastic.rs: segments of constant curvature, tendons that stretch and may
+go slack. Its numbers stand in one vector, named by the core: slack · angle, radius, pretension of
+each tendon · stiffness, length, rest bending (2) of each segment · base (3) · tilt (2); rad, mm,
+stiffness in mm².
 """
 
 from __future__ import annotations
@@ -30,9 +32,9 @@ MOST_NUMBERS = 4096  # of any array of a rod's file
 class RodLayout:
     """What is fixed about a rod.
 
-    `segments` S and `channels` C; for each tendon the segment in which it ends and the command that draws it in (both
-    from 0) and by how many mm per unit; `at`: where each marker sits, in segments from the base (3 is the end of the
-    third).
+    `segments` S and `channels` C; for each tendon the segment in which it ends and the command that
+    draws it in (both from 0) and by how many mm per unit; `at`: where each marker sits, in segments
+    from the base (3 is the end of the third).
     """
 
     segments: int
@@ -44,23 +46,32 @@ class RodLayout:
 
     def compiled(self, numbers: Floats) -> _core.ElasticRod:
         """Return the compiled rod with these numbers (P,)."""
-        return _core.ElasticRod(self.segments, self.channels, self.ends, self.channel, self.pull, self.at, numbers)
+        return _core.ElasticRod(
+            self.segments, self.channels, self.ends, self.channel, self.pull, self.at, numbers
+        )
 
     def counts(self) -> dict[str, int]:
         """Return how many numbers there are of each kind, in their order."""
         n, s = len(self.ends), self.segments
-        tendon, segment = dict.fromkeys(("angle", "radius", "pretension"), n), {"stiffness": s, "length": s}
+        tendon, segment = (
+            dict.fromkeys(("angle", "radius", "pretension"), n),
+            {"stiffness": s, "length": s},
+        )
         return {"slack": 1} | tendon | segment | {"rest": 2 * s, "base": 3, "tilt": 2}
 
     def places(self) -> dict[str, slice]:
         """Return where the numbers of each kind stand."""
         ends = np.cumsum(list(self.counts().values())).tolist()
-        return {kind: slice(end - count, end) for (kind, count), end in zip(self.counts().items(), ends)}
+        return {
+            kind: slice(end - count, end) for (kind, count), end in zip(self.counts().items(), ends)
+        }
 
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a group of numbers: by a factor (1 is none) or by an angle or length (0 is none), within bounds."""
+    """A change of a group of numbers: by a factor (1 is none) or by an angle or length (0 is none),
+    within bounds.
+    """
 
     label: str
     group: int
@@ -73,9 +84,11 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ElasticParameters:
-    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its load fields.
+    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its
+    load fields.
 
-    `free` has, for each number, the group in which a fit changed it; -1 where it was known and stayed fixed.
+    `free` has, for each number, the group in which a fit changed it; -1 where it was known and
+    stayed fixed.
     """
 
     layout: RodLayout
@@ -84,20 +97,27 @@ class ElasticParameters:
     free: tuple[int, ...] = ()
 
     @classmethod
-    def nominal(cls, layout: RodLayout, numbers: Floats, free: tuple[int, ...] = ()) -> ElasticParameters:
+    def nominal(
+        cls, layout: RodLayout, numbers: Floats, free: tuple[int, ...] = ()
+    ) -> ElasticParameters:
         """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
         unscaled = cls(layout, numbers, 1.0, free)
         fields, home = unscaled.fields(), np.zeros((1, layout.channels))
         moved = [fields[f"tip_force_{axis}"].evaluate(home)[0, -3:] for axis in "xy"]
         length = float(numbers[layout.places()["length"]].sum())
-        return replace(unscaled, flexibility=TIP_PER_NEWTON * length / float(np.linalg.norm(moved, axis=1).mean()))
+        return replace(
+            unscaled,
+            flexibility=TIP_PER_NEWTON * length / float(np.linalg.norm(moved, axis=1).mean()),
+        )
 
     def compiled(self) -> _core.ElasticRod:
         """Return the compiled rod: commands (n, C) to markers (n, 3M) mm."""
         return self.layout.compiled(self.numbers)
 
     def fields(self) -> dict[str, _core.ElasticField]:
-        """Return its fields by name (`_core.FIELDS`): mm per N of tip force, mm per g for a nominal weight of 1 N."""
+        """Return its fields by name (`_core.FIELDS`): mm per N of tip force, mm per g for a nominal
+        weight of 1 N.
+        """
         rod = self.compiled()
         channels = self.layout.channels
         names = (*FIELDS, *(ROUTING[:channels] if channels <= len(ROUTING) else ()))
@@ -126,19 +146,35 @@ class ElasticParameters:
         """
         lists: dict[str, list[float]] = {}
         optional = ("free",) if "free" in arrays else ()
-        for name in ("segments", "channels", "ends", "channel", "pull", "at", "numbers", "flexibility", *optional):
+        for name in (
+            "segments",
+            "channels",
+            "ends",
+            "channel",
+            "pull",
+            "at",
+            "numbers",
+            "flexibility",
+            *optional,
+        ):
             if name not in arrays or np.ndim(arrays[name]) != 1 or len(arrays[name]) > MOST_NUMBERS:
                 got = f"of shape {np.shape(arrays[name])}" if name in arrays else "missing"
-                raise SoftmapError(f"elastic rod: array '{name}' is {got}, expected a list; learn the bundle again")
+                raise SoftmapError(
+                    f"elastic rod: array '{name}' is {got}, expected a list; learn the bundle again"
+                )
             lists[name] = np.asarray(arrays[name], float).tolist()
         for name in ("segments", "channels", "flexibility"):
             if len(lists[name]) != 1:
                 raise SoftmapError(
-                    f"elastic rod: '{name}' holds {len(lists[name])} numbers, expected one; learn the bundle again"
+                    f"elastic rod: '{name}' holds {len(lists[name])} numbers, expected one; learn "
+                    "the bundle again"
                 )
         for name in ("segments", "channels", "ends", "channel"):
             if not all(0 <= value <= 64 and value == int(value) for value in lists[name]):
-                raise SoftmapError(f"elastic rod: '{name}' is not whole numbers from 0 to 64; learn the bundle again")
+                raise SoftmapError(
+                    f"elastic rod: '{name}' is not whole numbers from 0 to 64; learn the bundle "
+                    "again"
+                )
         layout = RodLayout(
             segments=int(lists["segments"][0]),
             channels=int(lists["channels"][0]),
@@ -148,9 +184,17 @@ class ElasticParameters:
             at=tuple(lists["at"]),
         )
         free = lists.get("free", [])
-        if free and (len(free) != len(lists["numbers"]) or not all(-1 <= f < len(free) and f == int(f) for f in free)):
-            raise SoftmapError("elastic rod: 'free' is not one whole number from -1 a number; learn the bundle again")
-        return cls(layout, np.array(lists["numbers"]), lists["flexibility"][0], tuple(map(int, free)))
+        if free and (
+            len(free) != len(lists["numbers"])
+            or not all(-1 <= f < len(free) and f == int(f) for f in free)
+        ):
+            raise SoftmapError(
+                "elastic rod: 'free' is not one whole number from -1 a number; learn the bundle "
+                "again"
+            )
+        return cls(
+            layout, np.array(lists["numbers"]), lists["flexibility"][0], tuple(map(int, free))
+        )
 
     def changeable(self) -> list[Change]:
         """Return the numbers that were fitted to a run, as changes of what they are now."""
@@ -158,7 +202,11 @@ class ElasticParameters:
         for i, group in enumerate(self.free):
             if group >= 0:
                 first.setdefault(group, i)
-        kinds = {i: kind for kind, place in self.layout.places().items() for i in range(place.start, place.stop)}
+        kinds = {
+            i: kind
+            for kind, place in self.layout.places().items()
+            for i in range(place.start, place.stop)
+        }
         found = []
         for group, i in sorted(first.items()):
             kind, place = KINDS[kinds[i]], self.layout.places()[kinds[i]]
@@ -166,10 +214,14 @@ class ElasticParameters:
                 continue
             several = self.free.count(group) > 1
             label = kinds[i] if several else f"{kinds[i]}[{i - place.start}]"
-            low, high = (np.exp(kind.low), np.exp(kind.high)) if kind.factor else (kind.low, kind.high)
+            low, high = (
+                (np.exp(kind.low), np.exp(kind.high)) if kind.factor else (kind.low, kind.high)
+            )
             turn = 180.0 / np.pi if kind.unit == "deg" else 1.0
             unit = "times" if kind.factor else kind.unit
-            found.append(Change(label, group, unit, float(kind.factor), low * turn, high * turn, kind.factor))
+            found.append(
+                Change(label, group, unit, float(kind.factor), low * turn, high * turn, kind.factor)
+            )
         return found
 
     def with_numbers(self, numbers: Floats) -> ElasticParameters:
@@ -180,7 +232,8 @@ class ElasticParameters:
         """
         if np.shape(numbers) != np.shape(self.numbers):
             raise SoftmapError(
-                f"elastic rod: {np.shape(numbers)} numbers of before, it has {np.shape(self.numbers)}; learn again"
+                f"elastic rod: {np.shape(numbers)} numbers of before, it has "
+                f"{np.shape(self.numbers)}; learn again"
             )
         return replace(self, numbers=numbers)
 
@@ -193,7 +246,10 @@ class ElasticParameters:
         numbers, known = np.array(self.numbers, float), {c.label: c for c in self.changeable()}
         for label, value in values.items():
             if label not in known or not np.isfinite(value):
-                raise SoftmapError(f"elastic rod: no change of '{label}' by {value:g}; there are {', '.join(known)}")
+                raise SoftmapError(
+                    f"elastic rod: no change of '{label}' by {value:g}; there are "
+                    f"{', '.join(known)}"
+                )
             change, mine = known[label], np.array(self.free) == known[label].group
             by = value * np.pi / 180.0 if change.unit == "deg" else value
             numbers[mine] = numbers[mine] * by if change.factor else numbers[mine] + by
@@ -211,11 +267,12 @@ class ElasticParameters:
 
 @dataclass(frozen=True)
 class Kind:
-    """How one kind of number is fitted: as a factor of its start, or added to it; between `low` and `high`.
+    """How one kind of number is fitted: as a factor of its start, or added to it; between `low` and
+    `high`.
 
-    `doubt` is how far off a plausible guess may be: a fit that leaves more uncertainty than that has learned nothing.
-    `scatter` is how far other starts lie from the first. Factors count in natural logarithms, angles in rad, the rest
-    in mm.
+    `doubt` is how far off a plausible guess may be: a fit that leaves more uncertainty than that
+    has learned nothing. `scatter` is how far other starts lie from the first. Factors count in
+    natural logarithms, angles in rad, the rest in mm.
     """
 
     unit: str
@@ -238,7 +295,9 @@ KINDS = {
     "tilt": Kind("deg", False, -0.8, 0.8, 0.3, 0.0),
 }
 MODES = {
-    **dict.fromkeys(("angle", "radius", "pretension", "stiffness", "length"), ("known", "shared", "each")),
+    **dict.fromkeys(
+        ("angle", "radius", "pretension", "stiffness", "length"), ("known", "shared", "each")
+    ),
     **dict.fromkeys(("slack", "rest", "tilt"), ("known", "fitted")),
     "base": ("known", "height", "fitted"),
 }
@@ -270,7 +329,9 @@ class Coordinates:
         self.log = (self.spread @ self.factor) > 0  # (P,)
         first = np.array([self.start[indices[0]] for indices in moved])
         slack = np.array([kind == "slack" for kind in self.kinds], bool)
-        low, high = (np.array([getattr(KINDS[kind], end) for kind in self.kinds]) for end in ("low", "high"))
+        low, high = (
+            np.array([getattr(KINDS[kind], end) for kind in self.kinds]) for end in ("low", "high")
+        )
         self.low, self.high = np.where(slack, -first, low), np.where(slack, 1.0 - first, high)
         self.doubt = np.array([KINDS[kind].doubt for kind in self.kinds])
         self.scatter = np.array([KINDS[kind].scatter for kind in self.kinds])
@@ -283,7 +344,9 @@ class Coordinates:
             found[indices] = column
         return tuple(found.tolist())
 
-    def _add(self, kind: str, labels: Sequence[str], moved: list[list[int]], indices: list[list[int]]) -> None:
+    def _add(
+        self, kind: str, labels: Sequence[str], moved: list[list[int]], indices: list[list[int]]
+    ) -> None:
         self.labels += labels
         self.kinds += [kind] * len(labels)
         moved += indices
@@ -291,7 +354,9 @@ class Coordinates:
     def numbers(self, x: Floats) -> Floats:
         """Return all numbers (P,) of a rod at x."""
         step = self.spread @ x
-        return np.where(self.log, self.start * np.exp(np.where(self.log, step, 0.0)), self.start + step)
+        return np.where(
+            self.log, self.start * np.exp(np.where(self.log, step, 0.0)), self.start + step
+        )
 
     def slopes(self, x: Floats, by_number: Floats) -> Floats:
         """Return slopes (..., D) by x of what has slopes (..., P) by the numbers."""
@@ -299,9 +364,11 @@ class Coordinates:
         return np.asarray((by_number * scale) @ self.spread)
 
     def fitted_numbers(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
-        """Return value, one standard deviation and unit of each free number, as a robot's file has them.
+        """Return value, one standard deviation and unit of each free number, as a robot's file has
+        them.
 
-        A free number that moves several different ones is given as their factor, or as their change in deg or mm.
+        A free number that moves several different ones is given as their factor, or as their change
+        in deg or mm.
         """
         numbers, fitted = self.numbers(x), []
         for i, (kind, indices) in enumerate(zip(self.kinds, self.moved)):

@@ -1,8 +1,9 @@
-"""Effects that a learned model holds with its static map: they were in the robot while it was learned.
+"""Effects that a learned model holds with its static map: they were in the robot while it was
+learned.
 
-`softmap learn` writes one record for each effect that it adds to the chain. The records stand in the manifest of a
-bundle, under `made_from.learned_in`, and are checked like any untrusted file on reading. `Model.learned_in` returns
-them. Pinned by tests/model/test_learned_in.py.
+`softmap learn` writes one record for each effect that it adds to the chain. The records stand in
+the manifest of a bundle, under `made_from.learned_in`, and are checked like any untrusted file on
+reading. `Model.learned_in` returns them. Pinned by tests/model/test_learned_in.py.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ class LearnedNumber:
 
     def __str__(self) -> str:
         bound = ", at its bound" if self.at_bound else ""
-        return f"{self.label} = {self.value:.4g} ± {self.sigma:.2g} {self.unit.replace('1', '')}".rstrip() + bound
+        unit = self.unit.replace("1", "")
+        return f"{self.label} = {self.value:.4g} ± {self.sigma:.2g} {unit}".rstrip() + bound
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect, or a family without a law (`name` is empty), and its held-out error in mm RMS."""
+    """Another effect, or a family without a law (`name` is empty), and its held-out error in mm
+    RMS.
+    """
 
     name: str
     family: str
@@ -52,11 +56,12 @@ class Alternative:
 class LearnedIn:
     """An effect that a model was learned with.
 
-    `name` is the effect in the chain. `law` is one of four. `identified`: no alternative fits. `ambiguous`: the
-    evidence is weak, or an alternative of another family, or with as few numbers, fits as well. `open`: a number is at
-    its bound, or no law of the library fits as well as the family. `unknown`: no effect of the library explains the
-    detected family; the chain holds nothing of it, and `name` is empty. `before_mm` and `after_mm` are held-out errors,
-    RMS, without and with the effect.
+    `name` is the effect in the chain. `law` is one of four. `identified`: no alternative fits.
+    `ambiguous`: the evidence is weak, or an alternative of another family, or with as few numbers,
+    fits as well. `open`: a number is at its bound, or no law of the library fits as well as the
+    family. `unknown`: no effect of the library explains the detected family; the chain holds
+    nothing of it, and `name` is empty. `before_mm` and `after_mm` are held-out errors, RMS, without
+    and with the effect.
     """
 
     name: str
@@ -69,11 +74,19 @@ class LearnedIn:
 
     def __str__(self) -> str:
         if not self.name:
-            families = " or ".join(dict.fromkeys([self.family, *(one.family for one in self.alternatives)]))
+            families = " or ".join(
+                dict.fromkeys([self.family, *(one.family for one in self.alternatives)])
+            )
             fall = f"from {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
-            return f"unknown law of {families}, not in the model; its family lowers the held-out error {fall}"
+            return (
+                f"unknown law of {families}, not in the model; its family lowers the held-out "
+                f"error {fall}"
+            )
         errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
-        lines = [f"{self.name}: {self.family}, law {self.law}, {errors}", *(f"  {number}" for number in self.params)]
+        lines = [
+            f"{self.name}: {self.family}, law {self.law}, {errors}",
+            *(f"  {number}" for number in self.params),
+        ]
         if self.alternatives:
             lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")
         return "\n".join(lines)
@@ -91,9 +104,16 @@ class LearnedIn:
         """
         values = _checked(cls, document)
         if values["law"] not in get_args(Law):
-            raise SoftmapError(f"learned_in: law is {values['law']!r:.40}, expected one of {', '.join(get_args(Law))}")
-        values["params"] = tuple(LearnedNumber(**_checked(LearnedNumber, part)) for part in values["params"])
-        values["alternatives"] = tuple(Alternative(**_checked(Alternative, part)) for part in values["alternatives"])
+            raise SoftmapError(
+                f"learned_in: law is {values['law']!r:.40}, expected one of "
+                f"{', '.join(get_args(Law))}"
+            )
+        values["params"] = tuple(
+            LearnedNumber(**_checked(LearnedNumber, part)) for part in values["params"]
+        )
+        values["alternatives"] = tuple(
+            Alternative(**_checked(Alternative, part)) for part in values["alternatives"]
+        )
         return cls(**values)
 
 
@@ -106,19 +126,27 @@ def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
     if document is None:
         return ()
     if not isinstance(document, Sequence) or isinstance(document, str) or len(document) > MOST:
-        raise SoftmapError(f"learned_in: expected a list of at most {MOST} records, got {document!r:.40}")
+        raise SoftmapError(
+            f"learned_in: expected a list of at most {MOST} records, got {document!r:.40}"
+        )
     return tuple(LearnedIn.from_dict(part) for part in document)
 
 
 def _checked(kind: type, document: object) -> Document:
-    """Return the values of a table whose keys are the fields of `kind`, each of its declared type."""
+    """Return the values of a table whose keys are the fields of `kind`, each of its declared
+    type.
+    """
     declared = {field.name: str(field.type) for field in fields(kind)}
     if not isinstance(document, Mapping) or set(document) != set(declared):
-        raise SoftmapError(f"learned_in: expected a table with {', '.join(declared)}, got {document!r:.60}")
+        raise SoftmapError(
+            f"learned_in: expected a table with {', '.join(declared)}, got {document!r:.60}"
+        )
     values = dict(document)
     for name, of in declared.items():
         if not _fits(values[name], of):
-            raise SoftmapError(f"learned_in: {name} is {values[name]!r:.40}, expected {_EXPECTED.get(of, of)}")
+            raise SoftmapError(
+                f"learned_in: {name} is {values[name]!r:.40}, expected {_EXPECTED.get(of, of)}"
+            )
     return values
 
 

@@ -1,4 +1,5 @@
-"""The manifest of a bundle: its declared contents, every field checked before anything else is read.
+"""The manifest of a bundle: its declared contents, every field checked before anything else is
+read.
 
 Pinned by tests/model/test_bundle.py.
 """
@@ -14,8 +15,9 @@ from typing import Any
 from softmap_edge.errors import BundleError, brief
 from softmap_edge.files.atomic import Document
 
-# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
-# 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no places
+# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a
+# residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no
+# places
 SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
 EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user's own effect
@@ -28,8 +30,8 @@ def check_within(file: Path) -> None:
     """Raise BundleError where a file of a bundle is a link to a file outside its folder."""
     if file.is_symlink() and file.resolve().parent != file.parent.resolve():
         raise BundleError(
-            f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the bundle with its files "
-            "(cp -rL)"
+            f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the "
+            "bundle with its files (cp -rL)"
         )
 
 
@@ -38,34 +40,51 @@ def load_manifest(path: str | Path) -> Document:
     file = Path(path) / "manifest.json"
     if not file.is_file():
         raise BundleError(
-            f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` make one"
+            f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` "
+            "make one"
         )
     check_within(file)
     manifest = read_json(file)
     schema = manifest.get("schema")
     if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:
         raise BundleError(
-            f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole number from 1"
+            f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole "
+            "number from 1"
         )
     if schema > SCHEMA:
         raise BundleError(
-            f"{file.parent.name}: written with bundle schema {schema}, this version reads up to {SCHEMA}; "
-            "pip install -U softmap-edge"
+            f"{file.parent.name}: written with bundle schema {schema}, this version reads up to "
+            f"{SCHEMA}; pip install -U softmap-edge"
         )
     if manifest.get("kind") not in KINDS:
         raise BundleError(
-            f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are {', '.join(KINDS)}"
+            f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are "
+            f"{', '.join(KINDS)}"
         )
     _require(manifest, "sha256", _file_hashes, "a table of at most 100 file names and their sha256")
     _require(manifest, "channels", lambda v: type(v) is int and 0 <= v <= 64, "a whole number 0…64")
     for name in ("robot", "command_unit", "written_by"):
         _require(manifest, name, _plain, "a printable text of at most 100 characters")
-    _require(manifest, "length_unit", lambda v: v == "mm", "'mm': lengths of a bundle are in millimetres")
+    _require(
+        manifest, "length_unit", lambda v: v == "mm", "'mm': lengths of a bundle are in millimetres"
+    )
     _require({"made_from": {}, **manifest}, "made_from", lambda v: isinstance(v, dict), "a table")
-    _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
+    _require(
+        {"input": "present", **manifest},
+        "input",
+        lambda v: v in ("present", "goal"),
+        "'present' or 'goal'",
+    )
     for name in ("held_out_error_mm", "held_out_error_per_g_mm"):
-        _require({"held_out_error_per_g_mm": 0.0, **manifest}, name, _error, "a number in mm from 0")
-    _require({"stiffness_known": True, **manifest}, "stiffness_known", lambda v: isinstance(v, bool), "true or false")
+        _require(
+            {"held_out_error_per_g_mm": 0.0, **manifest}, name, _error, "a number in mm from 0"
+        )
+    _require(
+        {"stiffness_known": True, **manifest},
+        "stiffness_known",
+        lambda v: isinstance(v, bool),
+        "true or false",
+    )
     _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
     _require(
         manifest,
@@ -73,15 +92,26 @@ def load_manifest(path: str | Path) -> Document:
         lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(map(_interval, v)),
         "a pair [low, high] a channel, low below high",
     )
-    _require({"output": {}, **manifest}, "output", lambda v: isinstance(v, dict), "a table of names, unit, mm_per_unit")
-    _require({"own_effects": {}, **manifest}, "own_effects", _hashes, "a table of names and sha256, of at most 16")
+    _require(
+        {"output": {}, **manifest},
+        "output",
+        lambda v: isinstance(v, dict),
+        "a table of names, unit, mm_per_unit",
+    )
+    _require(
+        {"own_effects": {}, **manifest},
+        "own_effects",
+        _hashes,
+        "a table of names and sha256, of at most 16",
+    )
     return manifest
 
 
 def _require(manifest: Document, key: str, fits: Callable[[object], bool], what: str) -> None:
     if key not in manifest or not fits(manifest[key]):
         raise BundleError(
-            f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
+            f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy "
+            "it again"
         )
 
 
@@ -132,5 +162,7 @@ def read_json(file: Path) -> Document:
             f"{file.parent.name}: {file.name} is not readable JSON ({brief(fault)}); copy it again"
         ) from None
     if not isinstance(document, dict):
-        raise BundleError(f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table")
+        raise BundleError(
+            f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table"
+        )
     return document

@@ -1,10 +1,12 @@
-"""The model: the map from commands to shapes. Comparison, diagnosis and control use only this interface.
+"""The model: the map from commands to shapes. Comparison, diagnosis and control use only this
+interface.
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
-The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); users of a model see no difference.
-Parameters of effects are kept in one place, `chain_params`, in the order of `chain.labels`. By label (`chain_labels`)
-one number is used for all channels while their numbers are equal.
+The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); users of a model
+see no difference. Parameters of effects are kept in one place, `chain_params`, in the order of
+`chain.labels`. By label (`chain_labels`) one number is used for all channels while their numbers
+are equal.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
-TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
+# where stiffness is not known: 1 N across the tip moves it by this share of the length
+TIP_PER_NEWTON = 0.1
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
-BEFORE = ("numbers_before", "error_before_mm")  # arrays of a prior whose numbers were changed with an effect
+# arrays of a prior whose numbers were changed with an effect
+BEFORE = ("numbers_before", "error_before_mm")
 KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 
 
@@ -49,10 +53,11 @@ KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 class Model:
     """A structure and the effects added to it.
 
-    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` is the provenance of the model
-    (versions, seeds, hashes); `arrays` are the contents of `prior.npz`, `fields.npz` and `residual.npz`, from which the
-    structure was compiled. The residual was learned with these effects; with others it is gone. `handles` (H,) are the
-    vertices that ask for the cloud in the published registration, ascending; None for all.
+    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` is the
+    provenance of the model (versions, seeds, hashes); `arrays` are the contents of `prior.npz`,
+    `fields.npz` and `residual.npz`, from which the structure was compiled. The residual was learned
+    with these effects; with others it is gone. `handles` (H,) are the vertices that ask for the
+    cloud in the published registration, ascending; None for all.
     """
 
     kind: str
@@ -71,7 +76,9 @@ class Model:
     handles: NDArray[np.int64] | None = None
     output: Output | None = None  # meaning of the markers, for a model of forces, angles, levels
     safety: Safety | None = None  # what the finger may be asked; a model of before has none
-    _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
+    _views: dict[tuple[bytes, bool], views.View] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     # --- its structure ---------------------------------------------------------------------------
 
@@ -132,7 +139,9 @@ class Model:
 
     @property
     def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it sideways by the length of the body (`Structure`)."""
+        """The weight (g) at the tip that would move it sideways by the length of the body
+        (`Structure`).
+        """
         return self.structure.weight_per_length
 
     def with_structure(self, **changes: Any) -> Model:
@@ -146,16 +155,23 @@ class Model:
 
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
-        """Effects that were in the robot while the model was learned (`softmap learn`); none for a simulator."""
+        """Effects that were in the robot while the model was learned (`softmap learn`); none for a
+        simulator.
+        """
         from softmap_edge.model.learned_in import read_learned_in
 
         return read_learned_in(self.made_from.get("learned_in"))
 
     def taught_by(self, run: Run) -> bool:
-        """Return whether the model was learned from this run, or from a part of the recording that it holds as well."""
+        """Return whether the model was learned from this run, or from a part of the recording that
+        it holds as well.
+        """
         from softmap_edge.run.pieces import spans
 
-        known = [(str(one), float(start), float(end)) for one, start, end in self.made_from.get("pieces", [])]
+        known = [
+            (str(one), float(start), float(end))
+            for one, start, end in self.made_from.get("pieces", [])
+        ]
         parts = spans(run)
         return run.hash() in self.made_from.get("runs", []) or any(
             one == part.origin and max(start, first) < min(end, last)
@@ -177,12 +193,17 @@ class Model:
 
     @cached_property
     def tip_shape(self) -> Shape:
-        """The tip (3,) mm of what acts: the middle of the `tip_indices`, as the model hangs, unloaded
-        (`predictors.tip`)."""
-        return tip(self.structure, self.chain, self.chain_params, self.gravity_reference, 0.0, float("nan"))
+        """The tip (3,) mm of what acts: the middle of the `tip_indices`, as the model hangs,
+        unloaded (`predictors.tip`).
+        """
+        return tip(
+            self.structure, self.chain, self.chain_params, self.gravity_reference, 0.0, float("nan")
+        )
 
     def tip(self, acting: Floats) -> Floats:
-        """Return the tip (n, 3) mm in the base frame where `acting` (n, C) mm acts; nothing is sensed."""
+        """Return the tip (n, 3) mm in the base frame where `acting` (n, C) mm acts; nothing is
+        sensed.
+        """
         return np.asarray(self.tip_shape.evaluate(np.asarray(acting, float)))
 
     def tip_jacobian(self, acting: Floats) -> Floats:
@@ -194,28 +215,36 @@ class Model:
 
         Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
         """
-        there = set(self.fields) | ({"tendon_compliance"} if self.structure.cables is not None else set())
+        there = set(self.fields) | (
+            {"tendon_compliance"} if self.structure.cables is not None else set()
+        )
         there |= set() if self.structure.contact is None else {"contact"}
         there |= set(self.prior.numbers)
         chain = _core.Chain([name], self.channels)
         return [required for required in (*chain.fields, *chain.numbers) if required not in there]
 
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
-        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
+        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by
+        label).
 
-        A parameter that channels share may be given once (`backlash.gap`) or for each channel (`backlash.gap[1]`). In
-        chain order either all of them are given once, or all for each channel.
+        A parameter that channels share may be given once (`backlash.gap`) or for each channel
+        (`backlash.gap[1]`). In chain order either all of them are given once, or all for each
+        channel.
 
-        By label, `params` may also hold changes of the prior's numbers (`changes`). Without an effect that changes its
-        law, the prior has the numbers from before such an effect was added.
+        By label, `params` may also hold changes of the prior's numbers (`changes`). Without an
+        effect that changes its law, the prior has the numbers from before such an effect was added.
         """
         chain = _core.Chain(list(names), self.channels)
         if isinstance(params, Mapping):
             known = {change.label for change in self.changes(names)}
             moved = {label: value for label, value in params.items() if label in known}
             if moved:
-                return self.changed(moved).with_effects(names, {k: v for k, v in params.items() if k not in known})
-            allowed = {name for pair in zip(chain.labels, chain.group_labels) for name in readings(*pair)}
+                return self.changed(moved).with_effects(
+                    names, {k: v for k, v in params.items() if k not in known}
+                )
+            allowed = {
+                name for pair in zip(chain.labels, chain.group_labels) for name in readings(*pair)
+            }
             unknown = [label for label in params if label not in allowed]
             if unknown:
                 there = ", ".join(dict.fromkeys(chain.group_labels))
@@ -224,13 +253,21 @@ class Model:
         params = spread(chain, np.asarray(params, float))
         if params.shape != (len(chain.labels),):
             groups = list(dict.fromkeys(chain.group_labels))
-            raise SoftmapError(f"{len(groups)} parameters expected ({', '.join(groups)}), got {params.shape}")
+            raise SoftmapError(
+                f"{len(groups)} parameters expected ({', '.join(groups)}), got {params.shape}"
+            )
         if not np.isfinite(params).all():
-            wrong = next(label for label, value in named(chain, params).items() if not np.isfinite(value))
+            wrong = next(
+                label for label, value in named(chain, params).items() if not np.isfinite(value)
+            )
             raise SoftmapError(f"{wrong} is not a finite number; give one")
         if (params < 0)[chain.log].any():
             i = int(np.argmax(chain.log & (params < 0)))
-            wrong = next(label for label in (chain.group_labels[i], chain.labels[i]) if label in named(chain, params))
+            wrong = next(
+                label
+                for label in (chain.group_labels[i], chain.labels[i])
+                if label in named(chain, params)
+            )
             raise SoftmapError(f"{wrong} is {params[i]:g} {chain.units[i]}, allowed is 0 or more")
         model = self if chain.numbers else self._before_laws()
         return replace(model.with_residual(None), chain_names=tuple(names), chain_params=params)
@@ -240,7 +277,8 @@ class Model:
         return self.with_effects([], {})
 
     def with_residual(self, arrays: Arrays | None) -> Model:
-        """Return the model with the residual that a shape family's `arrays` hold, in place of its own, or with none.
+        """Return the model with the residual that a shape family's `arrays` hold, in place of its
+        own, or with none.
 
         Raises:
             SoftmapError: it is of other commands or points.
@@ -251,12 +289,16 @@ class Model:
             return replace(self.with_structure(residual=None), arrays=kept, made_from=made)
         residual = family_from(arrays)
         _core.Sum(self.prior, residual)  # raises unless they agree
-        return replace(self.with_structure(residual=residual), arrays=kept | {"residual": dict(arrays)})
+        return replace(
+            self.with_structure(residual=residual), arrays=kept | {"residual": dict(arrays)}
+        )
 
     def changes(self, names: Sequence[str]) -> list[Change]:
-        """Return what is fitted along with the effects `names`, labelled as theirs: changes of the prior's numbers.
+        """Return what is fitted along with the effects `names`, labelled as theirs: changes of the
+        prior's numbers.
 
-        The numbers of a rod were fitted under the law that it had; where an effect changes it, they are open again.
+        The numbers of a rod were fitted under the law that it had; where an effect changes it, they
+        are open again.
         """
         laws = [name for name in names if _core.Chain([name], self.channels).numbers]
         if not laws or self._elastic is None:
@@ -267,23 +309,32 @@ class Model:
         """Return the model with changes of the prior's numbers, by the labels of `changes`."""
         if self._elastic is None:
             raise SoftmapError(f"the model of '{self.robot}' has no rod whose numbers could change")
-        rod = self._elastic.changed({label.split(".", 1)[1]: value for label, value in values.items()})
+        rod = self._elastic.changed(
+            {label.split(".", 1)[1]: value for label, value in values.items()}
+        )
         before = dict(zip(BEFORE, (self._elastic.numbers, self.form_error)))
-        return self._with_rod(rod, {name: self.arrays["prior"].get(name, array) for name, array in before.items()})
+        return self._with_rod(
+            rod, {name: self.arrays["prior"].get(name, array) for name, array in before.items()}
+        )
 
     @property
     def has_earlier_numbers(self) -> bool:
-        """Whether the prior's numbers were changed along with an effect and are known as they were before."""
+        """Whether the prior's numbers were changed along with an effect and are known as they were
+        before.
+        """
         return set(BEFORE) <= set(self.arrays.get("prior", {}))
 
     def _before_laws(self) -> Model:
-        """Return the model with the numbers of its rod, and its error, as they were before any of them was changed."""
+        """Return the model with the numbers of its rod, and its error, as they were before any of
+        them was changed.
+        """
         if not self.has_earlier_numbers or self._elastic is None:
             return self
         numbers, error = (np.asarray(self.arrays["prior"][name], float) for name in BEFORE)
         if error.shape != self.form_error.shape or np.any(error < 0):
             raise SoftmapError(
-                f"elastic rod: an error {error.shape} of before, now {self.form_error.shape}; learn again"
+                f"elastic rod: an error {error.shape} of before, now {self.form_error.shape}; "
+                "learn again"
             )
         model = self._with_rod(self._elastic.with_numbers(numbers), {})
         overall = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
@@ -292,7 +343,9 @@ class Model:
     def _with_rod(self, rod: ElasticParameters, kept: Arrays) -> Model:
         coverage = {} if self.coverage is None else self.coverage.to_arrays()
         arrays = {**self.arrays, "prior": rod.to_arrays() | coverage | kept}
-        return replace(self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())), arrays=arrays)
+        return replace(
+            self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())), arrays=arrays
+        )
 
     @cached_property
     def _elastic(self) -> ElasticParameters | None:
@@ -306,7 +359,9 @@ class Model:
     # --- from runs ------------------------------------------------------------------------------
 
     def commands(self, run: Run) -> Floats:
-        """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
+        """Return the run's commands (T, C) as this model takes them: the present position if there
+        is one.
+        """
         u = (run := converted(self, run)).commands("goal" if self.input == "goal" else None)
         from softmap_edge.model.training_range import check_commands
 
@@ -314,10 +369,15 @@ class Model:
         return np.ascontiguousarray(u, float)
 
     def predict(self, run: Run) -> Floats:
-        """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
+        """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has
+        markers.
+        """
         vertices = self.points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
         carry = self.view(run).carry
-        return flat(vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices)), run)
+        return flat(
+            vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices)),
+            run,
+        )
 
     def features(self, run: Run) -> Floats:
         """Return the predicted features (K, V, 3) mm at the run's seen times."""
@@ -339,17 +399,27 @@ class Model:
     def predict_features(
         self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
-        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core.
+        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`,
+        batched in the core.
 
-        What `inputs` makes of the run may be given, here and below, where it is asked again and again.
+        What `inputs` makes of the run may be given, here and below, where it is asked again and
+        again.
         """
-        chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return flat(self.view(run).predictor.predict(chain, params, inputs or self.inputs(run)), run)
+        chain = (
+            self.chain
+            if tuple(names) == self.chain_names
+            else _core.Chain(list(names), self.channels)
+        )
+        return flat(
+            self.view(run).predictor.predict(chain, params, inputs or self.inputs(run)), run
+        )
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
-        """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
+        """Return the predictor of linear forms of the features, `weights` (3V, M); None where
+        shapes are no tables.
 
-        Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with it.
+        Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with
+        it.
         """
         filled = np.zeros((len(weights), -(-weights.shape[1] // 3) * 3))
         each = flat(weights.T.reshape(weights.shape[1], -1, 3), run)
@@ -359,77 +429,123 @@ class Model:
     def predict_forms(
         self, forms: _core.Predictor, names: Sequence[str], params: Floats, inputs: _core.Inputs
     ) -> Floats:
-        """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of a chain."""
+        """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of
+        a chain.
+        """
         found = forms.predict(_core.Chain(list(names), self.channels), params, inputs)
         return found.reshape(*found.shape[:2], -1)
 
-    def acting(self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None) -> Floats:
-        """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
+    def acting(
+        self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None
+    ) -> Floats:
+        """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for
+        sets (B, P).
+        """
         chain = _core.Chain(list(names), self.channels)
         return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
 
     def effective_commands(self, run: Run) -> Floats:
         """Return what the model's own effects make of the commands, (K, C) at the seen times."""
         if self.chain_names:
-            return np.ascontiguousarray(self.acting(self.chain_names, self.chain_params[None], run)[0])
-        u = self.commands(run)  # without a predictor, which a network's table of features would be made for
+            return np.ascontiguousarray(
+                self.acting(self.chain_names, self.chain_params[None], run)[0]
+            )
+        # without a predictor, which a network's table of features would be made for
+        u = self.commands(run)
         rows = [np.interp(run.t_seen, run.t, channel) for channel in u.T]
         return np.ascontiguousarray(np.reshape(rows, (self.channels, run.frames)).T)
 
     def slopes(
-        self, names: Sequence[str], params: Floats, step: Floats, run: Run, inputs: _core.Inputs | None = None
+        self,
+        names: Sequence[str],
+        params: Floats,
+        step: Floats,
+        run: Run,
+        inputs: _core.Inputs | None = None,
     ) -> Floats:
-        """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides of one set (P,)."""
+        """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides
+        of one set (P,).
+        """
         chain, predictor = _core.Chain(list(names), self.channels), self.view(run).predictor
-        return predictor.slopes(chain, params[None], inputs or self.inputs(run), np.asarray(step, float))
+        return predictor.slopes(
+            chain, params[None], inputs or self.inputs(run), np.asarray(step, float)
+        )
 
     def features_at(self, effective: Floats, run: Run) -> Floats:
-        """Return the features (K, V, 3) mm of the prior at effective commands (K, C), in the conditions of a run."""
+        """Return the features (K, V, 3) mm of the prior at effective commands (K, C), in the
+        conditions of a run.
+        """
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
-        return np.asarray(predictor.predict(chain, np.zeros((1, 0)), self._inputs_at(effective, run))[0])
+        return np.asarray(
+            predictor.predict(chain, np.zeros((1, 0)), self._inputs_at(effective, run))[0]
+        )
 
     def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
-        """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C), `step` (C,) to both sides."""
+        """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C), `step` (C,) to
+        both sides.
+        """
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
-        return predictor.slopes(chain, np.zeros((1, 0)), self._inputs_at(effective, run), np.asarray(step, float))
+        return predictor.slopes(
+            chain, np.zeros((1, 0)), self._inputs_at(effective, run), np.asarray(step, float)
+        )
 
     def _inputs_at(self, effective: Floats, run: Run) -> _core.Inputs:
         """Return the core's inputs with one effective command for each seen frame."""
         seen = np.ascontiguousarray(run.t_seen, float)
-        at = np.clip(np.searchsorted(np.asarray(run.t, float), seen, side="right") - 1, 0, len(run.t) - 1)
-        gravity = np.broadcast_to(self.gravity_reference if run.gravity is None else run.gravity, (len(run.t), 3))
+        at = np.clip(
+            np.searchsorted(np.asarray(run.t, float), seen, side="right") - 1, 0, len(run.t) - 1
+        )
+        gravity = np.broadcast_to(
+            self.gravity_reference if run.gravity is None else run.gravity, (len(run.t), 3)
+        )
         load = None if run.load is None else np.broadcast_to(run.load, (len(run.t),))[at]
-        warm = None if run.temperature is None else np.broadcast_to(run.temperature, (len(run.t),))[at]
+        warm = (
+            None if run.temperature is None else np.broadcast_to(run.temperature, (len(run.t),))[at]
+        )
         given = (np.ascontiguousarray(a, float) for a in (effective, seen, seen, gravity[at]))
         u, t, t_seen, g = given
-        return _core.Inputs(u, t, t_seen, gravity=g, load=load, temperature=warm, cameras=run.cameras)
+        return _core.Inputs(
+            u, t, t_seen, gravity=g, load=load, temperature=warm, cameras=run.cameras
+        )
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
         return views.seen_features(self, run)
 
     def seen_points(self, run: Run) -> Floats:
-        """Return the run's points (K, N, 3) mm after checking that they are points of this robot."""
+        """Return the run's points (K, N, 3) mm after checking that they are points of this
+        robot.
+        """
         return views.seen_points(self, run)
 
     def points_in_mm(self, run: Run) -> Floats:
-        """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
+        """Return the same after checking that they are as large as the robot, so that no effect
+        stands for a unit.
+        """
         return views.points_in_mm(self, run)
 
     def run_feature_map(self, run: Run) -> FeatureMap:
-        """Return what makes features (V) of the run's points: sections of vertices, the markers themselves."""
+        """Return what makes features (V) of the run's points: sections of vertices, the markers
+        themselves.
+        """
         return self.view(run).mapping
 
     def run_form_error(self, run: Run) -> Floats:
-        """Return the model's own held-out error (V, 3) mm for the features of this run, in its orientations."""
+        """Return the model's own held-out error (V, 3) mm for the features of this run, in its
+        orientations.
+        """
         return views.form_error(self, run)
 
     def run_leaning(self, run: Run) -> Floats:
-        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference."""
+        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of
+        the reference.
+        """
         return views.leaning(self, run)
 
     def view(self, run: Run) -> views.View:
-        """Return how this model sees the run's points; kept, for a fit asks for every prediction."""
+        """Return how this model sees the run's points; kept, for a fit asks for every
+        prediction.
+        """
         key = views.key_of(self, run)
         if key not in self._views:
             if len(self._views) >= KEPT_VIEWS:

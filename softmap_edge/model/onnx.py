@@ -1,15 +1,18 @@
-"""Trained networks of a bundle: `prior.onnx` and `residual.onnx`, commands (n, C) to the points of a body (n, 3N) mm.
+"""Trained networks of a bundle: `prior.onnx` and `residual.onnx`, commands (n, C) to the points of
+a body (n, 3N) mm.
 
-The compiled core runs them (`rust/network/`), with exact slopes, and needs no onnxruntime. Training compares both where
-it exports a network, `softmap check BUNDLE` does it again; hashes of the bundle vouch for the file in between.
-Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
+The compiled core runs them (`rust/network/`), with exact slopes, and needs no onnxruntime. Training
+compares both where it exports a network, `softmap check BUNDLE` does it again; hashes of the bundle
+vouch for the file in between. Fits look at features, not at points: there a network of up to three
+commands becomes a table (`tabulated`).
 
-A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it (`--trust-onnx`),
-once, in a child process with limits of memory and time, at the nodes of a grid of its up to three commands. The results
-become a table (`elsewhere`), with all properties of a table: slopes, fields, the control loop without Python.
-The error of the table between its nodes is measured, reported and limited. No graph is run that refers to other files,
-or that holds loops, branches, functions or foreign operators (`_core.check_onnx`). Pinned by
-tests/model/test_network.py and tests/files/test_untrusted_bundles.py.
+A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it
+(`--trust-onnx`), once, in a child process with limits of memory and time, at the nodes of a grid of
+its up to three commands. The results become a table (`elsewhere`), with all properties of a table:
+slopes, fields, the control loop without Python. The error of the table between its nodes is
+measured, reported and limited. No graph is run that refers to other files, or that holds loops,
+branches, functions or foreign operators (`_core.check_onnx`). Pinned by tests/model/test_network.py
+and tests/files/test_untrusted_bundles.py.
 """
 
 from __future__ import annotations
@@ -35,18 +38,24 @@ BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
 AGREE_MM = 1e-3  # single precision of 100 mm through five layers leaves 1e-4
-BEYOND = 0.15  # of the range to each side that a table covers; commands that effects change may lie there
+# of the range to each side that a table covers; commands that effects change may lie there
+BEYOND = 0.15
 ASKED = {1: 201, 2: 41, 3: 15}  # nodes of a grid that onnxruntime is asked at
 MOST_NODES = 4000  # of a grid whose axes the bundle gives
 APART_MM = 0.2  # that a table of them may be off between its nodes, RMS over points and commands
 KEPT_MM = 2e-3  # modes of such a table: what the others add, RMS
-NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.001 mm, of kinked ones 0.02 mm RMS
+# of a table, by channels; of smooth networks 0.001 mm, of kinked ones 0.02 mm RMS
+NODES = {1: 201, 2: 61, 3: 21}
 
 
 def read_network(
-    file: Path, command_range: Floats, prior: Mapping[str, object], trusted: Callable[[Path, str], bool]
+    file: Path,
+    command_range: Floats,
+    prior: Mapping[str, object],
+    trusted: Callable[[Path, str], bool],
 ) -> tuple[Arrays, Document | None]:
-    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
+    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read
+    it.
 
     One that training wrote stays a network (`onnx`); another becomes a table.
 
@@ -54,14 +63,18 @@ def read_network(
         file: the file.
         command_range: (C, 2) mm, within which both are compared.
         prior: other arrays of the prior: a table takes its axes, where there are some.
-        trusted: asked whether onnxruntime may run a graph that the core does not read, `trusted(file, sha256)`.
+        trusted: asked whether onnxruntime may run a graph that the core does not read,
+            `trusted(file, sha256)`.
 
     Raises:
-        BundleError: it is too large, refers to other files, holds loops, has other channels, or is not trusted.
+        BundleError: it is too large, refers to other files, holds loops, has other channels, or is
+            not trusted.
     """
     size = file.stat().st_size
     if size > MAX_ONNX_BYTES:
-        raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MAX_ONNX_BYTES >> 20} MB are read")
+        raise BundleError(
+            f"{file.name}: {size >> 20} MB, networks of up to {MAX_ONNX_BYTES >> 20} MB are read"
+        )
     content = file.read_bytes()
     try:
         _core.check_onnx(content)
@@ -72,12 +85,15 @@ def read_network(
     except SoftmapError as fault:
         if not trusted(file, hashlib.sha256(content).hexdigest()):
             raise BundleError(
-                f"{file.name}: {fault}. If you trust this file, --trust-onnx (in Python: load_bundle(path, "
-                "trust_onnx=True)) lets onnxruntime run it, in a child process with limits"
+                f"{file.name}: {fault}. If you trust this file, --trust-onnx (in Python: "
+                "load_bundle(path, trust_onnx=True)) lets onnxruntime run it, in a child process "
+                "with limits"
             ) from None
         return table_from_onnxruntime(file.name, content, command_range, prior, str(fault))
     if network.channels != len(command_range):
-        raise BundleError(f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}")
+        raise BundleError(
+            f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}"
+        )
     return {"onnx": np.frombuffer(content, np.uint8)}, None
 
 
@@ -98,10 +114,13 @@ def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -
     if find_spec("onnxruntime") is None:
         return None
     commands = _some(command_range)
-    apart = float(np.abs(run_onnxruntime(content, commands) - _core.Network(content).evaluate(commands)).max())
+    apart = float(
+        np.abs(run_onnxruntime(content, commands) - _core.Network(content).evaluate(commands)).max()
+    )
     if not apart < AGREE_MM:
         raise BundleError(
-            f"{name}: onnxruntime and the core differ by {apart:.2g} mm, allowed is {AGREE_MM:g}; export it again"
+            f"{name}: onnxruntime and the core differ by {apart:.2g} mm, allowed is {AGREE_MM:g}; "
+            "export it again"
         )
     return apart
 
@@ -119,25 +138,39 @@ def table_from_onnxruntime(
         why: why the core does not read it.
 
     Raises:
-        BundleError: onnxruntime does not run it, it has too many commands, or a table is too far from it.
+        BundleError: onnxruntime does not run it, it has too many commands, or a table is too far
+            from it.
     """
     channels = len(command_range)
     if channels not in ASKED:
-        raise BundleError(f"{name}: {why}; onnxruntime's graphs are read as tables of up to {max(ASKED)} commands")
+        raise BundleError(
+            f"{name}: {why}; onnxruntime's graphs are read as tables of up to {max(ASKED)} commands"
+        )
     try:
         low, high = command_range.T
         more = BEYOND * (high - low)
         axes = [np.linspace(a, b, ASKED[channels]) for a, b in zip(low - more, high + more)]
         axes = [np.asarray(prior.get(f"axis{c}", axis), np.float64) for c, axis in enumerate(axes)]
         if (count := np.prod([len(axis) for axis in axes], dtype=object)) > MOST_NODES:
-            raise BundleError(f"its axes in prior.npz make a table of {count} nodes, at most {MOST_NODES} are asked")
+            raise BundleError(
+                f"its axes in prior.npz make a table of {count} nodes, at most {MOST_NODES} are "
+                "asked"
+            )
         some, nodes = _some(command_range), _grid(axes)
-        both = in_child(run_onnxruntime, content, np.concatenate([nodes, some]), megabytes=CHILD_MB, seconds=CHILD_S)
+        both = in_child(
+            run_onnxruntime,
+            content,
+            np.concatenate([nodes, some]),
+            megabytes=CHILD_MB,
+            seconds=CHILD_S,
+        )
         values, target = both[: len(nodes)], both[len(nodes) :]
     except BundleError as fault:
         raise BundleError(f"{name}: {why}. Nor by onnxruntime: {fault}") from None
     except ChildFault as fault:
-        raise BundleError(f"{name}: {why}. onnxruntime was stopped: its run {fault}; use a smaller graph") from None
+        raise BundleError(
+            f"{name}: {why}. onnxruntime was stopped: its run {fault}; use a smaller graph"
+        ) from None
     if values.ndim != 2 or values.shape[1] % 3 or not np.isfinite(both).all():
         raise BundleError(f"{name}: {why}; its outputs {values.shape} are no finite points (n, 3N)")
     mean = values.mean(axis=0)
@@ -146,19 +179,30 @@ def table_from_onnxruntime(
     modes = modes[rest > KEPT_MM][::-1] if (rest > KEPT_MM).any() else modes[-1:]
     weights = (values - mean) @ modes.T
     table = _core.Table(axes, weights, mean, np.ascontiguousarray(modes))
-    apart = float(np.sqrt(np.mean(np.sum((table.evaluate(some) - target).reshape(len(some), -1, 3) ** 2, axis=2))))
+    apart = float(
+        np.sqrt(
+            np.mean(np.sum((table.evaluate(some) - target).reshape(len(some), -1, 3) ** 2, axis=2))
+        )
+    )
     if not apart < APART_MM:
         raise BundleError(
-            f"{name}: {why}. A table of what onnxruntime makes of it would be {apart:.2g} mm off, allowed is "
-            f"{APART_MM:g}; train a network of layers that are read (`softmap train prior`)"
+            f"{name}: {why}. A table of what onnxruntime makes of it would be {apart:.2g} mm off, "
+            f"allowed is {APART_MM:g}; train a network of layers that are read (`softmap train "
+            "prior`)"
         )
     arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
     arrays |= {"mean": mean, "modes": modes, "coefficients": weights}
-    return arrays, {"graph_sha256": hashlib.sha256(content).hexdigest(), "why": why, "table_off_mm": apart}
+    return arrays, {
+        "graph_sha256": hashlib.sha256(content).hexdigest(),
+        "why": why,
+        "table_off_mm": apart,
+    }
 
 
 def _modes(values: Floats) -> tuple[Floats, Floats]:
-    """Return the squared sizes (K,) of the principal modes of `values` (n, M), rising, and the modes (K, M)."""
+    """Return the squared sizes (K,) of the principal modes of `values` (n, M), rising, and the
+    modes (K, M).
+    """
     if len(values) >= values.shape[1]:
         size, modes = np.linalg.eigh(values.T @ values)
         return size, modes.T
@@ -196,13 +240,18 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
     # Its errors have no common base class but Exception.
     except Exception as fault:
         if "allocate" in str(fault) or isinstance(fault, MemoryError):
-            raise BundleError(f"it needs more than {CHILD_MB} MB of memory; use a smaller graph") from None
-        raise BundleError(f"onnxruntime cannot run the network ({brief(fault)}); export it again") from None
+            raise BundleError(
+                f"it needs more than {CHILD_MB} MB of memory; use a smaller graph"
+            ) from None
+        raise BundleError(
+            f"onnxruntime cannot run the network ({brief(fault)}); export it again"
+        ) from None
     return np.concatenate(found).astype(np.float64)
 
 
 def tabulated(network: _core.Network, command_range: Floats) -> _core.Network | _core.Table:
-    """Return a network of few outputs as a table over its commands, or itself where these are too many.
+    """Return a network of few outputs as a table over its commands, or itself where these are too
+    many.
 
     command_range: (C, 2) mm; the table covers `BEYOND` more to each side.
     """

@@ -1,9 +1,11 @@
-"""The shapes of a model as they are in the orientations of a run: what clouds and frames are matched against.
+"""The shapes of a model as they are in the orientations of a run: what clouds and frames are
+matched against.
 
-A prior is made in one orientation. Where frames declare another, the model's fields bend it: its shapes on a grid of
-commands, in their leading modes, are then a table that is as quick as the prior, one for each orientation of the run.
-Where these are more than MOST (a robot that is carried about), the prior stands. Units: mm, g.
-Pinned by tests/alignment/test_registration.py, tests/calibration/test_calibration.py.
+A prior is made in one orientation. Where frames declare another, the model's fields bend it: its
+shapes on a grid of commands, in their leading modes, are then a table that is as quick as the
+prior, one for each orientation of the run. Where these are more than MOST (a robot that is carried
+about), the prior stands. Units: mm, g. Pinned by tests/alignment/test_registration.py,
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ MODES = 32
 
 
 def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
-    """Return the frames (n,) of each orientation that a run declares, and the prior of a model in it.
+    """Return the frames (n,) of each orientation that a run declares, and the prior of a model in
+    it.
 
     Args:
         model: its fields say how it hangs; its residual is in it, its effects are not.
@@ -39,11 +42,15 @@ def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
     Returns:
         list: numbers of frames, each once, and a shape: commands (n, C) to points (n, 3N) mm.
     """
-    return [(rows, prior_under_gravity(model, gravity)) for rows, gravity in _orientations(model, run)]
+    return [
+        (rows, prior_under_gravity(model, gravity)) for rows, gravity in _orientations(model, run)
+    ]
 
 
 def other_orientation(model: Model, run: Run) -> bool:
-    """Return whether some frames are in another orientation than the prior, and the model can predict its influence."""
+    """Return whether some frames are in another orientation than the prior, and the model can
+    predict its influence.
+    """
     return any(gravity is not None for _, gravity in _orientations(model, run))
 
 
@@ -55,9 +62,16 @@ def gravity_seen(run: Run) -> Floats:
 
 
 def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
-    """Return the frames of each orientation, and its gravity (3,) g; None where it is that of the prior."""
+    """Return the frames of each orientation, and its gravity (3,) g; None where it is that of the
+    prior.
+    """
     every = np.arange(run.frames)
-    if run.gravity is None or not model.structure.stiffness_known or not model.fields or model.channels not in NODES:
+    if (
+        run.gravity is None
+        or not model.structure.stiffness_known
+        or not model.fields
+        or model.channels not in NODES
+    ):
         return [(every, None)]
     gravity = gravity_seen(run)
     found: list[tuple[Rows, Floats | None]] = []
@@ -87,4 +101,6 @@ def prior_under_gravity(model: Model, gravity: Floats | None = None) -> Shape:
     shapes = np.asarray(bare.predict(asked)).reshape(len(grid), -1)
     mean = shapes.mean(axis=0)
     left, size, modes = np.linalg.svd(shapes - mean, full_matrices=False)
-    return _core.Table(axes, left[:, :MODES] * size[:MODES], mean, np.ascontiguousarray(modes[:MODES]))
+    return _core.Table(
+        axes, left[:, :MODES] * size[:MODES], mean, np.ascontiguousarray(modes[:MODES])
+    )

@@ -1,13 +1,15 @@
-"""The parameters of a chain for a run: labels, units, nulls, starts and bounds, for one run or several.
+"""The parameters of a chain for a run: labels, units, nulls, starts and bounds, for one run or
+several.
 
-Parameters of a session rather than of the robot (PER_RUN: the pose of the base in the camera's frame, its drift, the
-offset of the clocks) have separate numbers for each run, labelled `mount.turn_x@2` from the second on. The open numbers
-of the prior are listed with the parameters of effects.
+Parameters of a session rather than of the robot (PER_RUN: the pose of the base in the camera's
+frame, its drift, the offset of the clocks) have separate numbers for each run, labelled
+`mount.turn_x@2` from the second on. The open numbers of the prior are listed with the parameters of
+effects.
 
-Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout splits their effect. Then
-each channel, or each cable, has its own, `backlash.gap[0]`. `spread` maps the numbers of the runs' chains to the
-layout.
-Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_several_runs.py and tests/model/test_shared_numbers.py.
+Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout
+splits their effect. Then each channel, or each cable, has its own, `backlash.gap[0]`. `spread` maps
+the numbers of the runs' chains to the layout. Pinned by tests/diagnosis/test_fit.py,
+tests/diagnosis/test_several_runs.py and tests/model/test_shared_numbers.py.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Start and search range (P,) of fits of a chain on a robot, and the `limit` that they may reach beyond `high`."""
+    """Start and search range (P,) of fits of a chain on a robot, and the `limit` that they may
+    reach beyond `high`.
+    """
 
     start: Floats
     low: Floats
@@ -46,7 +50,8 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Layout:
-    """The parameters of a chain for a record: arrays (L,), and where each run's own chain finds its numbers.
+    """The parameters of a chain for a record: arrays (L,), and where each run's own chain finds its
+    numbers.
 
     A full set (N,) holds all numbers of the runs' chains, one for each channel.
     """
@@ -65,45 +70,64 @@ class Layout:
     instant: NDArray[np.bool_]  # times within the run
     spread: NDArray[np.intp]  # parameter (N,) of each number of the full set
     columns: list[NDArray[np.intp]]  # (chain's P,) for each run: its places in the full set
-    declared: NDArray[np.bool_]  # parameters of effects; the others are numbers of the prior that are open with them
+    # parameters of effects; the others are numbers of the prior that are open with them
+    declared: NDArray[np.bool_]
 
     @property
     def middle(self) -> Floats:
-        """Typical strength (P,): halfway from null to the far end, or the start where the scale is logarithmic."""
+        """Typical strength (P,): halfway from null to the far end, or the start where the scale is
+        logarithmic.
+        """
         far = np.where(self.high > self.null, self.high, self.low)
-        return np.where(self.declared, np.where(self.log, self.start, 0.5 * (self.null + far)), self.null)
+        return np.where(
+            self.declared, np.where(self.log, self.start, 0.5 * (self.null + far)), self.null
+        )
 
     def full(self, params: Floats) -> Floats:
         """Return the full sets (..., N) of parameter sets (..., L); full sets unchanged."""
         width = params.shape[-1]
         if width not in (len(self.labels), len(self.spread)):
-            raise SoftmapError(f"{len(self.labels)} parameters expected ({', '.join(self.labels)}), got {width}")
+            raise SoftmapError(
+                f"{len(self.labels)} parameters expected ({', '.join(self.labels)}), got {width}"
+            )
         return params if width == len(self.spread) else params[..., self.spread]
 
     def values(self, params: Mapping[str, float], absent: Floats | None = None) -> Floats:
         """Return parameters (L,) by label; for numbers of another run, take those of its first run.
 
-        A label without an index is used for all channels. Where there is none, `absent` (L,) is taken.
+        A label without an index is used for all channels. Where there is none, `absent` (L,) is
+        taken.
 
         Raises:
-            SoftmapError: no such parameter, or channels have different numbers where this layout has one for all.
+            SoftmapError: no such parameter, or channels have different numbers where this layout
+                has one for all.
         """
         found = [_found(params, label, group) for label, group in zip(self.labels, self.groups)]
         if absent is not None:
-            return np.array([rest if value is None else value for value, rest in zip(found, absent)], float)
+            return np.array(
+                [rest if value is None else value for value, rest in zip(found, absent)], float
+            )
         if None in found:
-            raise SoftmapError(f"no {self.labels[found.index(None)]} among {', '.join(params) or 'no parameters'}")
+            raise SoftmapError(
+                f"no {self.labels[found.index(None)]} among {', '.join(params) or 'no parameters'}"
+            )
         return np.array(found, float)
 
 
 def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
-    """Return a parameter by its label, that of the first run, or that of all channels; else the channels' value."""
+    """Return a parameter by its label, that of the first run, or that of all channels; else the
+    channels' value.
+    """
     for name in (label, *readings(label.split("@")[0], group)):
         if name in params:
             return params[name]
-    each = {value for name, value in params.items() if label == group and name.startswith(f"{group}[")}
+    each = {
+        value for name, value in params.items() if label == group and name.startswith(f"{group}[")
+    }
     if len(each) > 1:
-        raise SoftmapError(f"the channels have different numbers of {group} ({each}); split {group.split('.')[0]}")
+        raise SoftmapError(
+            f"the channels have different numbers of {group} ({each}); split {group.split('.')[0]}"
+        )
     return each.pop() if each else None
 
 
@@ -116,7 +140,8 @@ def layout_of(
     seconds: tuple[float, float],
     split: Collection[str] = (),
 ) -> Layout:
-    """Return the parameters of a chain of `names`, those of the effects in PER_RUN once for each of `runs`.
+    """Return the parameters of a chain of `names`, those of the effects in PER_RUN once for each of
+    `runs`.
 
     Args:
         names: the effects.
@@ -138,13 +163,24 @@ def layout_of(
             suffix.append(f"@{run}")
         columns.append(column)
     alone = [_alone(chain, i, split) for i in range(count)]
-    each = [(chain.labels if alone[i] else chain.group_labels)[i] + run for i, run in zip(source, suffix)]
+    each = [
+        (chain.labels if alone[i] else chain.group_labels)[i] + run
+        for i, run in zip(source, suffix)
+    ]
     labels, first, spread = _firsts(each)
-    source, groups = [source[i] for i in first], [chain.group_labels[source[i]] + suffix[i] for i in first]
-    start, low, high, limit = (a[source] for a in (ranges.start, ranges.low, ranges.high, ranges.limit))
+    source, groups = (
+        [source[i] for i in first],
+        [chain.group_labels[source[i]] + suffix[i] for i in first],
+    )
+    start, low, high, limit = (
+        a[source] for a in (ranges.start, ranges.low, ranges.high, ranges.limit)
+    )
     within = np.asarray(chain.instant, bool)[source]
     if np.any(within) and seconds[0] < seconds[1]:
-        low, (high, limit) = np.where(within, seconds[0], low), (np.where(within, seconds[1], a) for a in (high, limit))
+        low, (high, limit) = (
+            np.where(within, seconds[0], low),
+            (np.where(within, seconds[1], a) for a in (high, limit)),
+        )
         start = np.clip(start, low, high)
     null = np.asarray(chain.null, float)[source]
     integer = np.asarray(chain.integer, bool)[source]
@@ -161,7 +197,21 @@ def layout_of(
         log = np.append(log, np.array([c.factor for c in changes], bool))
         integer, within = (np.append(a, np.zeros(len(changes), bool)) for a in (integer, within))
     flags = (log, integer, within)
-    return Layout(tuple(names), labels, groups, units, null, start, low, high, limit, *flags, spread, columns, declared)
+    return Layout(
+        tuple(names),
+        labels,
+        groups,
+        units,
+        null,
+        start,
+        low,
+        high,
+        limit,
+        *flags,
+        spread,
+        columns,
+        declared,
+    )
 
 
 def _alone(chain: _core.Chain, i: int, split: Collection[str]) -> bool:
@@ -170,32 +220,44 @@ def _alone(chain: _core.Chain, i: int, split: Collection[str]) -> bool:
 
 
 def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.intp]]:
-    """Return the distinct `labels` in order, the first place of each, and the index of each label among them."""
+    """Return the distinct `labels` in order, the first place of each, and the index of each label
+    among them.
+    """
     place = {label: k for k, label in enumerate(dict.fromkeys(labels))}
     first = {label: i for i, label in reversed([*enumerate(labels)])}
-    return list(place), [first[label] for label in place], np.array([place[label] for label in labels], np.intp)
+    return (
+        list(place),
+        [first[label] for label in place],
+        np.array([place[label] for label in labels], np.intp),
+    )
 
 
 def ranges_of(model: Model, chain: _core.Chain) -> Ranges:
     """Return the search ranges of a chain's fits on this robot.
 
-    Ranges declared in mm of command are for tendons that move by REACH_MM to each side. On a robot with another range,
-    in any unit, they scale with the range. Where the data require it a fit may go further: to a number of half ranges,
-    or to a weight given by its displacement of this body, in the model's own scale of loads.
+    Ranges declared in mm of command are for tendons that move by REACH_MM to each side. On a robot
+    with another range, in any unit, they scale with the range. Where the data require it a fit may
+    go further: to a number of half ranges, or to a weight given by its displacement of this body,
+    in the model's own scale of loads.
     """
     half = _half_range(model)
     in_commands = effects_that("channel")
     commanded = [
-        unit.startswith("mm") and label.split(".")[0] in in_commands for label, unit in zip(chain.labels, chain.units)
+        unit.startswith("mm") and label.split(".")[0] in in_commands
+        for label, unit in zip(chain.labels, chain.units)
     ]
     factor = np.where(commanded, half / REACH_MM, 1.0)
     start, low, high = (factor * np.asarray(x, float) for x in (chain.start, chain.low, chain.high))
-    farthest = np.maximum(np.asarray(chain.half_ranges) * half, np.asarray(chain.lengths) * model.weight_per_length)
+    farthest = np.maximum(
+        np.asarray(chain.half_ranges) * half, np.asarray(chain.lengths) * model.weight_per_length
+    )
     return Ranges(start, low, high, np.maximum(high, farthest))
 
 
 def _half_range(model: Model) -> float:
-    """Return half the range of a model's commands, in their unit; REACH_MM if the model has none."""
+    """Return half the range of a model's commands, in their unit; REACH_MM if the model has
+    none.
+    """
     reach = model.command_range
     half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
     return half if half > 0 else REACH_MM

@@ -1,8 +1,10 @@
-"""The polynomial rod as Python holds it: chords whose bending angles are a polynomial of the commands.
+"""The polynomial rod as Python holds it: chords whose bending angles are a polynomial of the
+commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-`rod/polynomial.py` fits its weights. Pinned by tests/rod/test_rod.py and tests/rod/test_pulled_rod.py.
+`rod/polynomial.py` fits its weights. Pinned by tests/rod/test_rod.py and
+tests/rod/test_pulled_rod.py.
 """
 
 from __future__ import annotations
@@ -23,12 +25,15 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 MOST_INTERVALS = 64  # of splines, of each command
-LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
+# the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
+LOCK = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """A fitted rod: `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K) mm."""
+    """A fitted rod: `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad, `lengths`
+    (1 + G, K) mm.
+    """
 
     centre: Floats
     scale: Floats
@@ -40,10 +45,11 @@ class Weights:
 class RodParameters:
     """The numbers of a rod.
 
-    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
-    mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
-    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). With `pulled` the
-    polynomial is in the pulls of two cables a command. With `intervals` it is a sum of splines of so many intervals.
+    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad,
+    `lengths` (1 + G, K) mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their
+    `lock`: how far the tendons hold each chord's mean bending against a load, 0 (not at all) to 1
+    (motors that hold, tendons that do not stretch). With `pulled` the polynomial is in the pulls of
+    two cables a command. With `intervals` it is a sum of splines of so many intervals.
     """
 
     base: Floats
@@ -64,17 +70,26 @@ class RodParameters:
 
     def compiled(self) -> _core.Rod:
         """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-        return compiled(Weights(self.centre, self.scale, self.angles, self.lengths), self.base, self.basis)
+        return compiled(
+            Weights(self.centre, self.scale, self.angles, self.lengths), self.base, self.basis
+        )
 
     def fields(self) -> dict[str, _core.RodField]:
-        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
+        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1
+        N.
+        """
         rod = self.compiled()
         return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
-        arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        single = {name: getattr(self, name) for name in ("degree", "compliance", "lock", "pulled", "intervals")}
+        arrays: Arrays = {
+            name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")
+        }
+        single = {
+            name: getattr(self, name)
+            for name in ("degree", "compliance", "lock", "pulled", "intervals")
+        }
         return arrays | {name: np.array([value]) for name, value in single.items()}
 
     def __str__(self) -> str:
@@ -88,24 +103,44 @@ class RodParameters:
         Raises:
             SoftmapError: an array is missing or has the wrong number of axes.
         """
-        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
-        axes |= {name: 1 for name in ("pulled", "intervals") if name in arrays}  # earlier versions have none
+        axes = {
+            "base": 1,
+            "centre": 1,
+            "scale": 1,
+            "angles": 2,
+            "lengths": 2,
+            "degree": 1,
+            "compliance": 1,
+            "lock": 1,
+        }
+        # earlier versions have none
+        axes |= {name: 1 for name in ("pulled", "intervals") if name in arrays}
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
             if name not in arrays or np.ndim(arrays[name]) != ndim:
                 got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
-                raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
+                raise SoftmapError(
+                    f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again"
+                )
             values[name] = np.ascontiguousarray(arrays[name], float)
         single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
         single |= {name: values.pop(name, np.zeros(1)).tolist() for name in ("pulled", "intervals")}
         for name, value in single.items():
             if len(value) != 1:
-                raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
+                raise SoftmapError(
+                    f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle "
+                    "again"
+                )
         (degree,), (compliance,), (lock,), (pulled,), (intervals,) = single.values()
         if not 0 <= intervals <= MOST_INTERVALS or intervals % 1:
-            raise SoftmapError(f"rod: {intervals:g} intervals, expected 0 to {MOST_INTERVALS}; learn the bundle again")
+            raise SoftmapError(
+                f"rod: {intervals:g} intervals, expected 0 to {MOST_INTERVALS}; learn the bundle "
+                "again"
+            )
         if degree not in range(1, len(RIDGE) + 1):
-            raise SoftmapError(f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again")
+            raise SoftmapError(
+                f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again"
+            )
         return cls(
             degree=int(degree),
             compliance=compliance,
@@ -119,13 +154,21 @@ class RodParameters:
 def compiled(weights: Weights, base: Floats, basis: Basis) -> _core.Rod:
     """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
     return _core.Rod(
-        base, weights.centre, weights.scale, basis.degree, weights.angles, weights.lengths, basis.pulled,
+        base,
+        weights.centre,
+        weights.scale,
+        basis.degree,
+        weights.angles,
+        weights.lengths,
+        basis.pulled,
         basis.intervals,
-    )  # fmt: skip
+    )
 
 
 def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, Document]:
     """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
-    kind: type[ElasticParameters | RodParameters] = ElasticParameters if "numbers" in arrays else RodParameters
+    kind: type[ElasticParameters | RodParameters] = (
+        ElasticParameters if "numbers" in arrays else RodParameters
+    )
     parameters = kind.from_arrays(arrays)
     return parameters.compiled(), dict(parameters.fields())

@@ -1,4 +1,6 @@
-"""Compile the predictors of a structure: of all points, of a linear map of them, of where obstacles stop the body."""
+"""Compile the predictors of a structure: of all points, of a linear map of them, of where obstacles
+stop the body.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ def all_points(structure: Structure) -> _core.Predictor:
     """Return the predictor of all points (N, 3) mm."""
     everywhere = np.ones(len(structure.rest), bool)
     return _predictor(
-        structure, structure.corrected_prior, dict(structure.fields), everywhere, structure.cables, structure.second
+        structure,
+        structure.corrected_prior,
+        dict(structure.fields),
+        everywhere,
+        structure.cables,
+        structure.second,
     )
 
 
@@ -35,8 +42,13 @@ def projected(structure: Structure, mapping: FeatureMap) -> _core.Predictor:
 
 
 def stations(structure: Structure) -> Contact | None:
-    """Return where an obstacle can stop the body: middles of its stations, how fields move them, and their radii mm."""
-    if not {name for name in _core.FIELDS if name.startswith("push")} <= set(structure.fields) or structure.markers:
+    """Return where an obstacle can stop the body: middles of its stations, how fields move them,
+    and their radii mm.
+    """
+    if (
+        not {name for name in _core.FIELDS if name.startswith("push")} <= set(structure.fields)
+        or structure.markers
+    ):
         return None
     share = structure.arc_length / max(float(np.max(structure.arc_length)), 1e-9)
     near = [np.abs(share - station) <= _STATION_SHARE for station in _core.STATIONS[:-1]]
@@ -45,14 +57,25 @@ def stations(structure: Structure) -> Contact | None:
         return None
     weights = np.stack([n / n.sum() for n in near])
     aside = structure.rest - (weights @ structure.rest)[:, None]
-    reach = [float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE)) for a, n in zip(aside, near)]
-    return *_through(structure, FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))), reach
+    reach = [
+        float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE))
+        for a, n in zip(aside, near)
+    ]
+    return *_through(
+        structure, FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))
+    ), reach
 
 
 def tip(
-    structure: Structure, chain: _core.Chain, params: Floats, gravity: Floats, load: float, temperature: float
+    structure: Structure,
+    chain: _core.Chain,
+    params: Floats,
+    gravity: Floats,
+    load: float,
+    temperature: float,
 ) -> Shape:
-    """Return the tip (3,) mm as a shape of what acts, in the base frame, under the shape effects of a chain.
+    """Return the tip (3,) mm as a shape of what acts, in the base frame, under the shape effects of
+    a chain.
 
     A network stays one: its slopes are exact.
 
@@ -75,16 +98,26 @@ def tip(
 def _through(
     structure: Structure, mapping: FeatureMap, tables: bool = True
 ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None]:
-    """Return prior with residual, fields, cables and second order as seen through a linear map; networks as
-    `tables`."""
+    """Return prior with residual, fields, cables and second order as seen through a linear map;
+    networks as `tables`.
+    """
     matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
-    seen = [shape.project(matrix, zero) for shape in (structure.prior, structure.residual) if shape is not None]
+    seen = [
+        shape.project(matrix, zero)
+        for shape in (structure.prior, structure.residual)
+        if shape is not None
+    ]
     prior, *residual = [_seen(structure, shape) for shape in seen] if tables else seen
     if residual:
         prior = _core.Sum(prior, *residual)
     fields = {name: shape.project(matrix, zero) for name, shape in structure.fields.items()}
     cables = None if structure.cables is None else structure.cables.project(matrix, zero)
-    return prior, fields, cables, None if structure.second is None else structure.second.project(matrix)
+    return (
+        prior,
+        fields,
+        cables,
+        None if structure.second is None else structure.second.project(matrix),
+    )
 
 
 def _seen(structure: Structure, shape: Shape) -> Shape:
@@ -106,5 +139,12 @@ def _predictor(
 ) -> _core.Predictor:
     known = structure.stiffness_known
     return _core.Predictor(
-        prior, fields, positions, structure.gravity_reference, cables, known, structure.contact, second
+        prior,
+        fields,
+        positions,
+        structure.gravity_reference,
+        cables,
+        known,
+        structure.contact,
+        second,
     )

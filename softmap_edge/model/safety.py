@@ -1,10 +1,12 @@
-"""What a finger may be asked (`safety.toml` in its bundle): in its own units, with where each limit comes from.
+"""What a finger may be asked (`safety.toml` in its bundle): in its own units, with where each limit
+comes from.
 
-A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`). `derived` takes them
-from the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
-that it holds there. The strain is that of the surface's triangles against their rest, λ − 1 of the larger principal
-stretch; inside a body that bends it is smaller. A limit that neither gives is a choice, and `assumes` lists it.
-Pinned by tests/model/test_safety.py.
+A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`).
+`derived` takes them from the model: the window is where the simulation (or the run that taught) has
+been, tension and strain are the largest that it holds there. The strain is that of the surface's
+triangles against their rest, λ − 1 of the larger principal stretch; inside a body that bends it is
+smaller. A limit that neither gives is a choice, and `assumes` lists it. Pinned by
+tests/model/test_safety.py.
 """
 
 from __future__ import annotations
@@ -29,13 +31,15 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.safety/1"
-MARGIN = 1.5  # a cast silicone's modulus is known to a half: so much harder than simulated may a tendon pull
+# a cast silicone's modulus is known to a half: so much harder than simulated may a tendon pull
+MARGIN = 1.5
 CROSSING = 4.0  # s in which the widest command crosses its window
 START = 10.0  # 1/s: the slew is reached in a tenth of a second
 JUMP = 0.25  # of the window: largest jump of a target without a report
 MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
 LEAST_LOOKS = 3  # along each command
-FAR, HIGHEST = 3.0, 1000.0  # times the simulated tension that may be allowed at most, and N where none was simulated
+# times the simulated tension that may be allowed at most, and N where none was simulated
+FAR, HIGHEST = 3.0, 1000.0
 DAMAGED = 4.0  # mm/mm: a strain that no surface has
 STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
 BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
@@ -50,12 +54,14 @@ LONGEST = 300  # characters of a sentence
 class Safety:
     """Limits of a finger of C commands in `unit` (mm or another command unit).
 
-    low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command · jump: by which a target
-    may jump unreported, and beyond which it is refused · tension: N of any tendon, None without a simulation ·
-    stale, hold, slacken, ramp: s, as in docs/reference/safety.md · band: that a goal comes back before its servo
-    turns · turns: reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and strain
-    in the window and the modulus (MPa) that they belong to, as far as known · assumes: that in words, and what is a
-    choice · edited: the file is not the one that was written with the bundle.
+    low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command ·
+    jump: by which a target may jump unreported, and beyond which it is refused · tension: N of any
+    tendon, None without a simulation · stale, hold, slacken, ramp: s, as in
+    docs/reference/safety.md · band: that a goal comes back before its servo turns · turns:
+    reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and
+    strain in the window and the modulus (MPa) that they belong to, as far as known · assumes: that
+    in words, and what is a choice · edited: the file is not the one that was written with the
+    bundle.
     """
 
     unit: str
@@ -77,23 +83,32 @@ class Safety:
     edited: bool = field(default=False, compare=False)
 
     def within(self, reach: Floats) -> Safety | None:
-        """Return the limits where the model's range `reach` (C, 2) is narrower; None where no window is left."""
+        """Return the limits where the model's range `reach` (C, 2) is narrower; None where no
+        window is left.
+        """
         low, high = (_inward(side) for side in np.asarray(reach, float).T)
         low, high = np.maximum(low, self.low), np.minimum(high, self.high)
         if np.any(low >= high):
             return None
         reported, refused = (min(jump, float(np.ptp(reach, axis=1).max())) for jump in self.jump)
-        return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(reported, refused))
+        return replace(
+            self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(reported, refused)
+        )
 
     def to_toml(self) -> str:
         """Return the text of `safety.toml`."""
         lines = [
-            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {quoted(SCHEMA)}",
+            "# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = "
+            f"{quoted(SCHEMA)}",
             f"assumes = {quoted(self.assumes)}",
         ]
         if self.simulated:
             lines.append("\n[simulated]  # the largest in the window; no limits")
-            lines += [f"{name} = {_short(self.simulated[name])}" for name in SIMULATED if name in self.simulated]
+            lines += [
+                f"{name} = {_short(self.simulated[name])}"
+                for name in SIMULATED
+                if name in self.simulated
+            ]
         lines += [
             f"\n[command]  # in {self.unit}, s",
             f"unit = {quoted(self.unit)}",
@@ -115,11 +130,13 @@ def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
     """Return the limits in the text of a `safety.toml`, each within what is allowed.
 
     Args:
-        reach: (C, 2) the model's range of commands, beyond which no window goes. unit: of the model's commands.
+        reach: (C, 2) the model's range of commands, beyond which no window goes. unit: of the
+            model's commands.
         where: what an error names.
 
     Raises:
-        BundleError: no TOML, an unknown or missing key, or a limit out of range; nothing is clamped.
+        BundleError: no TOML, an unknown or missing key, or a limit out of range; nothing is
+            clamped.
     """
     try:
         return _read(TomlTable(tomllib.loads(text), where), np.asarray(reach, float), unit)
@@ -128,14 +145,18 @@ def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
     except SoftmapError as fault:
         raise BundleError(f"{fault}; mend it there, or build the bundle again") from None
     except (ValueError, RecursionError) as fault:  # what is no TOML is a ValueError
-        raise BundleError(f"{where}: no TOML ({fault!s:.80}); mend it there, or build the bundle again") from None
+        raise BundleError(
+            f"{where}: no TOML ({fault!s:.80}); mend it there, or build the bundle again"
+        ) from None
 
 
 def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
     top.choice("schema", (SCHEMA,), "")
     assumes = str(top.get("assumes", (str,), ""))
     if len(assumes) > LONGEST or not assumes.isprintable():
-        raise BundleError(f"{top.where}: assumes has {len(assumes)} characters, allowed are {LONGEST} on one line")
+        raise BundleError(
+            f"{top.where}: assumes has {len(assumes)} characters, allowed are {LONGEST} on one line"
+        )
     simulated, command, tendon = top.table("simulated"), top.table("command"), top.table("tendon")
     times, reversal = top.table("time"), top.table("reversal")
     top.done()
@@ -149,8 +170,8 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
     for c, (least, most) in enumerate(reach):
         if not least - slack[c] <= low[c] < high[c] <= most + slack[c]:
             raise BundleError(
-                f"{command.where}: window of command {c + 1} is {low[c]:g} to {high[c]:g} {unit}; allowed is low < "
-                f"high within {least:g} to {most:g}, where the model has been"
+                f"{command.where}: window of command {c + 1} is {low[c]:g} to {high[c]:g} {unit}; "
+                f"allowed is low < high within {least:g} to {most:g}, where the model has been"
             )
     reported, refused = _needed_pair(command, "jump", width)
     # The simulated values in the file may be edited too: `held_to` compares with the model.
@@ -194,29 +215,34 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
     value = table.numbers(key, (2,))
     if value is None or not 0.0 <= value[0] <= value[1] <= most * (1 + 1e-5):
         raise BundleError(
-            f"{table.where}: {key} is {None if value is None else value.tolist()}; allowed are two numbers, 0 ≤ "
-            f"warned ≤ refused ≤ {most:g}"
+            f"{table.where}: {key} is {None if value is None else value.tolist()}; allowed are "
+            f"two numbers, 0 ≤ warned ≤ refused ≤ {most:g}"
         )
     return float(value[0]), float(value[1])
 
 
 def held_to(given: Safety, model: Model) -> Safety:
-    """Return the limits of a file with the tension that the model allows where the file is silent of one.
+    """Return the limits of a file with the tension that the model allows where the file is silent
+    of one.
 
     Raises:
-        BundleError: it allows more than FAR times the largest tension that the model itself was simulated with.
+        BundleError: it allows more than FAR times the largest tension that the model itself was
+            simulated with.
     """
     if model.channels == 0 or given.unit != "mm":
         return given
-    most = _tension(model, _looks(*(_inward(side) for side in np.asarray(model.command_range, float).T)))
+    most = _tension(
+        model, _looks(*(_inward(side) for side in np.asarray(model.command_range, float).T))
+    )
     if not most:
         return given
     if given.tension is None:
         return replace(given, tension=_digits(MARGIN * most))
     if given.tension > FAR * most * (1.0 + 1e-3):  # a file holds four digits
         raise BundleError(
-            f"safety.toml: tension_n = {given.tension:g}, allowed is up to {FAR * most:.4g} N, {FAR:g} times what the "
-            "model was simulated with; mend it there, or build the bundle again"
+            f"safety.toml: tension_n = {given.tension:g}, allowed is up to {FAR * most:.4g} N, "
+            f"{FAR:g} times what the model was simulated with; mend it there, or build the bundle "
+            "again"
         )
     return given
 
@@ -235,7 +261,10 @@ def derived(model: Model, modulus: float | None = None) -> Safety | None:
     looks = _looks(low, high)
     simulated = {
         name: _digits(value)
-        for name, value in (("tension_n", _tension(model, looks)), ("strain", _strain(model, looks)))
+        for name, value in (
+            ("tension_n", _tension(model, looks)),
+            ("strain", _strain(model, looks)),
+        )
         if value is not None
     }
     tension = simulated.get("tension_n")
@@ -267,11 +296,14 @@ def _assumes(model: Model, tension: float | None, modulus: float | None) -> str:
     if tension is not None:
         of = "an unnamed modulus" if modulus is None else f"a modulus of {modulus:g} MPa"
         return (
-            f"window and tension: the sweep simulated with {of}, {MARGIN:g} times its largest tension; a stiffer body "
-            f"is pulled harder in proportion; {chosen}"
+            f"window and tension: the sweep simulated with {of}, {MARGIN:g} times its largest "
+            f"tension; a stiffer body is pulled harder in proportion; {chosen}"
         )
     by = "the run that taught it" if model.kind == "rod" else "an imported sweep"
-    return f"window: {by}; tensions are not known{'' if len(model.triangles) else ', nor strains'}; {chosen}"
+    return (
+        f"window: {by}; tensions are not known{'' if len(model.triangles) else ', nor strains'}; "
+        f"{chosen}"
+    )
 
 
 def _inward(side: Floats) -> Floats:
@@ -287,12 +319,15 @@ def _looks(low: Floats, high: Floats) -> Floats:
     steps -= 1 - steps % 2  # the middle is one of them
     if steps >= LEAST_LOOKS:
         return np.array(list(product(*(np.linspace(a, b, steps) for a, b in zip(low, high)))))
-    ends = np.random.default_rng(0).integers(0, 3, (MOST_LOOKS, count))  # of many commands some corners and sides
+    # of many commands some corners and sides
+    ends = np.random.default_rng(0).integers(0, 3, (MOST_LOOKS, count))
     return low + 0.5 * ends * (high - low)
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon, None where the model has no pull of its tendons."""
+    """Return the largest tension (N) of any tendon, None where the model has no pull of its
+    tendons.
+    """
     prior = model.arrays.get("prior", {})
     if "pull" not in prior or not any(key.startswith("axis") for key in prior):
         return None
@@ -322,7 +357,9 @@ def _strain(model: Model, looks: Floats) -> float | None:
 def _sides(points: Floats, triangles: NDArray[np.int32]) -> Floats:
     """Return two sides of each triangle as columns, (S, F, 3, 2)."""
     corners = points[:, triangles]
-    return np.stack([corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]], axis=-1)
+    return np.stack(
+        [corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]], axis=-1
+    )
 
 
 def _digits(value: float) -> float:

@@ -1,10 +1,12 @@
-"""Servo ticks ↔ the commands of a model: the affine calibration that a bundle carries, and runs converted with it.
+"""Servo ticks ↔ the commands of a model: the affine calibration that a bundle carries, and runs
+converted with it.
 
-    u = A (ticks − home) + b        ticks = home + round(A⁻¹ (u − b))        (Data Alignment, the SoftMap paper)
+    u = A (ticks − home) + b  ticks = home + round(A⁻¹ (u − b))  (Data Alignment, the SoftMap paper)
 
-A in command units a tick, b what acts while the servos stand at `home`; home is a choice of the bench, b goes with it.
-A calibration is somebody else's file: shapes, finiteness, size and whether A has an inverse are checked each time.
-`converted` is the one place where the ticks of a run become commands. Pinned by tests/calibration/test_ticks.py.
+A in command units a tick, b what acts while the servos stand at `home`; home is a choice of the
+bench, b goes with it. A calibration is somebody else's file: shapes, finiteness, size and whether A
+has an inverse are checked each time. `converted` is the one place where the ticks of a run become
+commands. Pinned by tests/calibration/test_ticks.py.
 """
 
 from __future__ import annotations
@@ -35,12 +37,15 @@ TICKS = "ticks"  # the unit of commands that are ticks
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
 TURN = 4096  # ticks of a turn of the horn
-TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
+# of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
+TICKS_PER_MM = 280.0
 SINGULAR = 1e6  # condition of A from which it has no inverse of use
 
 
 def tendon_mm(unit: str) -> float:
-    """Return the mm of tendon that an emulated robot winds by one unit of command; units other than ticks are mm."""
+    """Return the mm of tendon that an emulated robot winds by one unit of command; units other than
+    ticks are mm.
+    """
     return 1.0 / TICKS_PER_MM if unit == TICKS else 1.0
 
 
@@ -48,10 +53,11 @@ def tendon_mm(unit: str) -> float:
 class Calibration:
     """u = A (ticks − home) + b, and how well it is known.
 
-    `A` (C, C) in `unit` a tick, `b` (C,) in `unit`, `home` (C,) ticks, `sigma_A` and `sigma_b` their standard
-    deviations; `held_out` is `{command, shape_mm, matched_shape_mm}`, the RMS error on blocks that were left out, and
-    what the matches leave of their shapes; `run` the hash of the run it was found from, `frames` and `held` how many
-    frames and held commands; `window` (low, high) ticks about home that a servo may take, None where none is given.
+    `A` (C, C) in `unit` a tick, `b` (C,) in `unit`, `home` (C,) ticks, `sigma_A` and `sigma_b`
+    their standard deviations; `held_out` is `{command, shape_mm, matched_shape_mm}`, the RMS error
+    on blocks that were left out, and what the matches leave of their shapes; `run` the hash of the
+    run it was found from, `frames` and `held` how many frames and held commands; `window` (low,
+    high) ticks about home that a servo may take, None where none is given.
 
     Raises:
         CalibrationError: a field is none of that.
@@ -72,27 +78,39 @@ class Calibration:
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(np.asarray(self.b)))
         if not 1 <= count <= MOST_SERVOS:
-            raise CalibrationError(f"calibration: b of {count} numbers, allowed are 1 to {MOST_SERVOS}")
-        shapes = dict(A=(count, count), b=(count,), home=(count,), sigma_A=(count, count), sigma_b=(count,))
+            raise CalibrationError(
+                f"calibration: b of {count} numbers, allowed are 1 to {MOST_SERVOS}"
+            )
+        shapes = dict(
+            A=(count, count), b=(count,), home=(count,), sigma_A=(count, count), sigma_b=(count,)
+        )
         for name, shape in shapes.items():
             array = _numbers(name, getattr(self, name))
             if array.shape != shape:
-                raise CalibrationError(f"calibration: {name} of shape {array.shape}, expected {shape}")
+                raise CalibrationError(
+                    f"calibration: {name} of shape {array.shape}, expected {shape}"
+                )
             if name.startswith("sigma") and array.min() < 0:
                 raise CalibrationError(
-                    f"calibration: {name} holds {array.min():g}; a standard deviation is not below 0"
+                    f"calibration: {name} holds {array.min():g}; a standard deviation is not "
+                    "below 0"
                 )
             object.__setattr__(self, name, array)
         if not self.condition < SINGULAR:
             raise CalibrationError(
-                f"calibration: A has condition {self.condition:.3g}, below {SINGULAR:.0e} is needed: no ticks belong "
-                "to a command; calibrate again with every servo moved"
+                f"calibration: A has condition {self.condition:.3g}, below {SINGULAR:.0e} is "
+                "needed: no ticks belong to a command; calibrate again with every servo moved"
             )
         if self.window is not None:
-            low, high = _numbers("window", self.window).reshape(-1).tolist() if len(self.window) == 2 else (0.0, 0.0)
+            low, high = (
+                _numbers("window", self.window).reshape(-1).tolist()
+                if len(self.window) == 2
+                else (0.0, 0.0)
+            )
             if not low < 0.0 < high:
                 raise CalibrationError(
-                    f"calibration: window {list(self.window)!r:.60}, expected LOW < 0 < HIGH in ticks about home"
+                    f"calibration: window {list(self.window)!r:.60}, expected LOW < 0 < HIGH in "
+                    "ticks about home"
                 )
             object.__setattr__(self, "window", (low, high))
 
@@ -106,13 +124,26 @@ class Calibration:
         window: tuple[float, float] | None = None,
         unit: str = "mm",
     ) -> Calibration:
-        """Return an exact map that was not measured: of an emulated robot, or of a rig described by its user.
+        """Return an exact map that was not measured: of an emulated robot, or of a rig described by
+        its user.
 
         It has no uncertainty, no error and no frames; `source` stands in place of the run.
         """
         slope, shift = np.asarray(A, float), np.asarray(b, float)
         none = dict.fromkeys(ERRORS, 0.0)
-        return cls(slope, shift, np.asarray(home, float), 0 * slope, 0 * shift, none, source, 0, 0, window, unit)
+        return cls(
+            slope,
+            shift,
+            np.asarray(home, float),
+            0 * slope,
+            0 * shift,
+            none,
+            source,
+            0,
+            0,
+            window,
+            unit,
+        )
 
     @property
     def condition(self) -> float:
@@ -130,13 +161,16 @@ class Calibration:
         return np.rint(self.home + away).astype(np.int64)
 
     def within(self, command: ArrayLike, low: ArrayLike, high: ArrayLike) -> Floats:
-        """Return what `command` (C,) becomes once each servo is held within `low` and `high` (C,) ticks."""
+        """Return what `command` (C,) becomes once each servo is held within `low` and `high` (C,)
+        ticks.
+        """
         away = np.linalg.solve(self.A, np.asarray(command, float) - self.b)
         ticks = np.clip(self.home + away, low, high)
         return np.asarray(self.A @ (ticks - self.home) + self.b)
 
     def turned(self, home: ArrayLike) -> Calibration:
-        """Return the map with its home moved by full turns of the servos, to within half a turn of `home` (C,) ticks.
+        """Return the map with its home moved by full turns of the servos, to within half a turn of
+        `home` (C,) ticks.
 
         Servos start to count turns again after their power was off.
         """
@@ -144,14 +178,18 @@ class Calibration:
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def holding(self, reach: ArrayLike) -> tuple[float, float]:
-        """Return the window (low, high) of ticks about home that holds the full range `reach` (C, 2) of commands."""
+        """Return the window (low, high) of ticks about home that holds the full range `reach` (C,
+        2) of commands.
+        """
         away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
         return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
-        """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window: `reach` (C, 2), shrunk.
+        """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window:
+        `reach` (C, 2), shrunk.
 
-        It is shrunk alike to all sides about what acts at home, until its corners are inside; `reach` without a window.
+        It is shrunk alike to all sides about what acts at home, until its corners are inside;
+        `reach` without a window.
 
         Raises:
             CalibrationError: home lies outside `reach`.
@@ -161,14 +199,18 @@ class Calibration:
             return box
         if np.any(self.b < box[:, 0]) or np.any(self.b > box[:, 1]):
             raise CalibrationError(
-                f"at home {np.round(self.b, 2).tolist()} {self.unit} act, outside the model's range "
-                f"{np.round(box, 2).tolist()}: no range of commands about home is usable; choose another --home"
+                f"at home {np.round(self.b, 2).tolist()} {self.unit} act, outside the model's "
+                f"range {np.round(box, 2).tolist()}: no range of commands about home is usable; "
+                "choose another --home"
             )
         back, away = np.linalg.inv(self.A), box - self.b[:, None]
-        sides = np.stack([back * away[:, 0], back * away[:, 1]])  # (2, servo, C): ticks that one end of a range asks
+        # (2, servo, C): ticks that one end of a range asks
+        sides = np.stack([back * away[:, 0], back * away[:, 1]])
         highest, lowest = sides.max(axis=0).sum(axis=1), sides.min(axis=0).sum(axis=1)
         low, high = self.window
-        share = min(1.0, float(high / max(highest.max(), 1e-300)), float(low / min(lowest.min(), -1e-300)))
+        share = min(
+            1.0, float(high / max(highest.max(), 1e-300)), float(low / min(lowest.min(), -1e-300))
+        )
         return np.asarray(self.b[:, None] + share * away)
 
     def to_dict(self) -> Document:
@@ -194,44 +236,71 @@ class Calibration:
         """Read a document softmap.calibration/1.
 
         Raises:
-            CalibrationError: another schema or unit, or an entry that is missing or not what it has to be.
+            CalibrationError: another schema or unit, or an entry that is missing or not what it has
+                to be.
         """
         schema = document.get("schema") if isinstance(document, dict) else None
         if schema != SCHEMA:
             raise CalibrationError(
-                f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap model calibrate`"
+                f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap "
+                "model calibrate`"
             )
         try:
             if document["unit"] != "ticks":
                 raise CalibrationError(f"calibration: of {document['unit']!r:.40}, expected ticks")
             unit, run, window = document["command_unit"], document["run"], document["tick_window"]
-            if not all(isinstance(text, str) and 0 < len(text) <= 100 and text.isprintable() for text in (unit, run)):
-                raise CalibrationError("calibration: command_unit and run are texts of at most 100 characters")
+            if not all(
+                isinstance(text, str) and 0 < len(text) <= 100 and text.isprintable()
+                for text in (unit, run)
+            ):
+                raise CalibrationError(
+                    "calibration: command_unit and run are texts of at most 100 characters"
+                )
             counts: tuple[int, int] = document["frames"], document["held_commands"]
-            if not all(isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 1 << 53 for n in counts):
-                raise CalibrationError("calibration: frames and held_commands are whole numbers from 0 on")
+            if not all(
+                isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 1 << 53 for n in counts
+            ):
+                raise CalibrationError(
+                    "calibration: frames and held_commands are whole numbers from 0 on"
+                )
             error = {name: float(_numbers(name, document["held_out"][name])) for name in ERRORS}
-            values = [*(document[name] for name in ("A", "b", "home")), *(document["sigma"][name] for name in "Ab")]
+            values = [
+                *(document[name] for name in ("A", "b", "home")),
+                *(document["sigma"][name] for name in "Ab"),
+            ]
             a, b, home, *sigma = values
-            return cls(a, b, home, sigma[0], sigma[1], error, run, *counts, None if window is None else window, unit)
+            return cls(
+                a,
+                b,
+                home,
+                sigma[0],
+                sigma[1],
+                error,
+                run,
+                *counts,
+                None if window is None else window,
+                unit,
+            )
         except (KeyError, TypeError, ValueError, OverflowError) as fault:
             raise CalibrationError(
-                f"calibration: an entry is missing or of another form ({type(fault).__name__} {fault!s:.60}); make it "
-                "again with `softmap model calibrate`"
+                f"calibration: an entry is missing or of another form ({type(fault).__name__} "
+                f"{fault!s:.60}); make it again with `softmap model calibrate`"
             ) from None
 
 
 def converted(model: Model | None, run: Run) -> Run:
-    """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
+    """Return the run with its ticks as commands, by the calibration of the model; unchanged if
+    either is missing.
 
     Args:
-        model: with a `calibration`; without one, or if None, that of the loop that drove the robot counts,
-            if the run holds it; or in ticks, which it takes as commands.
-        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the measured points are
-            the same array.
+        model: with a `calibration`; without one, or if None, that of the loop that drove the robot
+            counts, if the run holds it; or in ticks, which it takes as commands.
+        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the
+            measured points are the same array.
 
     Raises:
-        CalibrationError: the run has another number of servos than the calibration, or its own is none.
+        CalibrationError: the run has another number of servos than the calibration, or its own is
+            none.
     """
     calibration, unit = (None, "mm") if model is None else (model.calibration, model.command_unit)
     if calibration is None and unit == TICKS:
@@ -251,14 +320,18 @@ def converted(model: Model | None, run: Run) -> Run:
 
 
 def _driven_by(run: Run, unit: str) -> Calibration | None:
-    """Return the map by which the robot was driven, if a run in ticks holds it and it gives commands in `unit`."""
+    """Return the map by which the robot was driven, if a run in ticks holds it and it gives
+    commands in `unit`.
+    """
     kept = text_in(run.extra, CALIBRATION)
     if kept is None or (run.ticks is None and run.present_ticks is None):
         return None
     try:
         found = Calibration.from_dict(json.loads(kept))
     except (ValueError, RecursionError):
-        raise CalibrationError(f"the field `{CALIBRATION}` of the run is no calibration; leave it out") from None
+        raise CalibrationError(
+            f"the field `{CALIBRATION}` of the run is no calibration; leave it out"
+        ) from None
     return found if found.unit == unit else None
 
 
@@ -268,7 +341,9 @@ def _commanded(run: Run, calibration: Calibration) -> Run:
     drive = Run(
         t=run.t,
         command=run.command if run.ticks is None else calibration.commands(run.ticks),
-        present=calibration.commands(run.present_ticks) if encoded and run.present_ticks is not None else run.present,
+        present=calibration.commands(run.present_ticks)
+        if encoded and run.present_ticks is not None
+        else run.present,
         command_unit=calibration.unit if run.ticks is not None else run.command_unit,
     )
     driven = _driven(run, drive)
@@ -278,17 +353,25 @@ def _commanded(run: Run, calibration: Calibration) -> Run:
 
 
 def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
-    """Return runs in ticks with commands that count ticks from home, for a model that is learned and needs no mm.
+    """Return runs in ticks with commands that count ticks from home, for a model that is learned
+    and needs no mm.
 
     Args:
-        runs: of one robot. Home is 0 where their ranges hold it, else the middle of the ranges (`home_command`).
+        runs: of one robot. Home is 0 where their ranges hold it, else the middle of the ranges
+            (`home_command`).
 
     Returns:
-        tuple: the runs and the map that counts from home; runs of which one is not in ticks as they are, and None.
+        tuple: the runs and the map that counts from home; runs of which one is not in ticks as they
+        are, and None.
     """
     held = [held_in_ticks(run) for run in runs]
     goals = [run.ticks for run in held if run.ticks is not None]
-    if not goals or len(goals) < len(runs) or len({goal.shape[1] for goal in goals}) > 1 or not goals[0].shape[1]:
+    if (
+        not goals
+        or len(goals) < len(runs)
+        or len({goal.shape[1] for goal in goals}) > 1
+        or not goals[0].shape[1]
+    ):
         return list(runs), None
     rows = np.concatenate(goals)
     home = np.rint(home_command(np.stack([rows.min(axis=0), rows.max(axis=0)], axis=1)))
@@ -297,21 +380,31 @@ def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
 
 
 def commanded_in_ticks(run: Run) -> Run:
-    """Return a run that holds ticks only with its ticks as commands, for a model that is learned and needs no mm."""
+    """Return a run that holds ticks only with its ticks as commands, for a model that is learned
+    and needs no mm.
+    """
     if run.command is not None or run.ticks is None:
         return run
     encoded = run.present_ticks is not None and run.present is None
     present = np.asarray(run.present_ticks, float) if encoded else run.present
-    return _driven(run, Run(t=run.t, command=np.asarray(run.ticks, float), present=present, command_unit=TICKS))
+    return _driven(
+        run, Run(t=run.t, command=np.asarray(run.ticks, float), present=present, command_unit=TICKS)
+    )
 
 
 def held_in_ticks(run: Run) -> Run:
-    """Return a run whose commands are ticks as one that holds `ticks`; commands that count from home stay."""
+    """Return a run whose commands are ticks as one that holds `ticks`; commands that count from
+    home stay.
+    """
     if run.command is None or run.command_unit != TICKS or HOME_TICKS in run.extra:
         return run
     goal = np.rint(run.command).astype(np.int64)
     encoded = run.present is not None and run.present_ticks is None
-    present = np.rint(run.present).astype(np.int64) if encoded and run.present is not None else run.present_ticks
+    present = (
+        np.rint(run.present).astype(np.int64)
+        if encoded and run.present is not None
+        else run.present_ticks
+    )
     return _driven(run, Run(t=run.t, ticks=goal, present_ticks=present))
 
 

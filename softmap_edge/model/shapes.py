@@ -1,9 +1,10 @@
-"""Compiled shapes from the arrays of a bundle: the prior's family, its fields, how cables answer, what large loads add.
+"""Compiled shapes from the arrays of a bundle: the prior's family, its fields, how cables answer,
+what large loads add.
 
-The name of an array gives its role: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family, or `onnx`;
-`coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and `stretch` of cables; `second_…`.
-Arrays may be whole numbers of steps (`npz.unpacked`). Units: those of `_core.FIELDS`. Pinned by
-tests/model/test_bundle.py.
+The name of an array gives its role: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a
+family, or `onnx`; `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and
+`stretch` of cables; `second_…`. Arrays may be whole numbers of steps (`npz.unpacked`). Units: those
+of `_core.FIELDS`. Pinned by tests/model/test_bundle.py.
 """
 
 from __future__ import annotations
@@ -17,18 +18,23 @@ from softmap_edge import _core
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import unpacked
 
-_SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common besides their axes
+# what the fields of one bundle have in common besides their axes
+_SHARED = ("modes", "nodes", "scale", "power")
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
 
 
-def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered | _core.Network:
-    """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over scattered
-    `nodes`; or the network of `onnx`, the bytes of its file.
+def family_from(
+    arrays: Mapping[str, NDArray[np.generic]],
+) -> _core.Table | _core.Scattered | _core.Network:
+    """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over
+    scattered `nodes`; or the network of `onnx`, the bytes of its file.
     """
     if "onnx" in arrays:
         return _core.Network(np.asarray(arrays["onnx"], np.uint8).tobytes())
     arrays = unpacked(arrays)
-    mean, modes, coefficients = (np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients"))
+    mean, modes, coefficients = (
+        np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients")
+    )
     if "nodes" in arrays:
         nodes, scale = (np.asarray(arrays[name], np.float64) for name in ("nodes", "scale"))
         return _core.Scattered(nodes, scale, int(arrays["power"].item()), coefficients, mean, modes)
@@ -46,13 +52,19 @@ def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
 
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
-    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`."""
+    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and
+    `modes`.
+    """
     arrays = unpacked(arrays)
-    shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED}
+    shared = {
+        key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED
+    }
     names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
     size = shared["modes"].shape[1] if names else 0
     return {
-        name: family_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
+        name: family_from(
+            {**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)}
+        )
         for name in sorted(names)
         if not name.startswith(_TENSION)
     }
@@ -61,14 +73,17 @@ def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
 def cables_from(
     prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
 ) -> _core.Cables | None:
-    """Return the cables stored as `pull` alongside the prior, and as `stiffness`, `stretch` and tension fields.
+    """Return the cables stored as `pull` alongside the prior, and as `stiffness`, `stretch` and
+    tension fields.
 
     None for a prior without them: its fields answer loads alone.
     """
     if "stiffness" not in fields:
         return None
     prior, fields = unpacked(prior), unpacked(fields)
-    shared = {key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"}
+    shared = {
+        key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"
+    }
     still = np.zeros(shared["modes"].shape[1])
     names = [f"coefficients_{_TENSION}{i}" for i in range(fields["stiffness"].size)]
     return _core.Cables(
@@ -80,12 +95,15 @@ def cables_from(
 
 
 def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
-    """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each tension.
+    """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each
+    tension.
 
     Zero where a bundle has no such field.
     """
     tendons, loads = fields["stiffness"].size, len(_core.LOADS)
-    stored = np.asarray(fields["stretch"], np.float64).reshape(len(fields["stretch"]), tendons, loads + tendons)
+    stored = np.asarray(fields["stretch"], np.float64).reshape(
+        len(fields["stretch"]), tendons, loads + tendons
+    )
     full = np.zeros((len(stored), tendons, len(_core.FIELDS) + tendons))
     full[..., :loads], full[..., len(_core.FIELDS) :] = stored[..., :loads], stored[..., loads:]
     for f, name in enumerate(_core.FIELDS):
@@ -95,9 +113,10 @@ def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
 
 
 def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
-    """Return what loads and moduli do beyond their fields, stored as `second_…`: weights (S, P, m), stretch (S, P, T)
-    and growth (S, L + T) over its own axes, modes (m, M) made of the `modes` of the fields; None for a bundle without
-    it. Those of pairs with a modulus, `second_moduli_…`, may be absent.
+    """Return what loads and moduli do beyond their fields, stored as `second_…`: weights (S, P, m),
+    stretch (S, P, T) and growth (S, L + T) over its own axes, modes (m, M) made of the `modes` of
+    the fields; None for a bundle without it. Those of pairs with a modulus, `second_moduli_…`, may
+    be absent.
     """
     if "second_weights" not in fields:
         return None
@@ -119,9 +138,12 @@ def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | Non
     return _core.Second(axes, rows(""), numbers["stretch"].shape[2], modes, moduli)
 
 
-def pairs_of(loads: int, moduli: int, tensions: int) -> dict[str, tuple[list[tuple[int, int]], list[int]]]:
-    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them, and whose growth
-    goes with them: pairs among loads and tensions, then of each modulus with all of these and moduli from itself on.
+def pairs_of(
+    loads: int, moduli: int, tensions: int
+) -> dict[str, tuple[list[tuple[int, int]], list[int]]]:
+    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them,
+    and whose growth goes with them: pairs among loads and tensions, then of each modulus with all
+    of these and moduli from itself on.
     """
     plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
     own = list(range(loads, loads + moduli))
@@ -136,4 +158,6 @@ def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.T
     arrays = unpacked(arrays)
     axes = {key: value for key, value in arrays.items() if key.startswith("axis")}
     width = arrays[name].shape[1]
-    return table_from({**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)})
+    return table_from(
+        {**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)}
+    )

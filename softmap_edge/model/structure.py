@@ -1,9 +1,10 @@
-"""The body of a model: its prior and fields, the points they move, and how these lie along the body.
+"""The body of a model: its prior and fields, the points they move, and how these lie along the
+body.
 
     effective command ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─> points
 
-Effects, calibration and limits are not part of it (`model.py`). Pinned by tests/model/test_predictor.py and
-tests/geometry/test_markers.py.
+Effects, calibration and limits are not part of it (`model.py`). Pinned by
+tests/model/test_predictor.py and tests/geometry/test_markers.py.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.geometry.sections import BodyCoordinates, FeatureMap, marker_features, section_features, upright
+from softmap_edge.geometry.sections import (
+    BodyCoordinates,
+    FeatureMap,
+    marker_features,
+    section_features,
+    upright,
+)
 from softmap_edge.model.predictors import Contact, Shape, stations
 
 Floats = NDArray[np.float64]
@@ -27,11 +34,12 @@ NEWTON_PER_GRAM = 9.80665e-3  # standard gravity, exact by convention
 class Structure:
     """What moves, and how it moves with commands and loads.
 
-    `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
-    `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` is how the points lie along a body
-    that does not stand along z or has no mesh. Without `stiffness_known` the fields have a nominal scale: loads that
-    a run declares are not applied, and no fitted load is a weight in grams. `residual` is a learned correction of the
-    prior, of the same commands and points.
+    `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g
+    or per 1 N; `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` is how
+    the points lie along a body that does not stand along z or has no mesh. Without
+    `stiffness_known` the fields have a nominal scale: loads that a run declares are not applied,
+    and no fitted load is a weight in grams. `residual` is a learned correction of the prior, of the
+    same commands and points.
     """
 
     prior: Shape
@@ -75,7 +83,11 @@ class Structure:
     @cached_property
     def feature_map(self) -> FeatureMap:
         """The linear map from points to features."""
-        return marker_features(len(self.rest)) if self.markers else section_features(self.body_coordinates)
+        return (
+            marker_features(len(self.rest))
+            if self.markers
+            else section_features(self.body_coordinates)
+        )
 
     @property
     def positions(self) -> NDArray[np.bool_]:
@@ -94,12 +106,18 @@ class Structure:
 
     @cached_property
     def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it sideways by the length of the body if the answer were linear.
+        """The weight (g) at the tip that would move it sideways by the length of the body if the
+        answer were linear.
 
         0 without fields. If the stiffness is not known, it is in the model's own scale of loads.
         """
-        sideways = [self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields]
+        sideways = [
+            self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields
+        ]
         home = np.zeros((1, self.channels))
-        moved = [field.evaluate(home).reshape(-1, 3)[self.tip_indices].mean(axis=0) for field in sideways]  # mm/N
+        # mm/N
+        moved = [
+            field.evaluate(home).reshape(-1, 3)[self.tip_indices].mean(axis=0) for field in sideways
+        ]
         most = max((float(np.linalg.norm(one)) for one in moved), default=0.0)
         return float(np.ptp(self.arc_length)) / most / NEWTON_PER_GRAM if most > 0 else 0.0

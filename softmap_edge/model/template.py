@@ -1,6 +1,8 @@
-"""The template of a bundle, `template.npz`: points at rest, triangles, tip, form error, body and handles, checked.
+"""The template of a bundle, `template.npz`: points at rest, triangles, tip, form error, body and
+handles, checked.
 
-Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and tests/model/test_mutated_files.py.
+Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and
+tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -19,8 +21,10 @@ MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a wei
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip`, `form_error` mm of each feature; of a body
-    without a mesh how its points lie along it, and `handles` where not all vertices are."""
+    """Points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip`, `form_error` mm of each
+    feature; of a body without a mesh how its points lie along it, and `handles` where not all
+    vertices are.
+    """
 
     rest: NDArray[np.float64]
     triangles: NDArray[np.int32]
@@ -56,16 +60,22 @@ def template_from(bundle: str, arrays: Arrays) -> Template:
     """
     rest = np.asarray(arrays["rest"], float)
     if rest.ndim != 2 or rest.shape[1] != 3:
-        raise BundleError(f"{bundle}: template 'rest' of shape {rest.shape}, expected (N, 3); build it again")
+        raise BundleError(
+            f"{bundle}: template 'rest' of shape {rest.shape}, expected (N, 3); build it again"
+        )
     triangles = np.asarray(arrays["triangles"], np.int32).reshape(-1, 3)
     body = _body(bundle, arrays, len(rest)) if "section" in arrays else None
     what = "markers" if body is None and not len(triangles) else "vertices"
     if not 1 <= len(rest) <= MOST_POINTS[what]:
-        raise BundleError(f"{bundle}: template of {len(rest)} {what}, allowed are 1 to {MOST_POINTS[what]}")
+        raise BundleError(
+            f"{bundle}: template of {len(rest)} {what}, allowed are 1 to {MOST_POINTS[what]}"
+        )
     tip = np.asarray(arrays["tip"], np.int64)
     for name, index in (("triangles", triangles), ("tip", tip)):
         if index.size and not 0 <= index.min() <= index.max() < len(rest):
-            raise BundleError(f"{bundle}: template '{name}' points outside its {len(rest)} vertices")
+            raise BundleError(
+                f"{bundle}: template '{name}' points outside its {len(rest)} vertices"
+            )
     handles = _handles(bundle, arrays["handles"], len(rest)) if "handles" in arrays else None
     return Template(rest, triangles, tip, np.asarray(arrays["form_error_mm"], float), body, handles)
 
@@ -73,10 +83,14 @@ def template_from(bundle: str, arrays: Arrays) -> Template:
 def _handles(bundle: str, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:
     """Read which vertices are handles; each one once."""
     handles = np.asarray(stored, np.int64)
-    if handles.ndim != 1 or not len(handles) or not np.all(np.diff(handles, prepend=-1, append=points) > 0):
+    if (
+        handles.ndim != 1
+        or not len(handles)
+        or not np.all(np.diff(handles, prepend=-1, append=points) > 0)
+    ):
         raise BundleError(
-            f"{bundle}: template 'handles' of shape {handles.shape}, expected 1 to {points} of its vertices 0 to "
-            f"{points - 1}, ascending; build it again"
+            f"{bundle}: template 'handles' of shape {handles.shape}, expected 1 to {points} of "
+            f"its vertices 0 to {points - 1}, ascending; build it again"
         )
     return handles
 
@@ -86,10 +100,16 @@ def _body(bundle: str, arrays: Arrays, points: int) -> BodyCoordinates:
     for name in ("section", "along", "angle"):
         if name in arrays and arrays[name].shape != (points,):
             raise BundleError(
-                f"{bundle}: template '{name}' of shape {arrays[name].shape}, expected ({points},); build it again"
+                f"{bundle}: template '{name}' of shape {arrays[name].shape}, expected "
+                f"({points},); build it again"
             )
     section = np.asarray(arrays["section"], np.int64)
-    if arrays["section"].dtype.kind not in "iu" or not 0 <= section.min() <= section.max() < SECTIONS:
-        raise BundleError(f"{bundle}: template 'section' holds other than whole numbers below {SECTIONS}")
+    if (
+        arrays["section"].dtype.kind not in "iu"
+        or not 0 <= section.min() <= section.max() < SECTIONS
+    ):
+        raise BundleError(
+            f"{bundle}: template 'section' holds other than whole numbers below {SECTIONS}"
+        )
     angle = np.asarray(arrays["angle"], float) if "angle" in arrays else None
     return BodyCoordinates(section, np.asarray(arrays["along"], float), angle)

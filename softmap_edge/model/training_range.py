@@ -1,8 +1,8 @@
 """Find commands, shapes, loads and points of a run that lie outside the data of its model.
 
-The `made_from` of a trained prior and of a residual holds the commands that taught them (`span`); effective commands
-are compared with it. A learned rod keeps the leverage of its commands (`coverage.py`), which covers combinations of
-channels as well.
+The `made_from` of a trained prior and of a residual holds the commands that taught them (`span`);
+effective commands are compared with it. A learned rod keeps the leverage of its commands
+(`coverage.py`), which covers combinations of channels as well.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its
 
 
 def command_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return a sentence for each channel that leaves the range of the model, for what was learned over a smaller one,
-    and for loads that it cannot apply.
+    """Return a sentence for each channel that leaves the range of the model, for what was learned
+    over a smaller one, and for loads that it cannot apply.
     """
     u, notes = model.commands(run), []
-    noted = _taught(model, "prior") is not None  # of a trained prior by `training_extrapolation`, once
+    # of a trained prior by `training_extrapolation`, once
+    noted = _taught(model, "prior") is not None
     if model.coverage is not None:
         notes, noted = _uncovered(model, run), True
     for c, (low, high) in enumerate(model.command_range if len(u) and not noted else ()):
@@ -37,17 +38,20 @@ def command_extrapolation(model: Model, run: Run) -> list[str]:
         slack = BEYOND * (high - low)
         if least < low - slack or most > high + slack:
             notes.append(
-                f"channel {c} goes from {least:.3g} to {most:.3g} {model.command_unit}, the model of '{model.robot}' "
-                f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
+                f"channel {c} goes from {least:.3g} to {most:.3g} {model.command_unit}, the model "
+                f"of '{model.robot}' was made from {low:.3g} to {high:.3g}; beyond, it "
+                "extrapolates"
             )
     notes += training_extrapolation(model, run)
     gravity = model.gravity_reference if run.gravity is None else run.gravity
-    declared = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
+    declared = (
+        [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
+    )
     declared += [] if run.load is None or not np.any(run.load) else ["a load"]
     if declared and not model.structure.stiffness_known:
         notes.append(
-            f"the run declares {' and '.join(declared)}; how stiff '{model.robot}' is is not known to its model, so "
-            "that is not applied"
+            f"the run declares {' and '.join(declared)}; how stiff '{model.robot}' is is not "
+            "known to its model, so that is not applied"
         )
     return notes
 
@@ -66,19 +70,24 @@ def _uncovered(model: Model, run: Run) -> list[str]:
     least, most = u.min(axis=0), u.max(axis=0)
     left = (least < low - BEYOND * (high - low)) | (most > high + BEYOND * (high - low))
     where = ", ".join(
-        f"channel {c} goes from {least[c]:.3g} to {most[c]:.3g} {unit}, there from {low[c]:.3g} to {high[c]:.3g}"
+        f"channel {c} goes from {least[c]:.3g} to {most[c]:.3g} {unit}, there from {low[c]:.3g} "
+        f"to {high[c]:.3g}"
         for c in np.flatnonzero(left)
     )
+    if not where:
+        where = "each channel stays within its range, but they were never moved together like this"
     return [
-        f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) are unlike what '{model.robot}' was learned from "
-        f"(leverage up to {float(coverage.excess(u).max()):.3g} times the largest there): "
-        f"{where or 'each channel stays within its range, but they were never moved together like this'}; "
-        "the model extrapolates, and its errors there are unknown"
+        f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) are unlike what "
+        f"'{model.robot}' was learned from (leverage up to {float(coverage.excess(u).max()):.3g} "
+        "times the largest there): "
+        f"{where}; the model extrapolates, and its errors there are unknown"
     ]
 
 
 def training_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return a sentence for the trained prior, and one for the residual, that a run takes beyond what taught it."""
+    """Return a sentence for the trained prior, and one for the residual, that a run takes beyond
+    what taught it.
+    """
     learned = {"prior": True, "residual": model.residual is not None}
     ranges = {part: _taught(model, part) for part, there in learned.items() if there}
     known = {part: found for part, found in ranges.items() if found is not None}
@@ -92,12 +101,13 @@ def training_extrapolation(model: Model, run: Run) -> list[str]:
             count = int(outside.any(axis=1).sum())
             least, most, unit = u.min(axis=0), u.max(axis=0), model.command_unit
             exceeded = ", ".join(
-                f"channel {c} from {low[c]:.3g} to {high[c]:.3g} {unit}, here from {least[c]:.3g} to {most[c]:.3g}"
+                f"channel {c} from {low[c]:.3g} to {high[c]:.3g} {unit}, here from {least[c]:.3g} "
+                f"to {most[c]:.3g}"
                 for c in np.flatnonzero(outside.any(axis=0))
             )
             notes.append(
-                f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) leave what taught the {what} of "
-                f"'{model.robot}': {exceeded}; beyond, it extrapolates"
+                f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) leave what taught the "
+                f"{what} of '{model.robot}': {exceeded}; beyond, it extrapolates"
             )
     return notes
 
@@ -106,27 +116,32 @@ def shape_mismatch(model: Model, mae: Floats) -> list[str]:
     """Return a sentence where shapes are like none that the model makes at any command.
 
     Args:
-        mae: (K,) mm, mean absolute error of each frame to the nearest shape (`calibration/matching.py`); NaN: not
-        known.
+        mae: (K,) mm, mean absolute error of each frame to the nearest shape
+            (`calibration/matching.py`); NaN: not known.
     """
     known, limit = mae[np.isfinite(mae)], UNLIKE * float(np.linalg.norm(model.rest, axis=1).max())
     count = int((known > limit).sum())
     if not count:
         return []
     return [
-        f"{count} of {len(known)} shapes ({100 * count / len(known):.0f} %) are like none that '{model.robot}' makes "
-        f"at any command: {limit:.2g} mm off or more, up to {known.max():.2g} (mean absolute error; median of all "
-        f"{np.median(known):.2g}): a contact, a load, another frame; its results on them are extrapolated"
+        f"{count} of {len(known)} shapes ({100 * count / len(known):.0f} %) are like none that "
+        f"'{model.robot}' makes at any command: {limit:.2g} mm off or more, up to "
+        f"{known.max():.2g} (mean absolute error; median of all {np.median(known):.2g}): a "
+        "contact, a load, another frame; its results on them are extrapolated"
     ]
 
 
 def span(commands: Floats) -> list[list[float]]:
-    """Return [least, most] of each channel of commands (n, C), as `made_from` keeps it under `command_range`."""
+    """Return [least, most] of each channel of commands (n, C), as `made_from` keeps it under
+    `command_range`.
+    """
     return [[float(channel.min()), float(channel.max())] for channel in commands.T]
 
 
 def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
-    """Return least and most (C,) of the commands that taught a part of a model; None where its file has none."""
+    """Return least and most (C,) of the commands that taught a part of a model; None where its file
+    has none.
+    """
     part: Any = model.made_from.get(key)
     try:
         found = np.asarray(part.get("command_range") if isinstance(part, Mapping) else None, float)
@@ -140,29 +155,33 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
     """Raise RunError where a run's commands (T, C) are not of this model's robot."""
     if u.shape[1] != model.channels:
         raise RunError(
-            f"the run has {u.shape[1]} commands a sample, this model of '{model.robot}' takes {model.channels}; "
-            "it is a run of another robot, or the mapping misses columns"
+            f"the run has {u.shape[1]} commands a sample, this model of '{model.robot}' takes "
+            f"{model.channels}; it is a run of another robot, or the mapping misses columns"
         )
     units = {run.command_unit, model.command_unit}
     if u.shape[1] and len(units) > 1 and "ticks" in units:
         way = (
             "give the run in ticks as it was recorded"
             if model.command_unit == "ticks"
-            else "calibrate the model (`softmap model calibrate RUN --bundle DIR --out DIR2`) and give that bundle"
+            else "calibrate the model (`softmap model calibrate RUN --bundle DIR --out DIR2`) "
+            "and give that bundle"
         )
         raise RunError(
-            f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes {model.command_unit}, "
-            f"and nothing converts them; {way}, or `softmap learn` a model from runs in {run.command_unit}"
+            f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes "
+            f"{model.command_unit}, and nothing converts them; {way}, or `softmap learn` a model "
+            f"from runs in {run.command_unit}"
         )
     if u.shape[1] and units == {"mm", "N"}:
         raise RunError(
             f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes "
-            f"{model.command_unit}; a length is no tension: give the run's own unit or another model"
+            f"{model.command_unit}; a length is no tension: give the run's own unit or another "
+            "model"
         )
 
 
 def out_of_reach(model: Model, run: Run) -> list[str]:
-    """Return a sentence where the points of a run are farther from the base than the robot can reach.
+    """Return a sentence where the points of a run are farther from the base than the robot can
+    reach.
 
     Args:
         model: the model.
@@ -175,12 +194,13 @@ def out_of_reach(model: Model, run: Run) -> list[str]:
         return []
     rest, seen = np.asarray(model.rest, float), model.seen_points(run)
     shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
-    reach = float(np.linalg.norm(rest, axis=1).max())  # of a straight body from its clamp, the origin
+    # of a straight body from its clamp, the origin
+    reach = float(np.linalg.norm(rest, axis=1).max())
     far = np.linalg.norm(shown - rest.mean(axis=0), axis=-1)
     off = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0
     if not off > 2.5 * reach:
         return []
     return [
-        f"the points are {off:.4g} mm from where '{model.robot}' rests, which reaches {reach:.3g} mm: if they are "
-        "in the frame of a camera, `softmap run align` brings them to the base"
+        f"the points are {off:.4g} mm from where '{model.robot}' rests, which reaches {reach:.3g} "
+        "mm: if they are in the frame of a camera, `softmap run align` brings them to the base"
     ]

@@ -1,11 +1,13 @@
-"""A user's own effect: one Python file that declares a law of the commands; it joins the library of this process.
+"""A user's own effect: one Python file that declares a law of the commands; it joins the library of
+this process.
 
-The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s, ctx)`, which returns
-what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it executes it, with all
-rights of the process, so nothing here loads by itself. A bundle carries a copy and its hash; its user decides.
-A name stands for one file: another file of the same name is refused until `forget_effect`. The law is called for each
-record with B = 1, remembers nothing between calls and begins in equilibrium with its first sample; that it changes
-nothing at its null values is tried once for each number of channels. It has no step, so no control loop takes it.
+The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s,
+ctx)`, which returns what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it
+executes it, with all rights of the process, so nothing here loads by itself. A bundle carries a
+copy and its hash; its user decides. A name stands for one file: another file of the same name is
+refused until `forget_effect`. The law is called for each record with B = 1, remembers nothing
+between calls and begins in equilibrium with its first sample; that it changes nothing at its null
+values is tried once for each number of channels. It has no step, so no control loop takes it.
 Pinned by tests/model/test_own_effect.py and tests/model/test_own_effect_bundles.py.
 """
 
@@ -54,8 +56,8 @@ _SWITCHES = {"per_channel": False, "shared": False, "integer": False}
 
 @dataclass(frozen=True)
 class Context:
-    """The world around a record: dt (T,) s since the sample before, gravity (T, 3) unit vectors in the base frame,
-    load (T,) g, temperature (T,) °C (NaN where the run has none).
+    """The world around a record: dt (T,) s since the sample before, gravity (T, 3) unit vectors in
+    the base frame, load (T,) g, temperature (T,) °C (NaN where the run has none).
     """
 
     dt: Floats
@@ -66,7 +68,9 @@ class Context:
 
 @dataclass(frozen=True)
 class OwnEffect:
-    """A loaded effect: its name, the file that it came from, what stood in it and the hash of that."""
+    """A loaded effect: its name, the file that it came from, what stood in it and the hash of
+    that.
+    """
 
     name: str
     file: Path
@@ -79,7 +83,8 @@ _RUNNING: set[int] = set()  # threads in which a law runs now
 
 
 def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
-    """Execute the file at `path`, a note of which goes to stderr, and add its effect to those of this process.
+    """Execute the file at `path`, a note of which goes to stderr, and add its effect to those of
+    this process.
 
     Args:
         path: the Python file; the very file loaded before is not executed again.
@@ -89,14 +94,16 @@ def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
         OwnEffect: its name, file, source and hash.
 
     Raises:
-        EffectError: no readable file, another hash, code that fails, a wrong declaration, a name that is taken.
+        EffectError: no readable file, another hash, code that fails, a wrong declaration, a name
+            that is taken.
     """
     file = Path(path)
     source = _read(file)
     digest = hashlib.sha256(source).hexdigest()
     if sha256 is not None and digest != sha256:
         raise EffectError(
-            f"{file}: its sha256 is {digest[:12]}…, expected {sha256[:12]}…; it was changed, so it is not run"
+            f"{file}: its sha256 is {digest[:12]}…, expected {sha256[:12]}…; it was changed, so "
+            "it is not run"
         )
     for known in _LOADED.values():
         if known.sha256 == digest:
@@ -107,13 +114,14 @@ def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
     rollout = getattr(module, "rollout", None)
     if not callable(rollout):
         raise EffectError(
-            f"{file.name}: it has no function `rollout`; `softmap model effects new NAME` writes the form"
+            f"{file.name}: it has no function `rollout`; `softmap model effects new NAME` writes "
+            "the form"
         )
     name = declaration["name"]
     if name in _LOADED:
         raise EffectError(
-            f"{file}: another file of the effect '{name}' is loaded ({_LOADED[name].file}); one name stands for one "
-            f"file: forget_effect('{name}') first, or start again"
+            f"{file}: another file of the effect '{name}' is loaded ({_LOADED[name].file}); one "
+            f"name stands for one file: forget_effect('{name}') first, or start again"
         )
     _core.register(declaration, _Law(declaration, file, rollout))
     _LOADED[name] = OwnEffect(name, file, source, digest)
@@ -141,7 +149,8 @@ def hashes(names: Sequence[str]) -> dict[str, str]:
 
 
 def check_hashes(names: Sequence[str], fitted: object) -> None:
-    """Refuse to take numbers of effects that were fitted with other files (`hashes` of a document) than are loaded.
+    """Refuse to take numbers of effects that were fitted with other files (`hashes` of a document)
+    than are loaded.
 
     Raises:
         EffectError: a file is not loaded, or another one.
@@ -149,9 +158,14 @@ def check_hashes(names: Sequence[str], fitted: object) -> None:
     for name, digest in (fitted if isinstance(fitted, dict) else {}).items():
         known = _LOADED.get(name)
         if name in names and (known is None or known.sha256 != digest):
-            here = "none of that name is loaded" if known is None else f"{known.file} is another ({known.sha256[:12]}…)"
+            here = (
+                "none of that name is loaded"
+                if known is None
+                else f"{known.file} is another ({known.sha256[:12]}…)"
+            )
             raise EffectError(
-                f"'{name}' was fitted as a Python file of sha256 {digest!s:.12}…, {here}; give that file with --effects"
+                f"'{name}' was fitted as a Python file of sha256 {digest!s:.12}…, {here}; give "
+                "that file with --effects"
             )
 
 
@@ -167,27 +181,36 @@ def template(name: str) -> str:
     return _TEMPLATE.replace("NAME", name)
 
 
-_TEMPLATE = '''"""NAME: what it is. `softmap diagnose RUN --effects NAME.py` tries it; see docs/do/own_effect.md."""
+_TEMPLATE = '''"""NAME: what it is. `softmap diagnose RUN --effects NAME.py` tries it (docs/do/own_effect.md)."""
 
 import numpy as np
 
 EFFECT = {
     "name": "NAME",
-    "stage": "transmission",  # command, transmission or material: where on the way to the shape it acts
+    "stage": "transmission",  # command, transmission or material: where it acts
     "formula": "x = u · (1 + share · tanh(u / reach))",
     "doc": "What it is, in a sentence or two.",
     "signature": "What the error looks like while it is missing.",
     "parameters": [  # nothing changes at null; a fit begins at start and searches from low to high
-        {"name": "share", "unit": "1", "null": 0.0, "start": 0.1, "low": -0.5, "high": 0.5, "doc": "how much"},
-        {"name": "reach", "unit": "mm", "null": 5.0, "start": 5.0, "low": 1.0, "high": 20.0, "doc": "from where on"},
+        {
+            "name": "share", "unit": "1", "null": 0.0, "start": 0.1, "low": -0.5, "high": 0.5,
+            "doc": "how much",
+        },
+        {
+            "name": "reach", "unit": "mm", "null": 5.0, "start": 5.0, "low": 1.0, "high": 20.0,
+            "doc": "from where on",
+        },
     ],
 }
 
 
 def rollout(params, u, t, ctx):
-    """params (B, P), u (B, T, C) mm, t (T,) s; ctx has dt (T,), gravity (T, 3), load (T,), temperature (T,)."""
+    """Return what acts (B, T, C) mm of commands u (B, T, C) mm at t (T,) s, for params (B, P).
+
+    ctx has dt (T,), gravity (T, 3), load (T,) and temperature (T,).
+    """
     share, reach = params[:, 0, None, None], params[:, 1, None, None]  # (B, 1, 1)
-    return u * (1.0 + share * np.tanh(u / reach))  # what acts (B, T, C) mm
+    return u * (1.0 + share * np.tanh(u / reach))
 '''
 
 
@@ -198,14 +221,17 @@ def _read(file: Path) -> bytes:
     if file.suffix != ".py" or not file.is_file():
         raise EffectError(f"{file}: no Python file; `softmap model effects new NAME` writes one")
     if file.stat().st_size > MAX_EFFECT_BYTES:
-        raise EffectError(f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_EFFECT_BYTES}")
+        raise EffectError(
+            f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_EFFECT_BYTES}"
+        )
     return file.read_bytes()
 
 
 def _execute(file: Path, source: bytes) -> ModuleType:
     module = ModuleType(f"softmap_own_{file.stem}")
     module.__file__ = str(file)
-    module.__dict__["print"] = functools.partial(print, file=sys.stderr)  # what it prints is no part of a document
+    # what it prints is no part of a document
+    module.__dict__["print"] = functools.partial(print, file=sys.stderr)
     sys.modules[module.__name__] = module  # dataclasses look their module up
     try:
         with contextlib.redirect_stdout(sys.stderr):
@@ -221,7 +247,10 @@ def _execute(file: Path, source: bytes) -> ModuleType:
 def _declaration(where: str, given: object) -> Document:
     """Return the declaration of a file, complete and of the right types."""
     if not isinstance(given, dict):
-        raise EffectError(f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the form")
+        raise EffectError(
+            f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the "
+            "form"
+        )
     known = ("name", *_TEXTS, "parameters", *_OPTIONAL)
     _keys(where, "EFFECT", given, ("name", *_TEXTS, "parameters"), known)
     found: Document = _OPTIONAL | given
@@ -229,9 +258,13 @@ def _declaration(where: str, given: object) -> Document:
     for key in (*_TEXTS, "family", "reference"):
         found[key] = _text(where, key, found[key])
     if found["stage"] not in STAGES:
-        raise EffectError(f"{where}: the stage is '{found['stage']}'; {', '.join(STAGES)} are allowed")
+        raise EffectError(
+            f"{where}: the stage is '{found['stage']}'; {', '.join(STAGES)} are allowed"
+        )
     if not isinstance(found["needs"], list | tuple):
-        raise EffectError(f"{where}: needs is {type(found['needs']).__name__}; give a list of {', '.join(FIELDS)}")
+        raise EffectError(
+            f"{where}: needs is {type(found['needs']).__name__}; give a list of {', '.join(FIELDS)}"
+        )
     found["needs"] = [str(field) for field in found["needs"]]
     wrong = [field for field in found["needs"] if field not in FIELDS]
     if wrong:
@@ -243,37 +276,52 @@ def _declaration(where: str, given: object) -> Document:
     found["parameters"] = [_parameter(where, p) for p in found["parameters"]]
     names = [p["name"] for p in found["parameters"]]
     if len(set(names)) < len(names):
-        raise EffectError(f"{where}: two parameters have one name among {', '.join(names)}; names must differ")
+        raise EffectError(
+            f"{where}: two parameters have one name among {', '.join(names)}; names must differ"
+        )
     return found
 
 
 def _parameter(where: str, given: object) -> Document:
     if not isinstance(given, dict):
-        raise EffectError(f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, null, …")
+        raise EffectError(
+            f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, "
+            "null, …"
+        )
     required = ("name", "unit", *_NUMBERS, "doc")
     _keys(where, "a parameter", given, required, (*required, *_SWITCHES))
     found: Document = _SWITCHES | given
     _check_name(where, found["name"])
     label = f"parameter {found['name']}"
-    found["unit"], found["doc"] = (_text(where, f"{key} of {label}", found[key]) for key in ("unit", "doc"))
+    found["unit"], found["doc"] = (
+        _text(where, f"{key} of {label}", found[key]) for key in ("unit", "doc")
+    )
     for key in _SWITCHES:
         if not isinstance(found[key], bool):
-            raise EffectError(f"{where}: {label}: {key} is {found[key]!r:.40}, expected True or False")
+            raise EffectError(
+                f"{where}: {label}: {key} is {found[key]!r:.40}, expected True or False"
+            )
     found["per_channel"] |= found["shared"]  # one number for each channel, shared or not in a fit
     for key in _NUMBERS:
         value = found[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise EffectError(f"{where}: {label}: {key} is {value!r:.40}, expected a finite number")
         found[key] = float(value)
     if not (found["low"] < found["high"] and found["low"] <= found["start"] <= found["high"]):
         raise EffectError(
-            f"{where}: {label}: low {found['low']:g}, start {found['start']:g}, high {found['high']:g}; "
-            "start must lie between low and high"
+            f"{where}: {label}: low {found['low']:g}, start {found['start']:g}, high "
+            f"{found['high']:g}; start must lie between low and high"
         )
     return found
 
 
-def _keys(where: str, what: str, given: dict[Any, Any], required: tuple[str, ...], known: tuple[str, ...]) -> None:
+def _keys(
+    where: str, what: str, given: dict[Any, Any], required: tuple[str, ...], known: tuple[str, ...]
+) -> None:
     missing = [key for key in required if key not in given]
     if missing:
         raise EffectError(f"{where}: {what} has no '{missing[0]}'; it takes {', '.join(known)}")
@@ -285,14 +333,16 @@ def _keys(where: str, what: str, given: dict[Any, Any], required: tuple[str, ...
 def _check_name(where: str, name: object) -> None:
     if not isinstance(name, str) or not EFFECT_NAME.fullmatch(name):
         raise EffectError(
-            f"{where}: the name {name!r:.60}; small letters, digits and _ are allowed, a letter first, at most 40"
+            f"{where}: the name {name!r:.60}; small letters, digits and _ are allowed, a letter "
+            "first, at most 40"
         )
 
 
 def _text(where: str, key: str, value: object) -> str:
     if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value) <= LONGEST:
         raise EffectError(
-            f"{where}: {key} is {value!r:.60}, expected one printable line of at most {LONGEST} characters"
+            f"{where}: {key} is {value!r:.60}, expected one printable line of at most {LONGEST} "
+            "characters"
         )
     return value
 
@@ -302,14 +352,19 @@ def _pair(where: str, value: object) -> tuple[Any, float]:
         block, minutes = value
         if isinstance(minutes, int | float) and 0 < minutes < 1e4:
             return block, float(minutes)
-    raise EffectError(f"{where}: experiment is {value!r:.60}, expected what to record and how many minutes that takes")
+    raise EffectError(
+        f"{where}: experiment is {value!r:.60}, expected what to record and how many minutes that "
+        "takes"
+    )
 
 
 # --- the law as the core asks it ----------------------------------------------------------------
 
 
 class _Law:
-    """Call a user's `rollout` for one record, and report in one line where it fails or returns something else."""
+    """Call a user's `rollout` for one record, and report in one line where it fails or returns
+    something else.
+    """
 
     def __init__(self, declaration: Document, file: Path, rollout: Callable[..., object]) -> None:
         self._declaration, self._file, self._rollout = declaration, file, rollout
@@ -317,40 +372,61 @@ class _Law:
         self._tried: set[int] = set()
 
     def __call__(
-        self, params: Floats, u: Floats, t: Floats, gravity: Floats, load: Floats, temperature: Floats
+        self,
+        params: Floats,
+        u: Floats,
+        t: Floats,
+        gravity: Floats,
+        load: Floats,
+        temperature: Floats,
     ) -> Floats:
-        """Return what acts (T, C) for params (P,) on u (T, C); the arguments may not be written to."""
+        """Return what acts (T, C) for params (P,) on u (T, C); the arguments may not be written
+        to.
+        """
         context = Context(np.diff(t, prepend=t[:1]), gravity, load, temperature)
         for array in (params, u, t, context.dt, gravity, load, temperature):
             array.flags.writeable = False
         channels = u.shape[1]
         if channels not in self._tried:
             null = [
-                p["null"] for p in self._declaration["parameters"] for _ in range(channels if p["per_channel"] else 1)
+                p["null"]
+                for p in self._declaration["parameters"]
+                for _ in range(channels if p["per_channel"] else 1)
             ]
             away = float(np.abs(self._ask(np.array(null), u, t, context) - u).max())
             if away > NULL_MM * max(1.0, float(np.abs(u).max())):
                 raise EffectError(
-                    f"{self._head} changes the command by up to {away:.3g} at its null values; there it must not"
+                    f"{self._head} changes the command by up to {away:.3g} at its null values; "
+                    "there it must not"
                 )
             self._tried.add(channels)
         return self._ask(params, u, t, context)
 
     def _ask(self, params: Floats, u: Floats, t: Floats, context: Context) -> Floats:
         shape = (1, *u.shape)
-        required = f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what acts, {shape}"
+        required = (
+            f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what "
+            f"acts, {shape}"
+        )
         me = threading.get_ident()
         _RUNNING.add(me)
         try:
-            with np.errstate(all="ignore"):  # what is not finite is reported below, with its parameters
+            # what is not finite is reported below, with its parameters
+            with np.errstate(all="ignore"):
                 given = self._rollout(params[None], u[None], t, context)
         except BaseException as fault:
             if me not in _RUNNING:
                 raise EffectError(f"{self._head} was interrupted") from None
-            raise EffectError(f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {required}") from None
+            raise EffectError(
+                f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {required}"
+            ) from None
         finally:
             _RUNNING.discard(me)
-        answer = np.asarray(given) if isinstance(given, np.ndarray | list | tuple | float | int) else None
+        answer = (
+            np.asarray(given)
+            if isinstance(given, np.ndarray | list | tuple | float | int)
+            else None
+        )
         if answer is None or answer.dtype.kind not in "biuf":
             kind = type(given).__name__ if answer is None else f"an array of {answer.dtype}"
             raise EffectError(f"{self._head} returned {kind}; {required}")
@@ -360,8 +436,9 @@ class _Law:
             sample, channel = np.argwhere(~np.isfinite(answer[0]))[0]
             numbers = ", ".join(f"{value:.4g}" for value in params[:8])
             raise EffectError(
-                f"{self._head} returned {answer[0, sample, channel]} at sample {sample}, channel {channel}, for params "
-                f"{numbers}; every parameter from low to high must give finite numbers"
+                f"{self._head} returned {answer[0, sample, channel]} at sample {sample}, channel "
+                f"{channel}, for params {numbers}; every parameter from low to high must give "
+                "finite numbers"
             )
         return np.ascontiguousarray(answer[0], np.float64)
 
@@ -370,14 +447,18 @@ def interrupt() -> None:
     """Raise KeyboardInterrupt in the threads in which laws run, which see no signal themselves."""
     for thread in list(_RUNNING):
         _RUNNING.discard(thread)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(KeyboardInterrupt))
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(
+            ctypes.c_ulong(thread), ctypes.py_object(KeyboardInterrupt)
+        )
 
 
 def _line(fault: BaseException, file: Path) -> str:
     """Return the line of the user's file in which it failed, as words."""
     if isinstance(fault, SyntaxError):
         return f", line {fault.lineno}," if fault.lineno else ""
-    lines = [at.lineno for at in traceback.extract_tb(fault.__traceback__) if at.filename == str(file)]
+    lines = [
+        at.lineno for at in traceback.extract_tb(fault.__traceback__) if at.filename == str(file)
+    ]
     return f", line {lines[-1]}," if lines else ""
 
 

@@ -1,9 +1,11 @@
-"""How the points of a run are seen by a model: as features of its own, or of markers carried on its template.
+"""How the points of a run are seen by a model: as features of its own, or of markers carried on its
+template.
 
-A run of vertices or of the model's own markers gives the model's features; markers on a template are features of their
-own. Vertices laid onto clouds (`run register`) have `roll_seen = false`: what a round finger does about its own axis
-is not in them, so of its features the places of sections count and the directions do not. Units: mm.
-Pinned by tests/geometry/test_markers.py and tests/diagnosis/test_clouds_diagnosis.py.
+A run of vertices or of the model's own markers gives the model's features; markers on a template
+are features of their own. Vertices laid onto clouds (`run register`) have `roll_seen = false`: what
+a round finger does about its own axis is not in them, so of its features the places of sections
+count and the directions do not. Units: mm. Pinned by tests/geometry/test_markers.py and
+tests/diagnosis/test_clouds_diagnosis.py.
 """
 
 from __future__ import annotations
@@ -16,7 +18,13 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
-from softmap_edge.geometry.sections import FeatureMap, attach, marker_features, other_unit, seen_residual
+from softmap_edge.geometry.sections import (
+    FeatureMap,
+    attach,
+    marker_features,
+    other_unit,
+    seen_residual,
+)
 from softmap_edge.model.predictors import projected
 from softmap_edge.run.run import ROLL_SEEN, Run
 
@@ -30,8 +38,9 @@ Floats = NDArray[np.float64]
 class View:
     """What stands between a model and the features of a run.
 
-    `carry` (M, N) carries markers on the template, None where points are the model's own; `mapping` makes features of
-    the run's points; `rows` are those among the model's own features; `predictor` gives the features.
+    `carry` (M, N) carries markers on the template, None where points are the model's own; `mapping`
+    makes features of the run's points; `rows` are those among the model's own features; `predictor`
+    gives the features.
     """
 
     carry: Floats | None
@@ -50,9 +59,9 @@ def key_of(model: Model, run: Run) -> tuple[bytes, bool]:
         return b"", roll_seen(model, run)
     if run.marker_rest is None:
         raise RunError(
-            f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is not known which "
-            f"place on the model of '{model.robot}' each one is; give marker_rest_mm in the mapping, or with "
-            "--bundle a model learnt from such markers"
+            f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is "
+            f"not known which place on the model of '{model.robot}' each one is; give "
+            "marker_rest_mm in the mapping, or with --bundle a model learnt from such markers"
         )
     return run.marker_rest.tobytes(), True
 
@@ -62,7 +71,12 @@ def view_of(model: Model, run: Run) -> View:
     if not model.markers and run.markers is not None:
         carry = attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
         all_rows = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
-        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model.structure, all_rows))
+        return View(
+            carry,
+            marker_features(len(carry)),
+            np.zeros(0, np.intp),
+            projected(model.structure, all_rows),
+        )
     own, rows = model.structure.feature_map, np.arange(len(model.structure.positions))
     if not roll_seen(model, run):
         rows = np.flatnonzero(own.positions)
@@ -71,12 +85,16 @@ def view_of(model: Model, run: Run) -> View:
 
 
 def laid(run: Run) -> bool:
-    """Return whether a run's vertices were laid onto clouds, which do not show the roll of a round finger."""
+    """Return whether a run's vertices were laid onto clouds, which do not show the roll of a round
+    finger.
+    """
     return run.vertices is not None and not bool(np.all(run.extra.get(ROLL_SEEN, True)))
 
 
 def roll_seen(model: Model, run: Run) -> bool:
-    """Return whether a run shows the roll of the body about its own axis, or the model has no features of roll."""
+    """Return whether a run shows the roll of the body about its own axis, or the model has no
+    features of roll.
+    """
     return not laid(run) or bool(model.structure.positions.all())
 
 
@@ -97,8 +115,8 @@ def seen_points(model: Model, run: Run) -> Floats:
     count = len(model.rest) if carry is None else seen.shape[1]
     if seen.shape[1] != count:
         raise RunError(
-            f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has {count}; "
-            "it is a run of another robot or template"
+            f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has "
+            f"{count}; it is a run of another robot or template"
         )
     return in_scale_of(model, run, np.asarray(seen, float))
 
@@ -113,26 +131,36 @@ def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
     if ours is None and theirs is None:
         return seen
     if ours is None or theirs is None or ours.unit != theirs.unit:
-        of = ["places" if o is None else f"{', '.join(o.names)} in {o.unit}" for o in (theirs, ours)]
-        raise RunError(f"the run is of {of[0]}, this model of '{model.robot}' of {of[1]}; take the model of this run")
+        of = [
+            "places" if o is None else f"{', '.join(o.names)} in {o.unit}" for o in (theirs, ours)
+        ]
+        raise RunError(
+            f"the run is of {of[0]}, this model of '{model.robot}' of {of[1]}; take the model of "
+            "this run"
+        )
     return seen if ours.mm_per_unit == theirs.mm_per_unit else theirs.rescaled(seen, ours)
 
 
 def points_in_mm(model: Model, run: Run) -> Floats:
-    """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
+    """Return the same after checking that they are as large as the robot, so that no effect stands
+    for a unit.
+    """
     seen = seen_points(model, run)
     rest = model.rest if model.view(run).carry is None else np.asarray(run.marker_rest, float)
     shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
     if (found := other_unit(shown, rest)) is not None:
         raise RunError(
-            f"wrong units: the run's points spread {found[0]:.3g} times as far as those of '{model.robot}', which "
-            f"looks like {found[1]}; give the points in mm (`unit` of the mapping)"
+            f"wrong units: the run's points spread {found[0]:.3g} times as far as those of "
+            f"'{model.robot}', which looks like {found[1]}; give the points in mm (`unit` of the "
+            "mapping)"
         )
     return seen
 
 
 def form_error(model: Model, run: Run) -> Floats:
-    """Return a model's own held-out error (V, 3) mm for the features of a run, in its orientations."""
+    """Return a model's own held-out error (V, 3) mm for the features of a run, in its
+    orientations.
+    """
     view = model.view(run)
     error = model.form_error[view.rows]
     if view.carry is not None:
@@ -141,9 +169,11 @@ def form_error(model: Model, run: Run) -> Floats:
 
 
 def leaning(model: Model, run: Run) -> Floats:
-    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference.
+    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the
+    reference.
 
-    What a model errs for a lean is another number in another orientation, though the command be the same.
+    What a model errs for a lean is another number in another orientation, though the command be the
+    same.
     """
     rows = np.zeros((len(run.t_seen), 4))
     rows[:, 0] = 1.0
@@ -160,7 +190,8 @@ def members(section: NDArray[np.int64]) -> Floats:
 
 
 def without_roll(member: Floats, moved: Floats, points: Floats, weight: Floats) -> Floats:
-    """Return displacements without the turn of each section about the body's axis that explains most of them.
+    """Return displacements without the turn of each section about the body's axis that explains
+    most of them.
 
     Args:
         member: (N, S) of `members`, two sections or more.

@@ -1,16 +1,20 @@
-"""The noise floor of a run: distance of a seen point from its own mean while only the camera changes.
+"""The noise floor of a run: distance of a seen point from its own mean while only the camera
+changes.
 
-1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the frame (`noise.py`):
-   the same estimate as that of `check` and `diagnose`
-2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise:
+1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the
+   frame (`noise.py`): the same estimate as that of `check` and `diagnose`
+2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory
+                                                  counts as noise:
                                                   an upper bound
-3. else roughness of the residual over the body:  remainder of (1, x, y) times a polynomial of degree 5 in z in a frame
-4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
+3. else roughness of the residual over the body:  remainder of (1, x, y) times a polynomial of
+                                                  degree 5 in z in a frame
+4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an
+                                                  upper bound
 
 All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
-Known limits: 1 detects noise that stays constant through a dwell only where poses are visited again; 3 does not detect
-noise that moves the complete body; 4 counts motion that the model misses as noise.
-Pinned by tests/comparison/test_compare.py with known noise.
+Known limits: 1 detects noise that stays constant through a dwell only where poses are visited
+again; 3 does not detect noise that moves the complete body; 4 counts motion that the model misses
+as noise. Pinned by tests/comparison/test_compare.py with known noise.
 """
 
 from __future__ import annotations
@@ -45,7 +49,8 @@ def noise_floor(
 
     Args:
         state: conditions of the K frames.
-        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, for the estimates from the residual.
+        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, for the estimates from the
+            residual.
         rest: (N, 3) mm, the template at rest; None for markers.
 
     Returns:
@@ -56,7 +61,11 @@ def noise_floor(
         return repeated.mm, repeated.source
     rough = None if rest is None else _roughness(seen - predicted, visible, rest)
     if rough is not None:
-        return rough, "no replicates: from the roughness of the residual over the body, independent noise only"
+        return (
+            rough,
+            "no replicates: from the roughness of the residual over the body, independent noise "
+            "only",
+        )
     if len(seen) < MIN_PAIRS + 2:
         return None, f"not known: no replicates, and {len(seen)} frames are too few"
     residual = seen - predicted
@@ -64,7 +73,9 @@ def noise_floor(
     complete = visible[1:-1] & visible[2:] & visible[:-2]
     if not complete.any():
         return None, "not known: no replicates, and no point is visible in three successive frames"
-    return rms(bend[complete] / 1.5), f"no replicates: from the residual's high-frequency part, {BOUND}"
+    return rms(
+        bend[complete] / 1.5
+    ), f"no replicates: from the residual's high-frequency part, {BOUND}"
 
 
 def rms(squares: Floats) -> float:
@@ -74,7 +85,9 @@ def rms(squares: Floats) -> float:
 
 @dataclass(frozen=True)
 class PointNoise:
-    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was estimated from."""
+    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was
+    estimated from.
+    """
 
     mm: float
     source: str
@@ -85,7 +98,9 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
     `check` and `compare` report this number: it depends on the run alone.
     """
-    seen = next((s for s in (getattr(run, n) for n in ("vertices", "markers")) if s is not None), None)
+    seen = next(
+        (s for s in (getattr(run, n) for n in ("vertices", "markers")) if s is not None), None
+    )
     command = commanded(run)
     if seen is None or not command.shape[1] or not len(seen):
         return None
@@ -94,13 +109,17 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
 
 def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
-    """Return `noise_of_points` of each run in mm, None where it is not known, for the document of a diagnosis."""
+    """Return `noise_of_points` of each run in mm, None where it is not known, for the document of a
+    diagnosis.
+    """
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]
 
 
 def commanded(run: Run) -> Floats:
-    """Return the commands (T, C), in the unit of the run or in ticks: they are constant where encoders flicker."""
+    """Return the commands (T, C), in the unit of the run or in ticks: they are constant where
+    encoders flicker.
+    """
     rows = run.command if run.command is not None else run.ticks
     return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
 
@@ -119,7 +138,10 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
-            text = f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise here: {BOUND}"
+            text = (
+                f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise "
+                f"here: {BOUND}"
+            )
             return PointNoise(value, text)
     return None
 
@@ -127,11 +149,15 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
 def some_points(visible: Mask) -> NDArray[np.intp]:
     """Return a sample of the points, spread evenly over those that are seen most."""
     often = np.flatnonzero(visible.sum(axis=0) >= 0.5 * visible.sum(axis=0).max(initial=0))
-    return np.asarray(often[np.unique(np.linspace(0, len(often) - 1, min(len(often), POINTS)).astype(int))], np.intp)
+    return np.asarray(
+        often[np.unique(np.linspace(0, len(often) - 1, min(len(often), POINTS)).astype(int))],
+        np.intp,
+    )
 
 
 def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
-    """Return the RMS scatter of points (K, N, 3) over repeats of a command; None where too few are repeated.
+    """Return the RMS scatter of points (K, N, 3) over repeats of a command; None where too few are
+    repeated.
 
     This is the floor of every model without memory on this run.
     """
@@ -171,7 +197,9 @@ def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:
 
 
 def _within(groups: list[NDArray[np.int64]], seen: Floats, visible: Mask) -> float | None:
-    """Pooled RMS deviation of points from their mean inside each group, with one degree of freedom taken off."""
+    """Pooled RMS deviation of points from their mean inside each group, with one degree of freedom
+    taken off.
+    """
     total, freedom = 0.0, 0
     for group in groups:
         x, v = seen[group], visible[group]

@@ -1,16 +1,18 @@
 """Jitter of the frame of reference with a memory, estimated between visits of one pose.
 
-    y = q(pose) + trend(t) + J(t) + e           six rigid coordinates of a settled frame, about the base
-    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e  white, from the part that no rigid motion explains
+    y = q(pose) + trend(t) + J(t) + e  six rigid coordinates of a settled frame, about the base
+    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e
+        white, from the part that no rigid motion explains
     trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
 
-The coordinates are fitted together with the motions that commands cause (the modes of a smooth map from commands to
-shapes), so that play, creep and every other effect on the drive cancel out. Memory and variances are those of highest
-likelihood in the eigenbasis of the detrended correlation (Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693):
-two numbers for turns and shifts alike in all directions, one more for each axis that clearly differs.
-Units: mm, rad, s. Limits: jitter is not detected with fewer than nine features or without revisited poses; a memory
-longer than an eighth of the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance and
-memory.
+The coordinates are fitted together with the motions that commands cause (the modes of a smooth map
+from commands to shapes), so that play, creep and every other effect on the drive cancel out. Memory
+and variances are those of highest likelihood in the eigenbasis of the detrended correlation
+(Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693): two numbers for turns and shifts alike
+in all directions, one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter is
+not detected with fewer than nine features or without revisited poses; a memory longer than an
+eighth of the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance
+and memory.
 """
 
 from __future__ import annotations
@@ -30,17 +32,22 @@ Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 RIGID = 6
-MEMORIES = (0.0, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)  # s: memories that are tried; 0 is new in each frame
+# s: memories that are tried; 0 is new in each frame
+MEMORIES = (0.0, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)
 LONGEST = 0.125  # of the duration: a longer memory is a trend
-SIZES = np.r_[0.0, np.geomspace(1e-2, 1e4, 61)]  # variances that are tried, in units of the white part
+# variances that are tried, in units of the white part
+SIZES = np.r_[0.0, np.geomspace(1e-2, 1e4, 61)]
 REVISITS = 4  # visits beyond the first of each pose below which nothing is estimated
 FRAMES = 300  # settled frames at most in the likelihood
-CLEAR = 12.0  # log-likelihood that jitter must gain; it fits seven numbers (chi² 24 of 7: 1 in 1000)
-AXIS, KEPT = 3.3, 5.0  # gain required for a separate variance of an axis (1 in 100), and for a memory
+# log-likelihood that jitter must gain; it fits seven numbers (chi² 24 of 7: 1 in 1000)
+CLEAR = 12.0
+# gain required for a separate variance of an axis (1 in 100), and for a memory
+AXIS, KEPT = 3.3, 5.0
 STRONG = 2.0  # variances of the white part that jitter without a memory must have in some axis
 COMMANDED, LEAST_MODE = 4, 0.005  # commanded modes at most, and the least size against the first
 UNSEEN = 1e-9  # of the white variance: for a turn that the points do not show
-RIGIDLY, FARTHEST = 3.0, 300.0  # mm RMS that the frame, and commanded motion, may move the points: a turn
+# mm RMS that the frame, and commanded motion, may move the points: a turn
+RIGIDLY, FARTHEST = 3.0, 300.0
 # that the points do not show, as of markers on one line, stays near zero and does not blow up
 SPARE = 2  # features that must remain to show the white part
 DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
@@ -48,7 +55,8 @@ DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no
 
 @dataclass(frozen=True)
 class Jitter:
-    """Rigid jitter of the frame: covariance (6, 6) of turns (rad) and shifts (mm) about the base, and its memory s.
+    """Rigid jitter of the frame: covariance (6, 6) of turns (rad) and shifts (mm) about the base,
+    and its memory s.
 
     `revisits` is the number of visits, beyond the first of each pose, that show it.
     """
@@ -58,7 +66,9 @@ class Jitter:
     revisits: int
 
     def of_features(self, features: Floats, positions: Mask) -> Floats:
-        """Return its mean covariance (F, F) mm² over features (K, F) mm of which `positions` (V,) are places."""
+        """Return its mean covariance (F, F) mm² over features (K, F) mm of which `positions` (V,)
+        are places.
+        """
         columns = rigid(features, positions)  # (K, F, 6)
         flat = np.swapaxes(columns, 0, 1).reshape(features.shape[1], -1)
         moved = np.swapaxes(columns @ self.covariance, 0, 1).reshape(features.shape[1], -1)
@@ -69,7 +79,8 @@ class Jitter:
 class Coordinates:
     """Coordinates (n, m) of frames: six rigid ones, and those along the commanded modes.
 
-    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) the derivative of the features.
+    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) the derivative of the
+    features.
     """
 
     values: Floats
@@ -93,7 +104,8 @@ class Coordinates:
 
 
 def rigid(features: Floats, positions: Mask) -> Floats:
-    """Return the derivatives of features (K, F) mm by turns (rad) and shifts (mm) about the base, (K, F, 6).
+    """Return the derivatives of features (K, F) mm by turns (rad) and shifts (mm) about the base,
+    (K, F, 6).
 
     Directions turn with the frame and do not shift.
     """
@@ -120,18 +132,26 @@ def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Flo
 
 
 def polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic; for many channels without products."""
+    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic; for many channels
+    without products.
+    """
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = command[:, span > 0]
     x = 2.0 * (x - x.min(axis=0, initial=np.inf)) / span[span > 0] - 1.0 if len(command) else x
     one = np.ones((len(command), 1))
     if x.shape[1] > MANY:
         return np.concatenate([one, x, x**2, x**3], axis=1)
-    sets = [c for n in range(1, DEGREE + 1) for c in combinations_with_replacement(range(x.shape[1]), n)]
-    return np.concatenate([one, *(np.prod(x[:, list(c)], axis=1, keepdims=True) for c in sets)], axis=1)
+    sets = [
+        c for n in range(1, DEGREE + 1) for c in combinations_with_replacement(range(x.shape[1]), n)
+    ]
+    return np.concatenate(
+        [one, *(np.prod(x[:, list(c)], axis=1, keepdims=True) for c in sets)], axis=1
+    )
 
 
-def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats) -> Coordinates:
+def coordinates(
+    values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats
+) -> Coordinates:
     """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
 
     Args:
@@ -154,8 +174,11 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
     return Coordinates(found, covariance, columns)
 
 
-def white_variance(values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints) -> Floats | None:
-    """Return the variance (F,) mm² of values (K, F) in dwells that neither rigid motion nor commands explain.
+def white_variance(
+    values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints
+) -> Floats | None:
+    """Return the variance (F,) mm² of values (K, F) in dwells that neither rigid motion nor
+    commands explain.
 
     Return None if too few features or frames remain to show it.
     """
@@ -178,9 +201,16 @@ def white_variance(values: Floats, seen: Floats, positions: Mask, modes: Floats,
 
 
 def frame_jitter(
-    values: Floats, seen: Floats, positions: Mask, state: Conditions, dwell: Ints, modes: Floats, white: Floats
+    values: Floats,
+    seen: Floats,
+    positions: Mask,
+    state: Conditions,
+    dwell: Ints,
+    modes: Floats,
+    white: Floats,
 ) -> Jitter | None:
-    """Estimate the jitter of the frame between visits of the same poses; None where the run does not show any.
+    """Estimate the jitter of the frame between visits of the same poses; None where the run does
+    not show any.
 
     Args:
         values: features minus the prediction of a model, or the features themselves, (K, F) mm.
@@ -204,23 +234,31 @@ def frame_jitter(
     free = _detrending(t, pose, run)  # (n, n - p), orthonormal complement of groups and trends
     y = free.T @ flat
     axes = np.linalg.eigh(y.T @ y)[1]
-    seen_as = np.linalg.solve(root, np.eye(RIGID)).T @ axes  # (6, 6): turns and shifts along each axis
-    parts = np.stack([np.sum(seen_as[half] ** 2, axis=0) for half in (slice(0, 3), slice(3, 6))], axis=1)
+    # (6, 6): turns and shifts along each axis
+    seen_as = np.linalg.solve(root, np.eye(RIGID)).T @ axes
+    parts = np.stack(
+        [np.sum(seen_as[half] ** 2, axis=0) for half in (slice(0, 3), slice(3, 6))], axis=1
+    )
     likely = [(*_likelihood(y @ axes, free, t, run, tau, parts), tau) for tau in _memories(t, run)]
     fresh, kept = likely[0], max(likely, key=lambda one: one[0])
     gain, sizes, memory = kept if kept[0] > fresh[0] + KEPT else fresh
-    if gain < CLEAR or (memory == 0.0 and sizes.max() < STRONG):  # new jitter in each frame shows in dwells anyway
+    # new jitter in each frame shows in dwells anyway
+    if gain < CLEAR or (memory == 0.0 and sizes.max() < STRONG):
         return None
     turn = root @ axes
     return Jitter((turn * sizes) @ turn.T, memory, revisits)
 
 
 def _root(noise: Floats, shapes: Floats) -> Floats:
-    """Return the Cholesky factor of the white covariance (6, 6), also where a turn is not seen: markers on one line."""
+    """Return the Cholesky factor of the white covariance (6, 6), also where a turn is not seen:
+    markers on one line.
+    """
     radius = float(np.sqrt(np.mean(shapes**2)))
     scale = np.r_[np.full(3, radius), np.ones(3)]
     alike = noise * np.outer(scale, scale)  # mm²
-    return np.asarray(np.linalg.cholesky(alike + UNSEEN * np.trace(alike) * np.eye(RIGID)) / scale[:, None])
+    return np.asarray(
+        np.linalg.cholesky(alike + UNSEEN * np.trace(alike) * np.eye(RIGID)) / scale[:, None]
+    )
 
 
 def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.intp], Ints]:
@@ -233,10 +271,16 @@ def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.i
 
 
 def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
-    """Return values (n, F) about the mean of their pose, NaN where unseen, and that mean (n, F), all finite."""
+    """Return values (n, F) about the mean of their pose, NaN where unseen, and that mean (n, F),
+    all finite.
+    """
     known = np.isfinite(values)
-    each = [(np.where(known, values, 0.0)[at].sum(axis=0), known[at].sum(axis=0)) for at in _each(pose)]
-    mean = np.stack([np.where(count > 0, total / np.maximum(count, 1), np.nan) for total, count in each])
+    each = [
+        (np.where(known, values, 0.0)[at].sum(axis=0), known[at].sum(axis=0)) for at in _each(pose)
+    ]
+    mean = np.stack(
+        [np.where(count > 0, total / np.maximum(count, 1), np.nan) for total, count in each]
+    )
     return values - mean[pose], filled(mean)[pose]
 
 
@@ -245,7 +289,9 @@ def _each(pose: Ints) -> list[Mask]:
 
 
 def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:
-    """Return an orthonormal basis (n, m) of the complement of all pose means and of each run's quadratic in time."""
+    """Return an orthonormal basis (n, m) of the complement of all pose means and of each run's
+    quadratic in time.
+    """
     columns = [(pose == p).astype(float) for p in np.unique(pose)]
     for one in np.unique(run):
         s = (t - t[run == one].mean()) / max(float(np.ptp(t[run == one])), 1e-9) * (run == one)
@@ -260,12 +306,15 @@ def _memories(t: Floats, run: Ints) -> list[float]:
     return [tau for tau in MEMORIES if tau <= longest or tau == 0.0]
 
 
-def _likelihood(y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats) -> tuple[float, Floats]:
-    """Return the gain in log-likelihood over white noise of y (m, 6) with a memory, and the variance (6,) of each axis.
+def _likelihood(
+    y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats
+) -> tuple[float, Floats]:
+    """Return the gain in log-likelihood over white noise of y (m, 6) with a memory, and the
+    variance (6,) of each axis.
 
-    An axis has the variance of jitter that is alike in all directions, with `parts` (6, 2) of turns and of shifts. It
-    gets its own variance only if that is clearly more likely: alone, an axis that is badly seen would often be nothing
-    or all noise.
+    An axis has the variance of jitter that is alike in all directions, with `parts` (6, 2) of turns
+    and of shifts. It gets its own variance only if that is clearly more likely: alone, an axis that
+    is badly seen would often be nothing or all noise.
     """
     between = np.abs(t[:, None] - t[None, :])
     apart = np.exp(-between / tau) * (run[:, None] == run[None, :]) if tau else np.eye(len(t))
@@ -278,12 +327,17 @@ def _likelihood(y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts
     own = np.argmax(gain, axis=0)
     expected = np.array([np.interp(alike[i], SIZES, gain[:, i]) for i in axis])
     apart_from = gain[own, axis] - expected > AXIS
-    return float(np.where(apart_from, gain[own, axis], expected).sum()), np.where(apart_from, SIZES[own], alike)
+    return float(np.where(apart_from, gain[own, axis], expected).sum()), np.where(
+        apart_from, SIZES[own], alike
+    )
 
 
 def _alike(gain: Floats, parts: Floats) -> Floats:
-    """Return the variances (6,) of jitter that is alike in all directions, from the gains (s, 6) of SIZES."""
-    unit = np.maximum(parts.max(axis=0), 1e-300)  # the largest share of turns, or of shifts, in an axis
+    """Return the variances (6,) of jitter that is alike in all directions, from the gains (s, 6) of
+    SIZES.
+    """
+    # the largest share of turns, or of shifts, in an axis
+    unit = np.maximum(parts.max(axis=0), 1e-300)
     best, found = 0.0, np.zeros(len(parts))
     for turn in SIZES[::2] / unit[0]:
         sizes = parts[:, 0] * turn + parts[:, 1] * (SIZES[::2, None] / unit[1])  # (s, 6)

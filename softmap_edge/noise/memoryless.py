@@ -1,12 +1,12 @@
 """The floor of every memoryless model: scatter of one pose over repeats of the same command.
 
-    σ² = between passages of a cell + within passages      one-way analysis of variance, pooled over the cells
+    σ² = between passages of a cell + within passages      one-way analysis of variance, pooled over
+                                                           the cells
 
-A cell holds the frames of one command (within CELL of its range), orientation, load and temperature. A passage is an
-uninterrupted stay in it. A smooth map of the commands is subtracted inside a cell first, so that the width of a cell
-does not count.
-Units: mm, °C, g. Limit: commands of many channels that never repeat show nothing. Pinned by
-tests/noise/test_memoryless.py.
+A cell holds the frames of one command (within CELL of its range), orientation, load and
+temperature. A passage is an uninterrupted stay in it. A smooth map of the commands is subtracted
+inside a cell first, so that the width of a cell does not count. Units: mm, °C, g. Limit: commands
+of many channels that never repeat show nothing. Pinned by tests/noise/test_memoryless.py.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ ENOUGH = 8  # passages beyond the first of each cell
 
 @dataclass(frozen=True)
 class Repeats:
-    """Scatter of repeated poses: variance (F,) mm² within a pose, numbers of poses and passages, their frames (n,)."""
+    """Scatter of repeated poses: variance (F,) mm² within a pose, numbers of poses and passages,
+    their frames (n,).
+    """
 
     variance: Floats
     poses: int
@@ -80,7 +82,10 @@ def _cells(state: Conditions, load: Floats | None) -> Ints:
         if values is not None:
             keys.append(np.rint(values / step)[:, None])
     keys.append((np.maximum(state.visit, 0) >> RUN)[:, None].astype(float))
-    return np.asarray(np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].reshape(-1), np.int64)
+    return np.asarray(
+        np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].reshape(-1),
+        np.int64,
+    )
 
 
 def _variance(values: Floats, passage: Ints, cell: Ints) -> Floats:

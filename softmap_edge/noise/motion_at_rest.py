@@ -1,12 +1,13 @@
 """Motion of the body while its commands stand: a hum with one frequency, or fast irregular motion.
 
-    s(t) = c(dwell) + d(dwell) t + a cos 2πft + b sin 2πft + e        score of a frame along a mode of commanded motion
+    s(t) = c(dwell) + d(dwell) t + a cos 2πft + b sin 2πft + e
+        score of a frame along a mode of commanded motion
 
-A line is one frequency with one phase over all dwells. It explains the share P of the variance in dwells after their
-drift is subtracted. Noise reaches P with probability (1 − P)^((n − 3)/2) for each mode and frequency (Scargle 1982,
-doi:10.1086/160554). Irregular motion is scatter along the commanded modes that is EXCESS times larger than isotropic
-noise would give there.
-Units: mm, s, Hz. Limits: with fewer than SPARE features besides modes and rigid motion only lines are found; motion
+A line is one frequency with one phase over all dwells. It explains the share P of the variance in
+dwells after their drift is subtracted. Noise reaches P with probability (1 − P)^((n − 3)/2) for
+each mode and frequency (Scargle 1982, doi:10.1086/160554). Irregular motion is scatter along the
+commanded modes that is EXCESS times larger than isotropic noise would give there. Units: mm, s, Hz.
+Limits: with fewer than SPARE features besides modes and rigid motion only lines are found; motion
 slower than a dwell is not motion at rest. Pinned by tests/noise/test_motion_at_rest.py.
 """
 
@@ -26,11 +27,13 @@ Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 SLOWEST, FASTEST = 0.05, 5.0  # Hz
-FREQUENCIES, FINE, CHUNK = 8000, 0.25, 400  # number tried at most, spacing times the duration, number tried at once
+# number tried at most, spacing times the duration, number tried at once
+FREQUENCIES, FINE, CHUNK = 8000, 0.25, 400
 FRAMES = 600  # of dwells, at most, in the search for a line
 CHANCE = 1e-4  # probability of a line in noise, over all frequencies and modes
 SHOWN = 0.1  # of the square of a wave that must be left when the line of each dwell is taken out
-EXCESS = 4.0  # times the variance of noise: scatter along commanded modes above this is motion of the body
+# times the variance of noise: scatter along commanded modes above this is motion of the body
+EXCESS = 4.0
 LEAST_MM = 0.12  # mm RMS: smaller motion is ignored
 ENOUGH = 15  # degrees of freedom
 
@@ -39,8 +42,9 @@ ENOUGH = 15  # degrees of freedom
 class MotionAtRest:
     """Motion of the body while the commands stand.
 
-    `rms_mm` is over time and places. `frequency_hz` is that of a line, None where the motion is irregular. `channels`
-    (C,) is the RMS of the commands that would move the body in this way. `dwells` is the number of dwells that show it.
+    `rms_mm` is over time and places. `frequency_hz` is that of a line, None where the motion is
+    irregular. `channels` (C,) is the RMS of the commands that would move the body in this way.
+    `dwells` is the number of dwells that show it.
     """
 
     rms_mm: float
@@ -60,8 +64,8 @@ class MotionAtRest:
 class AtRest:
     """The body's own motion in dwells.
 
-    `found` describes it, `values` (K, F) are the values without its lines, `irregular` is set if there is any motion
-    besides these.
+    `found` describes it, `values` (K, F) are the values without its lines, `irregular` is set if
+    there is any motion besides these.
     """
 
     found: tuple[MotionAtRest, ...]
@@ -71,7 +75,9 @@ class AtRest:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Scores (n, b) of the settled frames along commanded modes, detrended in each dwell, in units of their noise."""
+    """Scores (n, b) of the settled frames along commanded modes, detrended in each dwell, in units
+    of their noise.
+    """
 
     rows: NDArray[np.intp]
     dwells: list[NDArray[np.intp]]  # for each dwell, its places among the rows
@@ -81,7 +87,13 @@ class _Scores:
 
 
 def motion_at_rest(
-    values: Floats, seen: Floats, positions: Mask, t: Floats, command: Floats, dwell: Ints, modes: Floats
+    values: Floats,
+    seen: Floats,
+    positions: Mask,
+    t: Floats,
+    command: Floats,
+    dwell: Ints,
+    modes: Floats,
 ) -> AtRest:
     """Find motion of the body along commanded modes while its commands stand.
 
@@ -95,8 +107,8 @@ def motion_at_rest(
         modes: (b, F), from `commanded_modes`.
 
     Returns:
-        AtRest: nothing found where dwells are too few to show it, or where the commands would need more than their
-            complete range for such a motion.
+        AtRest: nothing found where dwells are too few to show it, or where the commands would need
+            more than their complete range for such a motion.
     """
     white = white_variance(values, seen, positions, modes, dwell)
     scores = _scores(values, seen, positions, modes, dwell, white)
@@ -109,14 +121,28 @@ def motion_at_rest(
         away = _wave(np.array([frequency]), t)[:, 0] @ pattern  # (K, F)
         size = _rms_mm(0.5 * np.sum(pattern**2, axis=0), positions)
         found.append(
-            MotionAtRest(size, frequency, _channels(pattern / np.sqrt(2.0), seen, command), len(scores.dwells))
+            MotionAtRest(
+                size,
+                frequency,
+                _channels(pattern / np.sqrt(2.0), seen, command),
+                len(scores.dwells),
+            )
         )
         rest = values - np.where((dwell >= 0)[:, None], away, 0.0)
         scores = _scores(rest, seen, positions, modes, dwell, white)
-    irregular = None if white is None or scores is None else _irregular(scores, modes, positions, white)
-    if irregular is not None and scores is not None and irregular[0] > sum(one.rms_mm for one in found):
-        size, pattern = irregular  # less than the line: it comes from the change of its shape between poses
-        found.append(MotionAtRest(size, None, _channels(pattern, seen, command), len(scores.dwells)))
+    irregular = (
+        None if white is None or scores is None else _irregular(scores, modes, positions, white)
+    )
+    if (
+        irregular is not None
+        and scores is not None
+        and irregular[0] > sum(one.rms_mm for one in found)
+    ):
+        # less than the line: it comes from the change of its shape between poses
+        size, pattern = irregular
+        found.append(
+            MotionAtRest(size, None, _channels(pattern, seen, command), len(scores.dwells))
+        )
     able = tuple(one for one in found if np.all(np.array(one.channels) <= np.ptp(command, axis=0)))
     return AtRest(able, rest, irregular is not None)
 
@@ -144,7 +170,11 @@ def _scores(
     if not rows:
         return None
     every = np.concatenate(parts)
-    sigma = np.sqrt(np.concatenate(noise).mean(axis=0)) if white is not None else np.maximum(every.std(axis=0), 1e-12)
+    sigma = (
+        np.sqrt(np.concatenate(noise).mean(axis=0))
+        if white is not None
+        else np.maximum(every.std(axis=0), 1e-12)
+    )
     return _Scores(np.concatenate(rows), dwells, every, sigma, freedom)
 
 
@@ -154,8 +184,12 @@ def _wave(frequency: Floats, t: Floats) -> Floats:
     return np.stack([np.cos(phase), np.sin(phase)], axis=2)
 
 
-def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[float, Floats] | None:
-    """Return the frequency (Hz) of a line and the features' response to its cosine and sine (2, F) mm, or None."""
+def _line(
+    scores: _Scores, t: Floats, modes: Floats, positions: Mask
+) -> tuple[float, Floats] | None:
+    """Return the frequency (Hz) of a line and the features' response to its cosine and sine (2, F)
+    mm, or None.
+    """
     ends = np.cumsum([len(d) for d in scores.dwells])
     kept = scores.dwells[: max(1, int(np.searchsorted(ends, FRAMES, side="right")))]
     count = int(ends[len(kept) - 1])
@@ -165,10 +199,17 @@ def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[f
     grid = np.arange(SLOWEST, fastest, FINE / max(span, 1e-9))
     if not len(grid) or not np.all(power > 0):
         return None
-    share = np.concatenate([_explained(f, at, values, level) for f in np.array_split(grid, 1 + len(grid) // CHUNK)])
+    share = np.concatenate(
+        [_explained(f, at, values, level) for f in np.array_split(grid, 1 + len(grid) // CHUNK)]
+    )
     best, mode = np.unravel_index(int(np.argmax(share / power)), share.shape)
     freedom = count - level.shape[1]
-    chance = FINE * len(grid) * len(power) * (1.0 - share[best, mode] / power[mode]) ** max((freedom - 3) / 2, 0.5)
+    chance = (
+        FINE
+        * len(grid)
+        * len(power)
+        * (1.0 - share[best, mode] / power[mode]) ** max((freedom - 3) / 2, 0.5)
+    )
     if chance > CHANCE:
         return None
     wave = _detrended(_wave(grid[best : best + 1], at)[:, 0], level)
@@ -179,7 +220,9 @@ def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[f
 
 @lru_cache(maxsize=256)
 def _level(frames: int) -> Floats:
-    """Return the orthonormal line (n, 2) that each dwell is allowed: a parabola would absorb slow lines."""
+    """Return the orthonormal line (n, 2) that each dwell is allowed: a parabola would absorb slow
+    lines.
+    """
     return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, frames), 2))[0])
 
 
@@ -198,7 +241,8 @@ def _detrended(columns: Floats, level: Floats) -> Floats:
 def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> Floats:
     """Return the squares (f, b) of values (n, b) that lines at frequencies (f,) explain.
 
-    None at a frequency of which the frames show too little: at half their rate, or slower than the dwells are long.
+    None at a frequency of which the frames show too little: at half their rate, or slower than the
+    dwells are long.
     """
     wave = _detrended(_wave(frequency, t).reshape(len(t), -1), level).reshape(len(t), -1, 2)
     gram = np.einsum("nfi,nfj->fij", wave, wave)
@@ -208,8 +252,12 @@ def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> F
     return np.asarray(np.where(seen[:, None], share, 0.0))
 
 
-def _irregular(scores: _Scores, modes: Floats, positions: Mask, white: Floats) -> tuple[float, Floats] | None:
-    """Return the size (mm RMS) and the motions (b, F) mm of scatter that is larger than noise, or None."""
+def _irregular(
+    scores: _Scores, modes: Floats, positions: Mask, white: Floats
+) -> tuple[float, Floats] | None:
+    """Return the size (mm RMS) and the motions (b, F) mm of scatter that is larger than noise, or
+    None.
+    """
     scaled = scores.values / scores.sigma
     more, axes = np.linalg.eigh(scaled.T @ scaled / scores.freedom - np.eye(len(modes)))
     moved = (np.sqrt(np.maximum(more, 0.0)) * axes).T * scores.sigma @ modes

@@ -1,19 +1,23 @@
 """The noise model: camera noise, and the model's own error as a nuisance.
 
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
-    Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the high-frequency part
+    Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the
+       high-frequency part
     G  form error of the model: its own held-out error per feature, correlated along the body
-    K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing commands), times
-       1 + a·a' of two frames: a is the error that grows with the lean of the base, another one in another orientation
+    K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing
+       commands), times
+       1 + a·a' of two frames: a is the error that grows with the lean of the base, another one in
+       another orientation
 
-Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form variance s_m in units of
-noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K = Q diag(λ) Qᵀ. All is linear in the frames.
-Correlation in time is not filtered out. It inflates: n white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)). A
-jitter of the frame lasts longer than a dwell (`jitter.py`). Its six directions are inflated by 2τ times the frames a
-second, all others are not. Motion of the body while its commands stand is not noise (`motion_at_rest.py`).
-Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); jitter is detected only where
-poses are visited again. A rod's error is not smooth in six commands, so its repeatable part counts as noise correlated
-in time (`rod_noise`). Pinned by tests/noise/test_noise.py.
+Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form
+variance s_m in units of noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K
+= Q diag(λ) Qᵀ. All is linear in the frames. Correlation in time is not filtered out. It inflates: n
+white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)). A jitter of the frame lasts longer than a
+dwell (`jitter.py`). Its six directions are inflated by 2τ times the frames a second, all others are
+not. Motion of the body while its commands stand is not noise (`motion_at_rest.py`). Units: mm, s.
+Known limits: modes share one kernel length (0.4 of the command range); jitter is detected only
+where poses are visited again. A rod's error is not smooth in six commands, so its repeatable part
+counts as noise correlated in time (`rod_noise`). Pinned by tests/noise/test_noise.py.
 """
 
 from __future__ import annotations
@@ -58,11 +62,12 @@ GEOMETRY = 300  # frames over which a jitter's covariance is averaged
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by correlation in time.
+    """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by
+    correlation in time.
 
-    `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`: `slow_inflation` of
-    its frames count as one. `moving` is the motion of the body while its commands stand; it is not noise and not in the
-    covariance.
+    `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`:
+    `slow_inflation` of its frames count as one. `moving` is the motion of the body while its
+    commands stand; it is not noise and not in the covariance.
     """
 
     covariance: Floats
@@ -76,7 +81,9 @@ class Noise:
 
     @property
     def effective(self) -> Floats:
-        """The covariance (F, F) mm² with which frames count as independent, except for `inflation`."""
+        """The covariance (F, F) mm² with which frames count as independent, except for
+        `inflation`.
+        """
         if self.slow is None:
             return self.covariance
         return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
@@ -96,23 +103,37 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
         visit: which uninterrupted dwell each frame belongs to (K,), -1 while moving.
 
     Returns:
-        Noise: from replicates where they give at least 15 degrees of freedom, else from second differences in time.
+        Noise: from replicates where they give at least 15 degrees of freedom, else from second
+        differences in time.
     """
     found = dwell_scatter(residual, visit)
     if found.degrees >= ENOUGH:
         covariance = _shrunk(found.squares / found.degrees, found.degrees)
         return Noise(covariance, _told(found.degrees), _inflation(found.rho), True)
-    return Noise(_high_frequency(filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+    return Noise(
+        _high_frequency(filled(residual), t_seen),
+        "high-frequency part of the run (no replicates)",
+        1.0,
+    )
 
 
-def motion_left(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions) -> AtRest:
-    """Return the motion of the body at rest beyond the subtracted part of a residual (K, F) mm; arguments as below."""
+def motion_left(
+    residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
+) -> AtRest:
+    """Return the motion of the body at rest beyond the subtracted part of a residual (K, F) mm;
+    arguments as below.
+    """
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
-    return motion_at_rest(residual, seen, positions, t_seen, state.command, settled_dwells(state), modes)
+    return motion_at_rest(
+        residual, seen, positions, t_seen, state.command, settled_dwells(state), modes
+    )
 
 
-def measure_noise(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions) -> Noise:
-    """Measure the noise of a run: within dwells, between visits of one pose, without motion of the body at rest.
+def measure_noise(
+    residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
+) -> Noise:
+    """Measure the noise of a run: within dwells, between visits of one pose, without motion of the
+    body at rest.
 
     Args:
         residual: measured minus predicted features (K, F) mm, NaN where unseen.
@@ -131,7 +152,11 @@ def measure_noise(residual: Floats, seen: Floats, positions: Mask, t_seen: Float
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
     white = white_variance(moving.values, seen, positions, modes, dwell)
-    jitter = None if white is None else frame_jitter(moving.values, seen, positions, state, dwell, modes, white)
+    jitter = (
+        None
+        if white is None
+        else frame_jitter(moving.values, seen, positions, state, dwell, modes, white)
+    )
     if white is None or (jitter is None and not moving.irregular):
         again = estimate_noise(moving.values, t_seen, dwell) if moving.found else plain
         return replace(again, moving=moving.found)
@@ -145,7 +170,12 @@ def measure_noise(residual: Floats, seen: Floats, positions: Mask, t_seen: Float
     kept = f" of {jitter.memory_s:g} s memory" if jitter.memory_s else ""
     source = f"{plain.source}, frame jitter{kept} ({jitter.revisits} revisits)"
     return replace(
-        fitted, covariance=covariance + slow, source=source, slow=slow, memory_s=jitter.memory_s, slow_inflation=count
+        fitted,
+        covariance=covariance + slow,
+        source=source,
+        slow=slow,
+        memory_s=jitter.memory_s,
+        slow_inflation=count,
     )
 
 
@@ -164,12 +194,19 @@ def _spread(frames: int) -> NDArray[np.intp]:
 
 
 def _most_modes(features: int) -> int:
-    """Return how many commanded modes so many features can show, besides a rigid motion and a remainder."""
+    """Return how many commanded modes so many features can show, besides a rigid motion and a
+    remainder.
+    """
     return max(2, min(COMMANDED, features // 3 - 2))
 
 
 def _white_scatter(
-    values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats, dwell: NDArray[np.int64]
+    values: Floats,
+    seen: Floats,
+    positions: Mask,
+    modes: Floats,
+    white: Floats,
+    dwell: NDArray[np.int64],
 ) -> Scatter:
     """Return the scatter of dwells without jitter of the frame and without motion of the body.
 
@@ -190,19 +227,22 @@ def _white_scatter(
     return Scatter(squares, degrees, float(lag[0] / max(lag[1], 1e-300)))
 
 
-def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None) -> Noise:
-    """Return the noise of a model whose own error (V, 3) mm is not smooth in its commands: both together.
+def rod_noise(
+    residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None
+) -> Noise:
+    """Return the noise of a model whose own error (V, 3) mm is not smooth in its commands: both
+    together.
 
-    The correlation time of the model error comes from the residual: 1/e of its autocorrelation, by linear
-    interpolation.
+    The correlation time of the model error comes from the residual: 1/e of its autocorrelation, by
+    linear interpolation.
 
     Args:
         residual: measured minus predicted features (K, F) mm.
         t_seen: (K,) s.
         form_error: the model's own error (V, 3) mm.
         measured: noise from repeats, revisits or high frequencies.
-        repeats: scatter of poses that were seen again. Of the model error only the part that is then a function of the
-            commands counts; the rest is memory or noise.
+        repeats: scatter of poses that were seen again. Of the model error only the part that is
+            then a function of the commands counts; the rest is memory or noise.
     """
     clean = filled(residual)
     clean = clean - clean.mean(axis=0)
@@ -218,8 +258,11 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
     if repeats is not None:
         known = np.isfinite(residual)
         mean = np.where(known, residual, 0.0) ** 2
-        static = np.maximum(mean.sum(axis=0) / np.maximum(known.sum(axis=0), 1) - repeats.variance, 0.0)
-        own = np.where(known.any(axis=0), np.minimum(own, static), own)  # what is never seen has no repeatable part
+        static = np.maximum(
+            mean.sum(axis=0) / np.maximum(known.sum(axis=0), 1) - repeats.variance, 0.0
+        )
+        # what is never seen has no repeatable part
+        own = np.where(known.any(axis=0), np.minimum(own, static), own)
         source = "the repeatable part of the model's own error"
     inflation = max(1.0, 2.0 * tau / period)
     fast = float(np.trace(measured.covariance))
@@ -230,13 +273,15 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:
-    """Return the covariance (F, F) mm² of the model's own error over features, correlated along the body.
+    """Return the covariance (F, F) mm² of the model's own error over features, correlated along the
+    body.
 
-    `form_error` (V, 3) mm RMS per component, `positions` (V,), `section` (V,). Places and directions, and the three
-    components, are independent; neighbours along the body are not.
+    `form_error` (V, 3) mm RMS per component, `positions` (V,), `section` (V,). Places and
+    directions, and the three components, are independent; neighbours along the body are not.
     """
     place = section / max(1, int(section.max(initial=1)))
-    count = np.cumsum(np.r_[1, np.diff(section) < 0])  # features come in groups that run along the body
+    # features come in groups that run along the body
+    count = np.cumsum(np.r_[1, np.diff(section) < 0])
     near = np.exp(-0.5 * ((place[:, None] - place[None, :]) / BODY_LENGTH) ** 2)
     near *= (count[:, None] == count[None, :]) & (positions[:, None] == positions[None, :])
     covariance = np.zeros((form_error.size, form_error.size))
@@ -248,26 +293,37 @@ def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int
 
 @dataclass(frozen=True)
 class Kernel:
-    """The kernel over the commands of some frames, as K = Q diag(λ) Qᵀ: `basis` Q (K, r), `strength` λ (r,)."""
+    """The kernel over the commands of some frames, as K = Q diag(λ) Qᵀ: `basis` Q (K, r),
+    `strength` λ (r,).
+    """
 
     basis: Floats
     strength: Floats
 
 
 def scaled_commands(command: Floats, unit: Floats) -> Floats:
-    """Return commands (K, C) in multiples of `unit` (C,); a channel that never moves gives no scale and is 0."""
+    """Return commands (K, C) in multiples of `unit` (C,); a channel that never moves gives no scale
+    and is 0.
+    """
     return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
 
 
-def command_kernel(command: Floats, spread: Floats, leaning: Floats | None = None, rank: int = RANK) -> Kernel:
-    """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank <= `rank`.
+def command_kernel(
+    command: Floats, spread: Floats, leaning: Floats | None = None, rank: int = RANK
+) -> Kernel:
+    """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank
+    <= `rank`.
 
-    `leaning` (K, d): the kernel is multiplied by the products of its rows, so what grows with a lean is another error
-    in another orientation; its rank is then up to d times as large.
+    `leaning` (K, d): the kernel is multiplied by the products of its rows, so what grows with a
+    lean is another error in another orientation; its rank is then up to d times as large.
     """
     if command.shape[0] == 0:
         return Kernel(np.zeros((0, 0)), np.zeros(0))
-    x = scaled_commands(command, spread * KERNEL_LENGTH) if command.shape[1] else np.zeros((len(command), 1))
+    x = (
+        scaled_commands(command, spread * KERNEL_LENGTH)
+        if command.shape[1]
+        else np.zeros((len(command), 1))
+    )
     centres = [int(np.argmax(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))]
     far = np.sum((x - x[centres[0]]) ** 2, axis=1)
     while len(centres) < min(rank, len(x)) and far.max() > 1e-4:
@@ -289,11 +345,12 @@ def command_kernel(command: Floats, spread: Floats, leaning: Floats | None = Non
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance, if noise and form are right.
+    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance, if noise and
+    form are right.
 
-    `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of each mode.
-    `level` (M,) is the variance that noise alone gives each mode: 1, and less along a slow jitter of the frame, whose
-    frames count for less than one each.
+    `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of
+    each mode. `level` (M,) is the variance that noise alone gives each mode: 1, and less along a
+    slow jitter of the frame, whose frames count for less than one each.
     """
 
     project: Floats
@@ -307,11 +364,15 @@ class Whitener:
         return float(len(self.form) if self.level is None else self.level.sum())
 
     def modes(self, difference: Floats) -> Floats:
-        """Return (..., K, M) modes in units of noise; what was not seen (NaN) counts as no difference."""
+        """Return (..., K, M) modes in units of noise; what was not seen (NaN) counts as no
+        difference.
+        """
         return np.asarray(np.where(np.isfinite(difference), difference, 0.0) @ self.project.T)
 
     def shrink(self, modes: Floats, kernel: Kernel | None = None) -> Floats:
-        """Return `modes` (..., K, M) with the form error's directions over the commands scaled down."""
+        """Return `modes` (..., K, M) with the form error's directions over the commands scaled
+        down.
+        """
         kernel = self.kernel if kernel is None else kernel
         if not len(kernel.strength) or not np.any(self.form > 0):
             return modes
@@ -320,7 +381,8 @@ class Whitener:
         return np.asarray(modes + kernel.basis @ (factor * inside))
 
     def squares(self, modes: Floats) -> Floats:
-        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), which are not needed for it.
+        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), which are not needed
+        for it.
 
         The kernel's basis is orthonormal: what lies along it is scaled, all else stays.
         """
@@ -339,7 +401,8 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     Args:
         noise: noise of one frame.
         form: covariance (F, F) mm² of the model's own error; zeros switch it off.
-        signatures: feature differences (S, K, F) mm that candidates would make; their span is what is looked at.
+        signatures: feature differences (S, K, F) mm that candidates would make; their span is what
+            is looked at.
         kernel: kernel over the commands of the frames.
 
     Returns:
@@ -347,7 +410,9 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     """
     features = noise.covariance.shape[0]
     if signatures.shape[-1] != features:
-        raise SoftmapError(f"signatures have {signatures.shape[-1]} features, the noise has {features}")
+        raise SoftmapError(
+            f"signatures have {signatures.shape[-1]} features, the noise has {features}"
+        )
     root = np.linalg.cholesky(noise.effective)
     inverse = np.linalg.inv(root)
     gram = np.zeros((features, features))
@@ -361,19 +426,24 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     total = max(float(values.sum()), 1e-300)
     keep = [int(i) for rank, i in enumerate(order) if rank < 3 or values[i] > 2e-4 * total]
     project = vectors[:, keep].T @ inverse
-    level = None if noise.slow is None else np.einsum("mf,fg,mg->m", project, noise.covariance, project)
+    level = (
+        None if noise.slow is None else np.einsum("mf,fg,mg->m", project, noise.covariance, project)
+    )
     return Whitener(project, np.einsum("mf,fg,mg->m", project, form, project), kernel, level)
 
 
 def _distance2(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.maximum(np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1)[None, :] - 2 * a @ b.T, 0.0))
+    return np.asarray(
+        np.maximum(np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1)[None, :] - 2 * a @ b.T, 0.0)
+    )
 
 
 def _shrunk(covariance: Floats, degrees: int) -> Floats:
     """Shrink towards the diagonal: an estimate from few replicates has directions without variance.
 
-    The amount is that of oracle approximating shrinkage (Chen et al. 2010, doi:10.1109/TSP.2010.2053029) for the
-    correlations, and at least the share of features among features and degrees of freedom.
+    The amount is that of oracle approximating shrinkage (Chen et al. 2010,
+    doi:10.1109/TSP.2010.2053029) for the correlations, and at least the share of features among
+    features and degrees of freedom.
     """
     features = len(covariance)
     diagonal = np.diag(covariance).copy()
@@ -389,14 +459,19 @@ def _shrunk(covariance: Floats, degrees: int) -> Floats:
 
 
 def _high_frequency(residual: Floats, t_seen: Floats) -> Floats:
-    """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1] (6 σ² for white noise), outliers clipped."""
+    """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1] (6 σ² for white noise),
+    outliers clipped.
+    """
     if len(residual) < 5:
         raise SoftmapError(
-            f"{len(residual)} seen frames are too few to estimate the noise; record at least 5, better 60"
+            f"{len(residual)} seen frames are too few to estimate the noise; record at least 5, "
+            "better 60"
         )
     step = np.diff(t_seen)
     regular = np.maximum(step[1:], step[:-1]) < 3 * np.median(step)
-    second = (residual[:-2] - 2 * residual[1:-1] + residual[2:])[regular if regular.sum() >= 3 else slice(None)]
+    second = (residual[:-2] - 2 * residual[1:-1] + residual[2:])[
+        regular if regular.sum() >= 3 else slice(None)
+    ]
     spread = 1.4826 * np.median(np.abs(second), axis=0) + FLOOR
     clipped = np.clip(second, -3 * spread, 3 * spread)
     return _shrunk(clipped.T @ clipped / (6.0 * len(clipped)), len(clipped))

@@ -1,12 +1,13 @@
 """Repeats of a run: dwells, their scatter about a drift, visits of one pose in several dwells.
 
     dwell      frames of one uninterrupted stay at one command, from SETTLED s after the last motion
-    scatter    remainder of a dwell after a quadratic in time (a line where it is short): creep in a dwell is not noise
+    scatter    remainder of a dwell after a quadratic in time (a line where it is short): creep in a
+               dwell is not noise
     pose       dwells of one command within SAME of its range, in one orientation and under one load
 
-`check`, `compare` and `diagnose` take their noise from these.
-Units: mm, s. Limit: noise that stays constant through a dwell is detected only between visits of one pose
-(`jitter.py`). Pinned by tests/noise/test_noise.py and tests/test_repeats.py.
+`check`, `compare` and `diagnose` take their noise from these. Units: mm, s. Limit: noise that stays
+constant through a dwell is detected only between visits of one pose (`jitter.py`). Pinned by
+tests/noise/test_noise.py and tests/test_repeats.py.
 """
 
 from __future__ import annotations
@@ -23,14 +24,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SETTLED = 0.5  # s after the last motion from which a frame counts as a repeat
-LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that show noise besides a linear, and a quadratic, drift
+# frames of a dwell that show noise besides a linear, and a quadratic, drift
+LEAST_DWELL, LONG_DWELL = 3, 6
 SAME = 0.01  # of the range of a command: closer than this counts as the same command
 RUN = 40  # bits of a dwell's number below the number of its run (`records.py`)
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of dwells: sum of squares (F, F) mm², its degrees of freedom, and the correlation of neighbours."""
+    """Scatter of dwells: sum of squares (F, F) mm², its degrees of freedom, and the correlation of
+    neighbours.
+    """
 
     squares: Floats
     degrees: int
@@ -50,7 +54,8 @@ def rows_of(dwell: Ints, least: int = 1) -> list[NDArray[np.intp]]:
 
 
 def undrifted(dwell: Floats) -> tuple[Floats, int]:
-    """Return the scatter of a dwell (K, F) about a quadratic in time, a line where it is short, and the fit.
+    """Return the scatter of a dwell (K, F) about a quadratic in time, a line where it is short, and
+    the fit.
 
     Creep within a dwell is not noise.
     """
@@ -66,11 +71,17 @@ def drift(frames: int) -> Floats:
 
 
 def dwell_scatter(values: Floats, dwell: Ints) -> Scatter:
-    """Return the scatter of values (K, F) mm about the drift of each dwell (K,); NaN counts for nothing."""
+    """Return the scatter of values (K, F) mm about the drift of each dwell (K,); NaN counts for
+    nothing.
+    """
     features = values.shape[1]
     scatter, degrees, lag = np.zeros((features, features)), 0, [0.0, 0.0]
     inside = dwell >= 0
-    shown = np.maximum(np.isfinite(values[inside]).mean(axis=0), 1e-3) if inside.any() else np.ones(features)
+    shown = (
+        np.maximum(np.isfinite(values[inside]).mean(axis=0), 1e-3)
+        if inside.any()
+        else np.ones(features)
+    )
     for frames in rows_of(dwell, LEAST_DWELL):
         rest, order = undrifted(filled(values[frames]))
         rest = np.where(np.isfinite(values[frames]), rest, 0.0)

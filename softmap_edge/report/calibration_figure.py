@@ -1,8 +1,10 @@
-"""The picture of a calibration: matched commands against the map, and what is left of each over the ticks (SVG).
+"""The picture of a calibration: matched commands against the map, and what is left of each over the
+ticks (SVG).
 
-Left the first two commands: a dot where the map puts a held command (a cross where it was set aside), and an arrow
-towards the one that was matched, drawn longer by the factor that is written there. Right, for each servo, what the map
-leaves of every command. Needs matplotlib; imported by `softmap model calibrate --plot` only.
+Left the first two commands: a dot where the map puts a held command (a cross where it was set
+aside), and an arrow towards the one that was matched, drawn longer by the factor that is written
+there. Right, for each servo, what the map leaves of every command. Needs matplotlib; imported by
+`softmap model calibrate --plot` only.
 """
 
 from __future__ import annotations
@@ -25,7 +27,13 @@ Floats = NDArray[np.float64]
 COLOURS = (AFTER, INK, FLOOR)  # of the commands' residuals
 MOST = 3  # servos and commands that are drawn
 ARROW = 0.12  # of the plane: about the longest arrow
-LEGEND: Any = {"ncols": 4, "frameon": False, "borderaxespad": 0.2, "columnspacing": 1.2, "handletextpad": 0.3}
+LEGEND: Any = {
+    "ncols": 4,
+    "frameon": False,
+    "borderaxespad": 0.2,
+    "columnspacing": 1.2,
+    "handletextpad": 0.3,
+}
 
 
 def calibration_figure(found: Calibrated) -> bytes:
@@ -60,14 +68,31 @@ def _plane(axes: Axes, found: Calibrated) -> None:
     complete = good & observed.all(axis=1)
     for rows, colour in ((good, AFTER), (~good, BEFORE)):
         axes.quiver(
-            at[rows, 0], at[rows, 1], *(factor * step[rows]).T, angles="xy", scale_units="xy", scale=1.0, color=colour,
-            width=0.004, zorder=2,
-        )  # fmt: skip
+            at[rows, 0],
+            at[rows, 1],
+            *(factor * step[rows]).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            color=colour,
+            width=0.004,
+            zorder=2,
+        )
     axes.plot(*at[complete].T, "o", color=INK, markersize=3.5, linestyle="none", label="held")
     part = good & ~observed.all(axis=1)
-    axes.plot(*at[part].T, "o", color=INK, markersize=4.0, fillstyle="none", linestyle="none", label="one pair slack")
+    axes.plot(
+        *at[part].T,
+        "o",
+        color=INK,
+        markersize=4.0,
+        fillstyle="none",
+        linestyle="none",
+        label="one pair slack",
+    )
     if not good.all():
-        axes.plot(*at[~good].T, "x", color=BEFORE, markersize=6.0, linestyle="none", label="set aside")
+        axes.plot(
+            *at[~good].T, "x", color=BEFORE, markersize=6.0, linestyle="none", label="set aside"
+        )
     axes.set(xlabel=f"command 0, {unit}", ylabel=f"command 1, {unit}", aspect="equal")
     axes.set_title(f"residuals, drawn {factor} times as long" if factor > 1 else "residuals")
     axes.grid(color=FAINT, linewidth=0.8)
@@ -81,16 +106,36 @@ def _residuals(axes: Axes, found: Calibrated, servo: int) -> None:
     for command in range(min(MOST, left.shape[1])):
         colour = COLOURS[command]
         axes.plot(
-            ticks[good], left[good, command], "os^"[command], color=colour, markersize=3.5, linestyle="none",
+            ticks[good],
+            left[good, command],
+            "os^"[command],
+            color=colour,
+            markersize=3.5,
+            linestyle="none",
             label=f"command {command}",
-        )  # fmt: skip
+        )
     shown = left[good]
     reach = 1.15 * float(np.nanmax(np.abs(shown), initial=1e-6))
     if not good.all():
         beyond = np.clip(left[~good], -reach, reach)
-        axes.plot(np.repeat(ticks[~good], beyond.shape[1]), beyond.ravel(), "x", color=BEFORE, markersize=5.0,
-                  linestyle="none", label="set aside (clipped)", clip_on=False)  # fmt: skip
-    axes.axvline(found.calibration.home[servo], color=FLOOR, linewidth=1.0, linestyle=":", zorder=0, label="home")
+        axes.plot(
+            np.repeat(ticks[~good], beyond.shape[1]),
+            beyond.ravel(),
+            "x",
+            color=BEFORE,
+            markersize=5.0,
+            linestyle="none",
+            label="set aside (clipped)",
+            clip_on=False,
+        )
+    axes.axvline(
+        found.calibration.home[servo],
+        color=FLOOR,
+        linewidth=1.0,
+        linestyle=":",
+        zorder=0,
+        label="home",
+    )
     if servo == 0:
         axes.set_title("what the map leaves of the matched commands")
     axes.set(xlabel=f"servo {servo}, ticks", ylabel=found.calibration.unit, ylim=(-reach, reach))

@@ -1,8 +1,10 @@
-"""The pictures of a report: error over time, over the body and over the conditions, the tip's path, the ladder.
+"""The pictures of a report: error over time, over the body and over the conditions, the tip's path,
+the ladder.
 
-Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of triangles); the same
-numbers give the same bytes. One colour means one thing in all of them: before, after, floor. Lengths in mm, times in s.
-This module needs matplotlib and is imported by `report_html` only.
+Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
+triangles); the same numbers give the same bytes. One colour means one thing in all of them: before,
+after, floor. Lengths in mm, times in s. This module needs matplotlib and is imported by
+`report_html` only.
 """
 
 from __future__ import annotations
@@ -32,9 +34,19 @@ from softmap_edge.run.in_unit import PLACES
 Floats = NDArray[np.float64]
 
 ABOVE_NOISE = 3.0  # times the noise floor that the colours of an error reach at least
-STRETCH, MANY = 20.0, 10  # s of a long run that are drawn, and frames that such a stretch should have
-BEFORE, AFTER, FLOOR, INK, FAINT, PALE = "#cf5c36", "#1f7a8c", "#7d8597", "#1f2933", "#e7eaef", "#9aa5b1"
-ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"])
+# s of a long run that are drawn, and frames that such a stretch should have
+STRETCH, MANY = 20.0, 10
+BEFORE, AFTER, FLOOR, INK, FAINT, PALE = (
+    "#cf5c36",
+    "#1f7a8c",
+    "#7d8597",
+    "#1f2933",
+    "#e7eaef",
+    "#9aa5b1",
+)
+ERROR_MAP = LinearSegmentedColormap.from_list(
+    "error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"]
+)
 STYLE: Any = {  # matplotlib types the keys one by one
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -56,14 +68,21 @@ STYLE: Any = {  # matplotlib types the keys one by one
 WIDE = 10.4  # inches: the width of a picture that fills the page
 LABEL = 1.5  # inches to the left of a bar, for its label
 POINTS = 1200  # a line with more points than this is drawn by the RMS of its stretches
-SIDES = (("seen along −x", (1, 0)), ("seen along −y", (0, 1)), ("seen along +x", (-1, 0)), ("seen along +y", (0, -1)))
+SIDES = (
+    ("seen along −x", (1, 0)),
+    ("seen along −y", (0, 1)),
+    ("seen along +x", (-1, 0)),
+    ("seen along +y", (0, -1)),
+)
 LIGHT = np.array([-0.35, 0.55, 0.76])  # from the upper left, towards the viewer
 SPLIT_BELOW = 8000  # templates with fewer triangles are refined, so that colours flow
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A template ready to be drawn: points (P, 3) mm, faces (F, 3), a value and an outward normal for each point."""
+    """A template ready to be drawn: points (P, 3) mm, faces (F, 3), a value and an outward normal
+    for each point.
+    """
 
     points: Floats
     faces: NDArray[np.int64]
@@ -79,20 +98,43 @@ def over_time(series: Series, unit: str = PLACES) -> bytes:
         t, before = _thinned(series.t_seen, series.before)
         name = "error" if series.after is None else "before"
         axes.fill_between(t, before, color=BEFORE, alpha=0.13, linewidth=0)
-        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(rms(series.before))} {unit} rms")
+        axes.plot(
+            t,
+            before,
+            color=BEFORE,
+            linewidth=1.3,
+            label=f"{name}: {mm(rms(series.before))} {unit} rms",
+        )
         if series.after is not None:
             t, after = _thinned(series.t_seen, series.after)
             axes.fill_between(t, after, color=AFTER, alpha=0.22, linewidth=0)
-            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(rms(series.after))} {unit} rms")
+            axes.plot(
+                t,
+                after,
+                color=AFTER,
+                linewidth=1.3,
+                label=f"after: {mm(rms(series.after))} {unit} rms",
+            )
         if series.noise_floor_mm is not None:
             whose = "camera" if unit == PLACES else "sensor"
-            label = f"{whose} noise: {'at most ' * series.floor_is_bound}{mm(series.noise_floor_mm)} {unit}"
-            axes.axhline(series.noise_floor_mm, color=FLOOR, linewidth=1.0, linestyle=(0, (4, 3)), label=label)
+            label = (
+                f"{whose} noise: {'at most ' * series.floor_is_bound}{mm(series.noise_floor_mm)} "
+                f"{unit}"
+            )
+            axes.axhline(
+                series.noise_floor_mm,
+                color=FLOOR,
+                linewidth=1.0,
+                linestyle=(0, (4, 3)),
+                label=label,
+            )
         axes.set(xlabel="time, s", ylabel=f"RMS error of a frame, {unit}", ylim=(0, None))
         axes.margins(x=0.005)
         axes.grid(axis="y", color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2
+        )
         return svg(figure)
 
 
@@ -105,26 +147,46 @@ def tip_path(series: Series) -> bytes:
     rows = worst_stretch(series)
     shown = [("predicted", series.tip_before, BEFORE)]
     if series.tip_after is not None:
-        shown = [("predicted before", series.tip_before, BEFORE), ("predicted after", series.tip_after, AFTER)]
+        shown = [
+            ("predicted before", series.tip_before, BEFORE),
+            ("predicted after", series.tip_after, AFTER),
+        ]
     with matplotlib.rc_context(STYLE):
         figure = Figure(
-            figsize=(WIDE, _tip_height(series.tip_seen[:, [first, second]], len(shown))), layout="constrained"
+            figsize=(WIDE, _tip_height(series.tip_seen[:, [first, second]], len(shown))),
+            layout="constrained",
         )
         panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
         for axes, (name, path, colour) in zip(panels, shown):
-            axes.plot(series.tip_seen[:, first], series.tip_seen[:, second], color=FAINT, linewidth=0.9, zorder=1)
+            axes.plot(
+                series.tip_seen[:, first],
+                series.tip_seen[:, second],
+                color=FAINT,
+                linewidth=0.9,
+                zorder=1,
+            )
             seen = series.tip_seen[rows]
             axes.plot(seen[:, first], seen[:, second], color=INK, linewidth=0.9, label="measured")
-            axes.plot(path[rows, first], path[rows, second], color=colour, linewidth=1.3, label=name)
+            axes.plot(
+                path[rows, first], path[rows, second], color=colour, linewidth=1.3, label=name
+            )
             axes.set(xlabel=f"{'xyz'[first]} of the tip, mm", aspect="equal")
             axes.grid(color=FAINT, linewidth=0.8)
-            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
+            axes.legend(
+                loc="lower right",
+                bbox_to_anchor=(1.0, 1.0),
+                ncols=2,
+                frameon=False,
+                borderaxespad=0.2,
+            )
         panels[0].set_ylabel(f"{'xyz'[second]} of the tip, mm")
         return svg(figure)
 
 
 def worst_stretch(series: Series) -> slice:
-    """Return the frames of the STRETCH of a run in which the error before is largest; all of a run hardly longer."""
+    """Return the frames of the STRETCH of a run in which the error before is largest; all of a run
+    hardly longer.
+    """
     t = series.t_seen
     if len(t) < 3 or t[-1] - t[0] < 2 * STRETCH:
         return slice(0, len(t))
@@ -142,7 +204,8 @@ def body(series: Series) -> bytes:
     if series.point_after is not None:
         shown.append(("after", series.point_after))
     top = max(float(np.nanmax(values)) for _, values in shown)
-    top = max(top, ABOVE_NOISE * (series.noise_floor_mm or 0.0))  # what is no more than noise is pale
+    # what is no more than noise is pale
+    top = max(top, ABOVE_NOISE * (series.noise_floor_mm or 0.0))
     scale = Normalize(0.0, top if top > 0 else 1.0)
     with matplotlib.rc_context(STYLE):
         if series.triangles is None:
@@ -152,7 +215,9 @@ def body(series: Series) -> bytes:
         return png(figure)
 
 
-def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence[Any]] | None) -> bytes:
+def where_maps(
+    before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence[Any]] | None
+) -> bytes:
     """Draw the error in every class of every condition, before and after, on one scale (SVG).
 
     Args:
@@ -168,8 +233,11 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
     values = [row["rms_mm"] for name in names for row in before[name]]
     values += [row["rms_mm"] for name in names for row in (after or {}).get(name, [])]
     top = max([v for v in values if math.isfinite(v)], default=1.0) or 1.0
-    letters = max(map(len, map(mm, values)), default=0) * (1 if after is None else 2) + (0 if after is None else 3)
-    bars = WIDE / 3 - LABEL - 0.53  # inches; the longest bar ends where the longest number next to it still has room
+    letters = max(map(len, map(mm, values)), default=0) * (1 if after is None else 2) + (
+        0 if after is None else 3
+    )
+    # inches; the longest bar ends where the longest number next to it still has room
+    bars = WIDE / 3 - LABEL - 0.53
     top *= bars / (bars - max(0.0, 0.056 * letters - 0.48))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, height))
@@ -178,9 +246,13 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
             for name, count in column:
                 tall = _panel_height(count)
                 left, wide = (index * WIDE / 3 + LABEL) / WIDE, (WIDE / 3 - LABEL - 0.53) / WIDE
-                axes = figure.add_axes((left, 1 - (used + tall - 0.22) / height, wide, (tall - 0.52) / height))
+                axes = figure.add_axes(
+                    (left, 1 - (used + tall - 0.22) / height, wide, (tall - 0.52) / height)
+                )
                 _bars(axes, before[name], None if after is None else after.get(name, []), top)
-                axes.set_title(WHERE.get(name, name), x=-(LABEL - 0.07) / (WIDE / 3 - LABEL - 0.53), pad=5)
+                axes.set_title(
+                    WHERE.get(name, name), x=-(LABEL - 0.07) / (WIDE / 3 - LABEL - 0.53), pad=5
+                )
                 used += tall
         return svg(figure)
 
@@ -194,18 +266,32 @@ def ladder_bars(error: Document) -> bytes:
         axes = figure.add_subplot()
         for position, (name, value) in enumerate(steps):
             colour = BEFORE if position == 0 else AFTER if name.startswith("+") else PALE
-            axes.barh(position, value, color=colour, height=0.66, alpha=0.55 if "static baseline" in name else 1.0)
-            axes.annotate(f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center")
+            axes.barh(
+                position,
+                value,
+                color=colour,
+                height=0.66,
+                alpha=0.55 if "static baseline" in name else 1.0,
+            )
+            axes.annotate(
+                f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center"
+            )
         if isinstance(floor, (int, float)) and math.isfinite(floor):
             axes.axvline(floor, color=INK, linewidth=1.1, linestyle=(0, (4, 3)))
             axes.annotate(
-                f"floor {mm(floor)}", (floor, -0.62), (4, 0), textcoords="offset points", size=8, color="#52606d"
+                f"floor {mm(floor)}",
+                (floor, -0.62),
+                (4, 0),
+                textcoords="offset points",
+                size=8,
+                color="#52606d",
             )
         axes.set_yticks(range(len(steps)), [clean(name, 46) for name, _ in steps])
         axes.set_ylim(len(steps) - 0.45, -0.95)
         axes.set_xlim(0, 1.1 * max([value for _, value in steps], default=1.0))
         axes.set_xlabel(
-            f"{clean(str(error.get('kind', 'held-out rms')), 40)}, {clean(str(error.get('unit', 'mm')), 8)}"
+            f"{clean(str(error.get('kind', 'held-out rms')), 40)}, "
+            f"{clean(str(error.get('unit', 'mm')), 8)}"
         )
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
@@ -230,7 +316,15 @@ def _bars(axes: Axes, before: Sequence[Any], after: Sequence[Any] | None, top: f
     for k, (value, name) in enumerate(zip(old, names)):
         text = mm(value) if after is None else f"{mm(value)} → {mm(partner.get(name))}"
         end = max(value, partner.get(name, 0.0))
-        axes.annotate(text, (end, k), (3, 0), textcoords="offset points", va="center", size=6.5, color="#52606d")
+        axes.annotate(
+            text,
+            (end, k),
+            (3, 0),
+            textcoords="offset points",
+            va="center",
+            size=6.5,
+            color="#52606d",
+        )
     shown = [clean(name, 26) for name in names]
     axes.set_yticks(place, shown, size=7.5 if max(map(len, shown), default=0) <= 22 else 6.6)
     axes.set_ylim(len(before) - 0.4, -0.6)
@@ -245,7 +339,9 @@ def _panel_height(bins: int) -> float:
 
 
 def _packed(panels: Sequence[tuple[str, int]], count: int) -> list[list[tuple[str, int]]]:
-    """Spread panels over columns of about equal height, each to the shortest so far, tallest first."""
+    """Spread panels over columns of about equal height, each to the shortest so far, tallest
+    first.
+    """
     columns: list[list[tuple[str, int]]] = [[] for _ in range(count)]
     for panel in sorted(panels, key=lambda p: -p[1]):
         min(columns, key=lambda c: sum(_panel_height(n) for _, n in c)).append(panel)
@@ -255,9 +351,14 @@ def _packed(panels: Sequence[tuple[str, int]], count: int) -> list[list[tuple[st
 
 
 def _surface_figure(
-    rest: Floats, triangles: NDArray[np.int64], shown: Sequence[tuple[str, Floats]], scale: Normalize
+    rest: Floats,
+    triangles: NDArray[np.int64],
+    shown: Sequence[tuple[str, Floats]],
+    scale: Normalize,
 ) -> Figure:
-    """Four sides of the template, base to the left: a column for each model, or two columns for one."""
+    """Four sides of the template, base to the left: a column for each model, or two columns for
+    one.
+    """
     span, girth = float(np.ptp(rest[:, 2])), float(max(np.ptp(rest[:, 0]), np.ptp(rest[:, 1])))
     rows = 4 if len(shown) > 1 else 2
     tall = float(np.clip((WIDE - 1.2) / 2 * girth / max(span, 1e-9), 0.45, 2.2)) + 0.2
@@ -271,26 +372,42 @@ def _surface_figure(
             axes.set_aspect("equal")
             axes.set_axis_off()
             axes.set_title(side, loc="right", size=7, weight="normal", color="#52606d", pad=2)
-        grid[0, column].set_title(f"{name}: worst point {mm(float(np.nanmax(values)))} mm rms", pad=5)
+        grid[0, column].set_title(
+            f"{name}: worst point {mm(float(np.nanmax(values)))} mm rms", pad=5
+        )
     _colour_bar(figure, grid, scale)
     return figure
 
 
 def _colour_bar(figure: Figure, panels: Any, scale: Normalize) -> None:
     mappable = matplotlib.cm.ScalarMappable(scale, ERROR_MAP)
-    bar = figure.colorbar(mappable, ax=panels, shrink=0.85, aspect=22, pad=0.01, label="RMS error of a point, mm")
+    bar = figure.colorbar(
+        mappable, ax=panels, shrink=0.85, aspect=22, pad=0.01, label="RMS error of a point, mm"
+    )
     bar.outline.set_visible(False)
 
 
 def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: Normalize) -> Figure:
-    """Markers where they were on average, in the plane of their largest spread, coloured by their error."""
+    """Markers where they were on average, in the plane of their largest spread, coloured by their
+    error.
+    """
     first, second = _plane(places)
     figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
     panels = figure.subplots(1, len(shown), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, values) in zip(panels, shown):
         x, y = places[:, first], places[:, second]
         axes.plot(x, y, color=PALE, linewidth=2, zorder=1)
-        axes.scatter(x, y, c=values, s=240, cmap=ERROR_MAP, norm=scale, edgecolors=INK, linewidths=0.8, zorder=2)
+        axes.scatter(
+            x,
+            y,
+            c=values,
+            s=240,
+            cmap=ERROR_MAP,
+            norm=scale,
+            edgecolors=INK,
+            linewidths=0.8,
+            zorder=2,
+        )
         for k, value in enumerate(values):
             text = f"marker {k + 1}: {mm(float(value))} mm"
             left = x[k] > 0.5 * (x.min() + x.max())  # towards the side with more room
@@ -313,29 +430,40 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
 
 
 def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> None:
-    """Draw a surface seen from `view` (unit vector in the x-y plane): far triangles first, shaded by the light."""
+    """Draw a surface seen from `view` (unit vector in the x-y plane): far triangles first, shaded
+    by the light.
+    """
     across = np.cross(np.array([0.0, 0.0, 1.0]), view)
     corners = surface.points[surface.faces]  # (F, 3, 3)
     normal = surface.normals[surface.faces].mean(axis=1)
     order = np.argsort((corners @ view).mean(axis=1))
     order = order[normal[order] @ view > -0.1]  # the far side cannot be seen
-    frame = np.stack([normal[:, 2], normal @ across, normal @ view], axis=1)  # right, up, towards the viewer
+    # right, up, towards the viewer
+    frame = np.stack([normal[:, 2], normal @ across, normal @ view], axis=1)
     light = np.clip(0.74 + 0.3 * (frame @ LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
     rgb = ERROR_MAP(scale(surface.values[surface.faces].mean(axis=1)))
     rgb[:, :3] *= light[:, None]
     flat = np.stack([corners[..., 2], corners @ across], axis=2)
-    axes.add_collection(PolyCollection(list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.4))
+    axes.add_collection(
+        PolyCollection(
+            list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.4
+        )
+    )
     axes.autoscale_view()
 
 
 def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Outward normals (N, 3): face normals, turned away from the body's axis, averaged at the vertices."""
+    """Outward normals (N, 3): face normals, turned away from the body's axis, averaged at the
+    vertices.
+    """
     corners = points[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre, axis = corners.mean(axis=1), points.mean(axis=0)
     reach = 0.5 * float(max(np.ptp(points[:, 0]), np.ptp(points[:, 1])))
     low, high = float(points[:, 2].min()) + reach, float(points[:, 2].max()) - reach
-    inner = np.column_stack([np.full((len(faces), 2), axis[:2]), np.clip(centre[:, 2], min(low, high), max(low, high))])
+    inner = np.column_stack(
+        [np.full((len(faces), 2), axis[:2]), np.clip(centre[:, 2], min(low, high), max(low, high))]
+    )
     normal *= np.where(np.sum(normal * (centre - inner), axis=1) < 0, -1.0, 1.0)[:, None]
     total = np.zeros_like(points)
     np.add.at(total, faces.ravel(), np.repeat(normal, 3, axis=0))
@@ -343,11 +471,15 @@ def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surface:
-    """Split each triangle into four until flat colours look continuous; large meshes stay as they are."""
+    """Split each triangle into four until flat colours look continuous; large meshes stay as they
+    are.
+    """
     known = np.where(np.isfinite(values), values, np.nanmean(values))
     data, faces = np.column_stack([rest, known, vertex_normals(rest, triangles)]), triangles
     while len(faces) < SPLIT_BELOW:
-        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        edges = np.sort(
+            np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1
+        )
         unique, which = np.unique(edges, axis=0, return_inverse=True)
         a, b, c = which.reshape(3, -1) + len(data)
         p, q, r = faces.T

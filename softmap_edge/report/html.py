@@ -1,7 +1,7 @@
 """Write one self-contained HTML page about a comparison, two comparisons or a diagnosis.
 
-The text is in `templates/report.html`; this file gives it figures, words and pictures. Without matplotlib the page has
-no pictures and says how to get them. Pinned by tests/report/.
+The text is in `templates/report.html`; this file gives it figures, words and pictures. Without
+matplotlib the page has no pictures and says how to get them. Pinned by tests/report/.
 """
 
 from __future__ import annotations
@@ -18,7 +18,13 @@ from softmap_edge.comparison.in_unit import comparison_in_unit, series_in_unit
 from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import check_pair
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
-from softmap_edge.diagnosis.family_text import LEARNED, TITLE, family_line, findings_of, learned_line
+from softmap_edge.diagnosis.family_text import (
+    LEARNED,
+    TITLE,
+    family_line,
+    findings_of,
+    learned_line,
+)
 from softmap_edge.diagnosis.text import (
     LADDER_NOTE,
     OUTPUT_NOTE,
@@ -83,10 +89,12 @@ def write_html(
         path: the file to write.
         comparison: one comparison, or two of the same run (before, after).
         diagnosis: a Diagnosis or its document softmap.diagnosis/2 (or /1).
-        series: errors over time and over the body (`compare.series`), for the pictures that need them.
-        ways: errors in mm RMS of a model made in several ways, by name, and the run that they were measured on
-            (`adapt`).
-        floor: the lowest error that a model can reach, mm, and its name, if known better than from the camera's noise.
+        series: errors over time and over the body (`compare.series`), for the pictures that need
+            them.
+        ways: errors in mm RMS of a model made in several ways, by name, and the run that they were
+            measured on (`adapt`).
+        floor: the lowest error that a model can reach, mm, and its name, if known better than from
+            the camera's noise.
 
     Returns:
         Path: the file.
@@ -96,7 +104,10 @@ def write_html(
     """
     given = [comparison] if isinstance(comparison, Comparison) else list(comparison or [])
     if len(given) > 2:
-        raise ReportError(f"{len(given)} comparisons given; a page shows one, or two of the same run (before, after)")
+        raise ReportError(
+            f"{len(given)} comparisons given; a page shows one, or two of the same run (before, "
+            "after)"
+        )
     if not given and diagnosis is None:
         raise ReportError("nothing to show; give a comparison, a diagnosis or both")
     if len(given) == 2:
@@ -159,7 +170,9 @@ class ShownFamily:
 
 @dataclass(frozen=True)
 class ReportPage:
-    """What `templates/report.html` shows, from top to bottom; `install` is how to get pictures that are missing."""
+    """What `templates/report.html` shows, from top to bottom; `install` is how to get pictures that
+    are missing.
+    """
 
     title: str
     badge: str
@@ -213,12 +226,21 @@ def _page(story: Story) -> ReportPage:
         ways_on=story.ways_on,
         faults=[_effect(row) for row in document.get("faults") or []],
         found=[_effect(row) for row in document.get("effects") or []],
-        servos=[(str(name), str(text)) for name, text in map(servo_row, document.get("servo") or [])],
-        alternatives=[(alternative_name(row), tamed(row.get("why", ""))) for row in document.get("alternatives") or []],
-        untestable=[(name, f"{why} — {do}" if do else why) for name, why, do in untestable_rows(document)],
+        servos=[
+            (str(name), str(text)) for name, text in map(servo_row, document.get("servo") or [])
+        ],
+        alternatives=[
+            (alternative_name(row), tamed(row.get("why", "")))
+            for row in document.get("alternatives") or []
+        ],
+        untestable=[
+            (name, f"{why} — {do}" if do else why) for name, why, do in untestable_rows(document)
+        ],
         steps=[(str(row.get("block", "?")), _settles(row)) for row in document.get("next") or []],
         remarks=[tamed(row) for row in document.get("remarks") or []],
-        unexplained=_unexplained(document.get("unexplained") or {}, unit_of(document.get("made_from") or {})),
+        unexplained=_unexplained(
+            document.get("unexplained") or {}, unit_of(document.get("made_from") or {})
+        ),
         last_pictures=last,
         origin=_origin(story),
     )
@@ -229,7 +251,11 @@ def _pictures(story: Story) -> tuple[list[Picture], list[Picture]]:
     from softmap_edge.report import figures
     from softmap_edge.report.loop_figure import loop_picture
 
-    loops = None if story.series is None else loop_picture(story.series, story.unit, story.diagnosis, _short(story))
+    loops = (
+        None
+        if story.series is None
+        else loop_picture(story.series, story.unit, story.diagnosis, _short(story))
+    )
     first = (loops, _sheet(story), _where(story, figures), _ladder(story, figures))
     last = (_time(story, figures), _body(story, figures), _tip(story, figures))
     return [one for one in first if one is not None], [one for one in last if one is not None]
@@ -242,7 +268,10 @@ def _title(story: Story) -> str:
 
 def _kind(story: Story) -> str:
     """Whether the shown errors are held out, in the words of a caption."""
-    known = {"held out": "held out: this run was not fitted", "fitted": "fitted: this run took part"}
+    known = {
+        "held out": "held out: this run was not fitted",
+        "fitted": "fitted: this run took part",
+    }
     if story.series is not None and story.series.kind in known:
         return known[story.series.kind]
     return "measured; whether this run took part in a fit is not recorded here"
@@ -250,7 +279,11 @@ def _kind(story: Story) -> str:
 
 def _short(story: Story) -> str:
     """The same for the captions, where the top of the page gives it in full."""
-    return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
+    return (
+        f"; {story.series.kind}"
+        if story.series is not None and story.series.kind != "measured"
+        else ""
+    )
 
 
 def _about(story: Story) -> list[str]:
@@ -270,14 +303,24 @@ def _sentence(story: Story) -> str:
         return VERDICTS.get(str((story.diagnosis or {}).get("verdict")), "")
     old = story.before.error["rms_mm"]
     kind = story.series.kind if story.series else ""
-    data = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
+    data = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(
+        kind, "nothing is fitted"
+    )
     if story.after is None:
-        text = f"The model is off by {mm(old)} {story.unit} RMS over {story.before.frames} frames ({data})"
+        text = (
+            f"The model is off by {mm(old)} {story.unit} RMS over {story.before.frames} frames "
+            f"({data})"
+        )
         floor, most = story.before.noise_floor_mm, "at most " * story.before.floor_is_bound
-        return text + (f"; {_noise(story)} is {most}{mm(floor)} {story.unit}." if floor is not None else ".")
+        return text + (
+            f"; {_noise(story)} is {most}{mm(floor)} {story.unit}." if floor is not None else "."
+        )
     new = story.after.error["rms_mm"]
     if new > old:
-        return f"The error rises from {mm(old)} to {mm(new)} {story.unit} RMS ({data}): the second model is worse."
+        return (
+            f"The error rises from {mm(old)} to {mm(new)} {story.unit} RMS ({data}): the second "
+            "model is worse."
+        )
     return f"The error falls from {mm(old)} to {mm(new)} {story.unit} RMS ({data})."
 
 
@@ -287,23 +330,42 @@ def _cards(story: Story) -> list[Card]:
     old: Any
     new: Any
     if story.before is not None:
-        old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
-        floor, origin = story.floor or (story.before.noise_floor_mm, f"noise, RMS; {story.before.floor_kind}")
+        old, new = (
+            story.before.error["rms_mm"],
+            story.after.error["rms_mm"] if story.after else None,
+        )
+        floor, origin = story.floor or (
+            story.before.noise_floor_mm,
+            f"noise, RMS; {story.before.floor_kind}",
+        )
         kind = story.series.kind if story.series else ""
         data = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
         note = f"all {_things(story)}, {data}"
     else:
         data = str(error.get("kind", "held out"))
-        steps = [value for name, value in ladder_steps(error) if name.startswith("+") and name != STATIC_ADDED]
+        steps = [
+            value
+            for name, value in ladder_steps(error)
+            if name.startswith("+") and name != STATIC_ADDED
+        ]
         old, new = number(error.get("model")), steps[-1] if steps else None
         floor, origin, note = (
             number(error.get("floor")),
             str(error.get("floor_kind") or "floor"),
             data,
         )
-    rows = [Card("error before" if new is not None else "error", f"{mm(old)} {story.unit}", f"RMS, {note}", "before")]
+    rows = [
+        Card(
+            "error before" if new is not None else "error",
+            f"{mm(old)} {story.unit}",
+            f"RMS, {note}",
+            "before",
+        )
+    ]
     if number(new) is not None and number(old) is not None:
-        share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
+        share = fall(
+            old, new, floor if floor is not None and (story.floor or new > floor) else None
+        )
         rows.append(Card("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
         rows.append(
             Card(
@@ -319,7 +381,9 @@ def _cards(story: Story) -> list[Card]:
         most = f"{mm(story.before.error['p95_mm'])} {story.unit}"
         if story.places:
             rows.insert(1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {data}", "before"))
-        rows.insert(1 + story.places, Card(f"95 % of {_things(story)} within", most, data, "before"))
+        rows.insert(
+            1 + story.places, Card(f"95 % of {_things(story)} within", most, data, "before")
+        )
     return rows
 
 
@@ -362,7 +426,11 @@ def _body(story: Story, figures: ModuleType) -> Picture | None:
     if story.series is None or not story.places:
         return None
     markers = story.series.triangles is None
-    drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
+    drawn = (
+        "markers at their mean places, axes of different scale"
+        if markers
+        else "shape at rest, base left"
+    )
     return Picture(
         "Error on the body",
         figures.body(story.series),
@@ -375,7 +443,11 @@ def _tip(story: Story, figures: ModuleType) -> Picture | None:
     if story.series is None or not story.places:
         return None
     rows, t = figures.worst_stretch(story.series), story.series.t_seen
-    part = "" if rows.stop - rows.start == len(t) else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
+    part = (
+        ""
+        if rows.stop - rows.start == len(t)
+        else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
+    )
     part += "the error before is largest (faint: the complete run, measured)" if part else ""
     return Picture(
         "Path of the tip",
@@ -392,8 +464,13 @@ def _ladder(story: Story, figures: ModuleType) -> Picture | None:
     unit, on = error.get("unit", PLACES), error.get("held_out_on")
     note = f"{error.get('kind', 'held-out rms')}{f' on {on}' if on else ''}, {unit}. "
     note += f"Floor: {error.get('floor_kind', 'origin not stated')}. "
-    known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
-    note += "".join(f"{name}: {mm(value)} {unit} RMS. " for name, value in known if number(value) is not None)
+    known = [
+        ("Noise floor", error.get("noise_floor")),
+        ("Model's own held-out error", error.get("model_floor")),
+    ]
+    note += "".join(
+        f"{name}: {mm(value)} {unit} RMS. " for name, value in known if number(value) is not None
+    )
     note += LADDER_NOTE if story.places else OUTPUT_NOTE
     drawn = figures.ladder_bars(error)
     return Picture("What each effect removes", drawn, "Error ladder down to the floor", note)
@@ -450,20 +527,31 @@ def _effect(row: Document) -> ShownEffect:
 
 def _settles(row: Mapping[str, object]) -> str:
     settles, apart = row.get("settles"), number(row.get("separation"))
-    named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    named = (
+        ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    )
     time = "" if (minutes := number(row.get("minutes"))) is None else f"{minutes:g} min: "
-    return f"{time}settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
+    return f"{time}settles {named}" + (
+        "" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)"
+    )
 
 
 def _unexplained(left: Mapping[str, object], unit: str) -> Rows:
     if not left:
         return []
     by = left.get("predicted_by")
-    named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
+    named = (
+        ", ".join(map(str, by))
+        if isinstance(by, (list, tuple))
+        else str(by or "nothing that was tried")
+    )
     chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
     return [
         ("size", f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise, fitted"),
-        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted"),
+        (
+            "against the noise",
+            "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted",
+        ),
         ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
         ("follows", named),
     ]

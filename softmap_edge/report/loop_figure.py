@@ -1,4 +1,5 @@
-"""Loops: each output, or the tip, against a command, measured and predicted before and after, over one cycle.
+"""Loops: each output, or the tip, against a command, measured and predicted before and after, over
+one cycle.
 
 Pinned by tests/run/test_output.py and tests/report/test_loop_figure.py. Needs matplotlib.
 """
@@ -23,8 +24,11 @@ TURN = 0.2  # of the range of a command: smaller reverse moves are no cycle
 MOST_LOOPS = 6  # of a run with many outputs or commands
 
 
-def loop_picture(series: Series, unit: str, diagnosis: Document | None, kind: str) -> Picture | None:
-    """Return the picture of the loops: always for outputs, for a body where a family with memory was detected.
+def loop_picture(
+    series: Series, unit: str, diagnosis: Document | None, kind: str
+) -> Picture | None:
+    """Return the picture of the loops: always for outputs, for a body where a family with memory
+    was detected.
 
     Args:
         series: of the run that the page shows
@@ -40,7 +44,8 @@ def loop_picture(series: Series, unit: str, diagnosis: Document | None, kind: st
     note = f"The cycle with the largest error before, {unit} (faint: all measurements)"
     if body:
         note += (
-            ". The tip's displacement along the direction in which the command moves it; 0 is where it is at command 0"
+            ". The tip's displacement along the direction in which the command moves it; 0 is "
+            "where it is at command 0"
         )
     return Picture(
         f"{what} against command: the loop",
@@ -51,17 +56,20 @@ def loop_picture(series: Series, unit: str, diagnosis: Document | None, kind: st
 
 
 def loops(series: Series, unit: str) -> bytes:
-    """Draw each output, or the tip (in `unit`), against its command, with the error below it, over one cycle (SVG).
+    """Draw each output, or the tip (in `unit`), against its command, with the error below it, over
+    one cycle (SVG).
 
-    The curves are measured, predicted before, and predicted after. The cycle is that with the largest error before. All
-    measurements are drawn behind.
+    The curves are measured, predicted before, and predicted after. The cycle is that with the
+    largest error before. All measurements are drawn behind.
     """
     most = min(len(series.loops), MOST_LOOPS)
     columns = min(most, 2)
     tall = -(-most // columns)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 5.4 * tall), layout="constrained")
-        grid = figure.subplots(2 * tall, columns, squeeze=False, sharex="col", height_ratios=[3.4, 2.0] * tall)
+        grid = figure.subplots(
+            2 * tall, columns, squeeze=False, sharex="col", height_ratios=[3.4, 2.0] * tall
+        )
         for k in range(tall * columns):
             row, column = divmod(k, columns)
             upper, lower = grid[2 * row, column], grid[2 * row + 1, column]
@@ -81,30 +89,47 @@ def _draw(upper: Axes, lower: Axes, loop: Loop, unit: str, command_unit: str) ->
     if loop.after is not None:
         shown.append(("after", loop.after, AFTER))
     upper.plot(loop.command, loop.seen, color=FAINT, linewidth=0.9, zorder=1)
-    upper.plot(command, seen, color=INK, linewidth=0.9, marker="o", markersize=2.6, label="measured", zorder=1.5)
+    upper.plot(
+        command,
+        seen,
+        color=INK,
+        linewidth=0.9,
+        marker="o",
+        markersize=2.6,
+        label="measured",
+        zorder=1.5,
+    )
     for name, values, colour in shown:
         upper.plot(command, values[rows], color=colour, linewidth=1.4, label=name)
-        lower.plot(command, seen - values[rows], color=colour, linewidth=1.2, marker="o", markersize=2.0)
+        lower.plot(
+            command, seen - values[rows], color=colour, linewidth=1.2, marker="o", markersize=2.0
+        )
     lower.axhline(0.0, color=PALE, linewidth=0.8, zorder=1)
     upper.set_ylabel(f"{clean(loop.name, 30)}, {unit}")
     lower.set(xlabel=f"command, {command_unit}", ylabel=f"measured − predicted, {unit}")
     for axes in (upper, lower):
         axes.grid(color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
-    upper.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+    upper.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2
+    )
 
 
 def worst_cycle(loop: Loop) -> slice:
-    """Return the frames of the cycle of a command (three turns) with the largest error before; else all of them.
+    """Return the frames of the cycle of a command (three turns) with the largest error before; else
+    all of them.
 
-    Cycles in which the other commands stand still come first: motion by other commands is no loop of this one.
+    Cycles in which the other commands stand still come first: motion by other commands is no loop
+    of this one.
     """
     turns = _turns(loop.command)
     squares = np.nan_to_num(loop.seen - loop.before) ** 2
     cycles = [slice(start, end + 1) for start, end in zip(turns, turns[2:])]
     if loop.others is not None:
         least = TURN * np.ptp(loop.others, axis=0)
-        cycles = [rows for rows in cycles if np.all(np.ptp(loop.others[rows], axis=0) <= least)] or cycles
+        cycles = [
+            rows for rows in cycles if np.all(np.ptp(loop.others[rows], axis=0) <= least)
+        ] or cycles
     return max(cycles, key=lambda rows: float(squares[rows].mean()), default=slice(0, len(squares)))
 
 

@@ -1,7 +1,8 @@
 """Write self-contained HTML pages from the templates in `templates/`.
 
-A page loads nothing: pictures are inside it, there is no script, and its content policy forbids both. Every value that
-a template shows is escaped, and characters that do not print are written as escapes.
+A page loads nothing: pictures are inside it, there is no script, and its content policy forbids
+both. Every value that a template shows is escaped, and characters that do not print are written as
+escapes.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture (PNG or SVG) with the title of its section, what it shows in words, and its caption."""
+    """A picture (PNG or SVG) with the title of its section, what it shows in words, and its
+    caption.
+    """
 
     title: str
     image: bytes

@@ -1,4 +1,6 @@
-"""What an experiment has settled: the open questions of an earlier diagnosis next to those of a later one."""
+"""What an experiment has settled: the open questions of an earlier diagnosis next to those of a
+later one.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ def progress_lines(before: Document | None, after: Document) -> list[str]:
 
 
 def _open(title: str, document: Document) -> list[str]:
-    found = " + ".join(str(row.get("name")) for row in [*document["effects"], *document["faults"]]) or "nothing named"
+    found = (
+        " + ".join(str(row.get("name")) for row in [*document["effects"], *document["faults"]])
+        or "nothing named"
+    )
     others = list(dict.fromkeys(alternative_name(row) for row in document["alternatives"]))
     hidden = [str(row.get("name")) for row in document["not_testable"]]
     verdict = str(document["verdict"]).replace("_", " ")
@@ -33,7 +38,9 @@ def _open(title: str, document: Document) -> list[str]:
 
 def _asked(document: Document) -> list[str]:
     others = [alternative_name(row) for row in document["alternatives"]]
-    return list(dict.fromkeys([*others, *(str(row.get("name")) for row in document["not_testable"])]))
+    return list(
+        dict.fromkeys([*others, *(str(row.get("name")) for row in document["not_testable"])])
+    )
 
 
 def _folded(text: str) -> list[str]:

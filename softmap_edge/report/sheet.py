@@ -1,7 +1,8 @@
-"""Where the error is, on one sheet: the robot in some of its poses and the commands, before and after, on one scale.
+"""Where the error is, on one sheet: the robot in some of its poses and the commands, before and
+after, on one scale.
 
-Poses are measured shapes in parallel projection, base above and tip below, whatever way gravity points. A dot of the
-command plane is a frame. Lengths in mm. Needs matplotlib.
+Poses are measured shapes in parallel projection, base above and tip below, whatever way gravity
+points. A dot of the command plane is a frame. Lengths in mm. Needs matplotlib.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ from numpy.typing import NDArray
 
 from softmap_edge.comparison.series import ExamplePose, Series
 from softmap_edge.files.numbers import mm
-from softmap_edge.report.figures import ERROR_MAP, FAINT, INK, PALE, STYLE, WIDE, png, rms, vertex_normals
+from softmap_edge.report.figures import (
+    ERROR_MAP,
+    FAINT,
+    INK,
+    PALE,
+    STYLE,
+    WIDE,
+    png,
+    rms,
+    vertex_normals,
+)
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +44,9 @@ def sheet(series: Series) -> bytes:
     two = series.after is not None
     moments = ("before", "after") if two else ("before",)
     frames = [getattr(series, m) for m in moments]
-    points = [values for pose in series.poses for m in moments if (values := getattr(pose, m)) is not None]
+    points = [
+        values for pose in series.poses for m in moments if (values := getattr(pose, m)) is not None
+    ]
     known = np.concatenate([f[np.isfinite(f)] for f in [*frames, *points]])
     scale = Normalize(0.0, float(np.percentile(known, TOP)) if known.size else 1.0)
     plane = _plane_of(series.command)
@@ -50,30 +63,48 @@ def sheet(series: Series) -> bytes:
                 _draw_commands(axes, series, plane, values, scale)
                 axes.set_title(f"{moment}, by command" if two else "by command")
         mappable = matplotlib.cm.ScalarMappable(scale, ERROR_MAP)
-        bar = figure.colorbar(mappable, ax=grid, shrink=0.8, aspect=24, pad=0.01, extend="max", label="error, mm")
+        bar = figure.colorbar(
+            mappable, ax=grid, shrink=0.8, aspect=24, pad=0.01, extend="max", label="error, mm"
+        )
         bar.outline.set_visible(False)
         return png(figure)
 
 
 def _plane_of(command: Floats) -> tuple[int, int] | None:
-    """The two channels that move most, in their order; one twice if only one moves; None if none does."""
+    """The two channels that move most, in their order; one twice if only one moves; None if none
+    does.
+    """
     if not command.shape[1]:
         return None
     span = np.ptp(command, axis=0)
-    order = [int(c) for c in np.argsort(-span, kind="stable") if span[c] > FLAT * span.max() and span[c] > 0]
+    order = [
+        int(c)
+        for c in np.argsort(-span, kind="stable")
+        if span[c] > FLAT * span.max() and span[c] > 0
+    ]
     if not order:
         return None
     first, second = sorted(order[:2]) if len(order) > 1 else (order[0], order[0])
     return first, second
 
 
-def _draw_commands(axes: Axes, series: Series, plane: tuple[int, int], values: Floats, scale: Normalize) -> None:
+def _draw_commands(
+    axes: Axes, series: Series, plane: tuple[int, int], values: Floats, scale: Normalize
+) -> None:
     """One dot a frame in the plane of two commands; with one command, its error above it."""
     x = series.command[:, plane[0]]
     one = plane[0] == plane[1]
     y = values if one else series.command[:, plane[1]]
     worst_last = np.argsort(np.where(np.isfinite(values), values, -1.0), kind="stable")
-    axes.scatter(x[worst_last], y[worst_last], c=values[worst_last], s=16, cmap=ERROR_MAP, norm=scale, linewidths=0)
+    axes.scatter(
+        x[worst_last],
+        y[worst_last],
+        c=values[worst_last],
+        s=16,
+        cmap=ERROR_MAP,
+        norm=scale,
+        linewidths=0,
+    )
     unit = series.command_unit
     axes.set(xlabel=f"u{plane[0]}, {unit}", ylabel="error, mm" if one else f"u{plane[1]}, {unit}")
     axes.grid(color=FAINT, linewidth=0.8)
@@ -128,11 +159,19 @@ def _draw_surface(
     rgb = np.asarray(ERROR_MAP(scale(np.nanmean(values[faces], axis=1))))
     rgb[:, :3] *= light[:, None]
     flat = np.stack([corners @ right, corners @ up], axis=2)
-    axes.add_collection(PolyCollection(list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.3))
+    axes.add_collection(
+        PolyCollection(
+            list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.3
+        )
+    )
 
 
-def _draw_markers(axes: Axes, pose: ExamplePose, values: Any, right: Floats, up: Floats, scale: Normalize) -> None:
+def _draw_markers(
+    axes: Axes, pose: ExamplePose, values: Any, right: Floats, up: Floats, scale: Normalize
+) -> None:
     """The markers of one pose, joined in their order."""
     x, y = pose.points @ right, pose.points @ up
     axes.plot(x, y, color=PALE, linewidth=1.6, zorder=1)
-    axes.scatter(x, y, c=values, s=60, cmap=ERROR_MAP, norm=scale, edgecolors=INK, linewidths=0.6, zorder=2)
+    axes.scatter(
+        x, y, c=values, s=60, cmap=ERROR_MAP, norm=scale, edgecolors=INK, linewidths=0.6, zorder=2
+    )

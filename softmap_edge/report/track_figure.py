@@ -1,5 +1,5 @@
-"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and how far off it was,
-or, of a plan, which commands lead it there (SVG).
+"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and
+how far off it was, or, of a plan, which commands lead it there (SVG).
 
 Needs matplotlib; imported by `softmap track --picture` only.
 """
@@ -42,15 +42,26 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         target = plan.targets[course.counts]
         left.plot(target[:, across], target[:, up], color=INK, linewidth=2.4, label="wanted")
         if seen and tracked is not None:
-            left.plot(tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen")
+            left.plot(
+                tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen"
+            )
             _errors(right, course, tracked)
         else:
             expected = plan.tip[course.counts]
-            left.plot(expected[:, across], expected[:, up], color=AFTER, linewidth=1.2, label="expected")
+            left.plot(
+                expected[:, across], expected[:, up], color=AFTER, linewidth=1.2, label="expected"
+            )
             _commands(right, plan, kinematics.model.command_unit)
         out = plan.unreachable[course.counts] > 0.01
         if out.any():
-            left.plot(target[out, across], target[out, up], ".", color=BEFORE, markersize=4, label="out of reach")
+            left.plot(
+                target[out, across],
+                target[out, up],
+                ".",
+                color=BEFORE,
+                markersize=4,
+                label="out of reach",
+            )
         left.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
         _closer(left, [line.get_xydata() for line in left.lines if line.get_label() != EDGE])
         left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
@@ -59,17 +70,29 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         return svg(figure)
 
 
-def workspace_figure(kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None) -> bytes:
-    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the point `nearest` (SVG)."""
+def workspace_figure(
+    kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None
+) -> bytes:
+    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the point
+    `nearest` (SVG).
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
         for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 1), (0, 2))):
             _reach(axes, kinematics, across, up)
             axes.plot(*rest[[across, up]], "o", color=INK, markersize=4, label="at rest")
             if target is not None and nearest is not None:
-                axes.plot(*zip(target[[across, up]], nearest[[across, up]]), color=BEFORE, linewidth=1.0)
+                axes.plot(
+                    *zip(target[[across, up]], nearest[[across, up]]), color=BEFORE, linewidth=1.0
+                )
                 axes.plot(*target[[across, up]], "x", color=BEFORE, markersize=7, label="target")
-                axes.plot(*nearest[[across, up]], "o", color=AFTER, markersize=4, label="nearest within reach")
+                axes.plot(
+                    *nearest[[across, up]],
+                    "o",
+                    color=AFTER,
+                    markersize=4,
+                    label="nearest within reach",
+                )
             axes.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
             axes.margins(0.05)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
@@ -94,13 +117,18 @@ def _commands(axes: Axes, plan: Plan, unit: str) -> None:
 
 
 def _closer(axes: Axes, paths: list[Any]) -> None:
-    """Show paths and some of what is around them; an edge of reach that lies farther off has no place in the legend."""
+    """Show paths and some of what is around them; an edge of reach that lies farther off has no
+    place in the legend.
+    """
     points = np.concatenate([np.asarray(path, float) for path in paths])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = (low + high) / 2, 0.8 * float((high - low).max())
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     for line in axes.lines:
-        if line.get_label() == EDGE and (np.abs(np.asarray(line.get_xydata()) - middle) > half).any(axis=1).all():
+        if (
+            line.get_label() == EDGE
+            and (np.abs(np.asarray(line.get_xydata()) - middle) > half).any(axis=1).all()
+        ):
             line.set_label("_")
 
 
@@ -109,12 +137,26 @@ def _reach(axes: Axes, kinematics: Kinematics, across: int, up: int) -> None:
     bounds = kinematics.acting_bounds
     if len(bounds) != 2:
         places, _ = kinematics.reach.samples
-        axes.plot(places[:, across], places[:, up], ".", color=FAINT, markersize=3, zorder=0, label="within reach")
+        axes.plot(
+            places[:, across],
+            places[:, up],
+            ".",
+            color=FAINT,
+            markersize=3,
+            zorder=0,
+            label="within reach",
+        )
         return
     sides = [np.linspace(low, high, FINE) for low, high in bounds.tolist()]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
-    places = np.asarray(kinematics.tip.evaluate(grid.reshape(-1, 2))).reshape(FINE, FINE, 3)[..., [across, up]]
-    cells = np.stack([places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]], axis=2).reshape(-1, 4, 2)
-    axes.add_collection(PolyCollection(cells.tolist(), facecolors=FAINT, edgecolors=FAINT, linewidths=0.6, zorder=0))
+    places = np.asarray(kinematics.tip.evaluate(grid.reshape(-1, 2))).reshape(FINE, FINE, 3)[
+        ..., [across, up]
+    ]
+    cells = np.stack(
+        [places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]], axis=2
+    ).reshape(-1, 4, 2)
+    axes.add_collection(
+        PolyCollection(cells.tolist(), facecolors=FAINT, edgecolors=FAINT, linewidths=0.6, zorder=0)
+    )
     edge = np.concatenate([places[0], places[:, -1], places[-1, ::-1], places[::-1, 0]])
     axes.plot(edge[:, 0], edge[:, 1], color=FLOOR, linewidth=0.8, label=EDGE)

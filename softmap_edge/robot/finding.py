@@ -1,6 +1,8 @@
-"""One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to do.
+"""One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to
+do.
 
-Errors here state what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/robot/test_doctor.py.
+Errors here state what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by
+tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -14,7 +16,9 @@ OK, WARNING, FAULT = "ok", "warning", "fault"
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at: its name, `ok`, `warning` or `fault`, what was found, and what to do (or empty)."""
+    """One thing that was looked at: its name, `ok`, `warning` or `fault`, what was found, and what
+    to do (or empty).
+    """
 
     name: str
     state: str

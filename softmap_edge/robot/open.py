@@ -1,4 +1,5 @@
-"""A bench with the finger on it, and its robot for a program of a user's own: what docs/do/own_program.md shows.
+"""A bench with the finger on it, and its robot for a program of a user's own: what
+docs/do/own_program.md shows.
 
 Pinned by tests/robot/test_own_program.py, and by the tests of the commands that drive.
 """
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a
-    real bench has that calibration as its own; of an emulated one the `finger`."""
+    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the
+    `model`, which on a real bench has that calibration as its own; of an emulated one the `finger`.
+    """
 
     rig: Rig
     limits: LoopLimits
@@ -44,24 +46,34 @@ def read_bench(path: str | Path, model: Model) -> Bench:
     known = calibration_of(model)  # asked first: the bundle is what a user mends first
     rig = read_rig(path)
     found = effective_limits(rig, model, known, RATE)
-    return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
+    return Bench(
+        rig, found.table(), found.calibration, replace(model, calibration=found.calibration)
+    )
 
 
 def open_robot(
-    rig: str | Path, model: Model | str | Path, *, axes: str = "xyz", record: str | Path | None = None
+    rig: str | Path,
+    model: Model | str | Path,
+    *,
+    axes: str = "xyz",
+    record: str | Path | None = None,
 ) -> Controller:
     """Return the robot of a bench, which is driven from entering to leaving it (`with`).
 
     Args:
         rig: the file of the bench, as `softmap servo setup` writes it.
-        model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are compensated.
+        model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are
+            compensated.
         axes: that count for `robot.kinematics`.
         record: a file for all that the loop hears, decides and sends.
 
     Raises:
         BundleError: no such bundle, or a damaged one.
-        ServoError: something is not known that driving needs; the line says what. On entering: as `Controller`.
+        ServoError: something is not known that driving needs; the line says what. On entering: as
+            `Controller`.
     """
     bench = read_bench(rig, model if isinstance(model, Model) else load_bundle(model))
     kinematics = Kinematics(bench.model, axes=axes)
-    return Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=record)
+    return Controller(
+        bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=record
+    )

@@ -1,8 +1,9 @@
-"""Remedies in messages: take finding and remedy apart, and complete the commands that a message names.
+"""Remedies in messages: take finding and remedy apart, and complete the commands that a message
+names.
 
-A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to the text there.
-Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out; the command that shows the message
-fills it in. Pinned by tests/robot/test_hints.py.
+A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to
+the text there. Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out;
+the command that shows the message fills it in. Pinned by tests/robot/test_hints.py.
 """
 
 from __future__ import annotations
@@ -14,10 +15,19 @@ from collections.abc import Mapping
 COMMAND = re.compile(r"`softmap\s([^`]+)`")
 OPENS, CLOSES = "([{", ")]}"
 COMPLETES = {
-    "rig": ("servo setup", "servo home", "servo pull", "servo limits", "servo off", "servo reboot", "servo calibrate",
-            "servo doctor", "servo move"),
+    "rig": (
+        "servo setup",
+        "servo home",
+        "servo pull",
+        "servo limits",
+        "servo off",
+        "servo reboot",
+        "servo calibrate",
+        "servo doctor",
+        "servo move",
+    ),
     "bundle": ("servo pull", "servo limits"),
-}  # fmt: skip
+}
 
 
 def parted(said: object) -> tuple[str, str]:
@@ -28,7 +38,8 @@ def parted(said: object) -> tuple[str, str]:
 
 
 def _ends(text: str) -> int | None:
-    """Return where the finding ends: the first "; " outside brackets and backquotes, None without one.
+    """Return where the finding ends: the first "; " outside brackets and backquotes, None without
+    one.
 
     Brackets that never close (a file's name may hold one) bracket nothing.
     """
@@ -42,7 +53,8 @@ def _ends(text: str) -> int | None:
 
 
 def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
-    """Return a message whose commands name the files that the user gave; `--bundle DIR` stands for one not given.
+    """Return a message whose commands name the files that the user gave; `--bundle DIR` stands for
+    one not given.
 
     Args:
         text: the message; its commands stand in backquotes.

@@ -1,11 +1,14 @@
-"""Folds of a rod's cross-validation: blocks of time whose commands also occur in other parts of the runs.
+"""Folds of a rod's cross-validation: blocks of time whose commands also occur in other parts of the
+runs.
 
-A recording of one or two sweeps visits each command once or twice. A long block then holds all frames of its commands,
-and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are
-halved until the rest covers them, by the leverage of the terms of the map that is to be fitted (`model/coverage.py`).
-The few frames that stay uncovered are not tested: one of them can weigh more than all others, and a diagnosis sets such
-frames aside. Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the given
-blocks. Pinned by tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
+A recording of one or two sweeps visits each command once or twice. A long block then holds all
+frames of its commands, and its error measures the extrapolation of a polynomial, not its accuracy.
+So blocks and the gaps next to them are halved until the rest covers them, by the leverage of the
+terms of the map that is to be fitted (`model/coverage.py`). The few frames that stay uncovered are
+not tested: one of them can weigh more than all others, and a diagnosis sets such frames aside.
+Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the
+given blocks. Pinned by tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and
+tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations
@@ -24,8 +27,11 @@ MOST_GAP = 0.5  # of a block: more would leave too little of a short run to lear
 MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
 
 
-def covered_folds(seen: ReferenceFrames, basis: Basis, blocks: int, gap_s: float) -> tuple[Folds, float]:
-    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to each.
+def covered_folds(
+    seen: ReferenceFrames, basis: Basis, blocks: int, gap_s: float
+) -> tuple[Folds, float]:
+    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to
+    each.
 
     Args:
         seen: the frames. basis: the richest map that may be fitted to them.
@@ -48,8 +54,14 @@ def covered_folds(seen: ReferenceFrames, basis: Basis, blocks: int, gap_s: float
 
 
 def search_folds(seen: ReferenceFrames, basis: Basis) -> Folds:
-    """Return the folds of a search: labels, or blocks of time; and runs that the commands of the others cover."""
-    parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, basis, FOLDS, GAP)[0]
+    """Return the folds of a search: labels, or blocks of time; and runs that the commands of the
+    others cover.
+    """
+    parts = (
+        run_folds(seen.t, seen.labels)
+        if labelled(seen.labels)
+        else covered_folds(seen, basis, FOLDS, GAP)[0]
+    )
     for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
         inside = seen.number == k
         commands = seen.drive.commanded
@@ -61,4 +73,8 @@ def search_folds(seen: ReferenceFrames, basis: Basis) -> Folds:
 def _outside(seen: ReferenceFrames, basis: Basis, train: Index, test: Index) -> NDArray[np.bool_]:
     """Return which of the held-out frames the training frames leave uncovered."""
     commands = seen.drive.commanded
-    return Coverage.of(commands[train], basis).outside(commands[test]) if len(train) else np.zeros(len(test), bool)
+    return (
+        Coverage.of(commands[train], basis).outside(commands[test])
+        if len(train)
+        else np.zeros(len(test), bool)
+    )

@@ -1,7 +1,8 @@
-"""Bounded Levenberg-Marquardt: minimise a sum of squares within bounds, damped by the diagonal of the normal equations.
+"""Bounded Levenberg-Marquardt: minimise a sum of squares within bounds, damped by the diagonal of
+the normal equations.
 
-Numbers at a bound whose gradient points outward are left out of a step. Pinned by tests/rod/test_elastic.py (exact
-recovery) and tests/rod/test_learned_memory.py.
+Numbers at a bound whose gradient points outward are left out of a step. Pinned by
+tests/rod/test_elastic.py (exact recovery) and tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ ENOUGH = 1e-7  # share of the sum of squares: a step that lowers it by less is t
 
 
 def descend(
-    term: Term, x: Floats, low: Floats, high: Floats, iterations: int = ITERATIONS, enough: float = ENOUGH
+    term: Term,
+    x: Floats,
+    low: Floats,
+    high: Floats,
+    iterations: int = ITERATIONS,
+    enough: float = ENOUGH,
 ) -> tuple[Floats, float]:
     """Minimise the sum of squares of `term` within bounds; return the minimiser and the sum."""
     x = np.clip(x, low, high)
@@ -38,7 +44,8 @@ def descend(
             step = np.zeros(len(x))
             try:
                 step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
-            except np.linalg.LinAlgError:  # two numbers with the same effect, and damping lost in round-off
+            # two numbers with the same effect, and damping lost in round-off
+            except np.linalg.LinAlgError:
                 damping *= 8.0
                 continue
             ahead = np.clip(x + step, low, high)

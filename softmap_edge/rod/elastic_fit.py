@@ -1,13 +1,17 @@
-"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions, from several starts.
+"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions, from
+several starts.
 
-    minimise Σ |predicted(x) − seen|²  over x within bounds,  x = the free numbers (`elastic.Coordinates`)
+    minimise Σ |predicted(x) − seen|²  over x within bounds,
+        x = the free numbers (`elastic.Coordinates`)
 
-Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit without it. A fold is a
-part of the run's `block` labels (dealt out in turn, so that no fold holds all of one kind of move), else a block of
-time. Uncertainty: the larger of what the linearised fit says with frames taken as independent, and of the spread of
-those refits (jackknife), since neighbouring frames repeat the same form error. A number is *not identified* by the run
-when it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and follows
-another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is identified.
+Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit
+without it. A fold is a part of the run's `block` labels (dealt out in turn, so that no fold holds
+all of one kind of move), else a block of time. Uncertainty: the larger of what the linearised fit
+says with frames taken as independent, and of the spread of those refits (jackknife), since
+neighbouring frames repeat the same form error. A number is *not identified* by the run when it is
+left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and
+follows another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is
+identified.
 """
 
 from __future__ import annotations
@@ -34,24 +38,33 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STARTS = 4
-SUPPORT_DEGREES = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is fitted
-MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
+# degrees of the polynomial that supports a described rod while its delay is fitted
+SUPPORT_DEGREES = (1, 2)
+# markers times frames of a fit; more frames, but not these, are thinned evenly
+MOST_SEEN, LEAST_FRAMES = 8000, 200
 CHUNK = 4_000_000  # slopes by all numbers that are held at once
 EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
 TRADED = 0.995  # correlation of two numbers from which the run identifies them only together
 
 
-def fit_elastic(seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
-    """Fit the free numbers of an elastic rod, then the drive's delay if the log identifies it and not `static`.
+def fit_elastic(
+    seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool
+) -> Fitted:
+    """Fit the free numbers of an elastic rod, then the drive's delay if the log identifies it and
+    not `static`.
 
     Raises:
         RunError: a fold leaves too little to fit the numbers from.
     """
-    least, free = min(len(train) for train, _ in parts) * seen.markers[0].size, len(robot.coordinates().labels)
+    least, free = (
+        min(len(train) for train, _ in parts) * seen.markers[0].size,
+        len(robot.coordinates().labels),
+    )
     if least < 2 * free:
         raise RunError(
-            f"without one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
-            f"{free} numbers from; record longer, label longer moves as one `block`, or make more of them known"
+            f"without one of the {len(parts)} parts that are held out in turn {least} coordinates "
+            f"are left to fit {free} numbers from; record longer, label longer moves as one "
+            "`block`, or make more of them known"
         )
     start, u = robot.start.copy(), seen.drive.commanded
     if not robot.angles_known:
@@ -75,7 +88,8 @@ def fit_elastic(seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, st
 
 
 def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> Memory:
-    """Find the drive's delay with the rod that was fitted to the commands, supported by a small polynomial.
+    """Find the drive's delay with the rod that was fitted to the commands, supported by a small
+    polynomial.
 
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
     """
@@ -83,7 +97,12 @@ def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> M
     rod, parts = robot.layout.compiled(fitted), search_folds(few, Basis(max(SUPPORT_DEGREES)))
     smallest = min(len(train) for train, _ in parts)
     degree = max(
-        [d for d in SUPPORT_DEGREES if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
+        [
+            d
+            for d in SUPPORT_DEGREES
+            if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest
+        ],
+        default=1,
     )
     static = StaticMap(
         few.markers.reshape(len(few.markers), -1),
@@ -99,24 +118,31 @@ def fit_for(robot: Robot, seen: ReferenceFrames) -> ReferenceFrames:
     channels, markers = seen.drive.channels, seen.markers.shape[1]
     if (channels, markers) != (robot.layout.channels, len(robot.layout.at)):
         raise RobotError(
-            f"the run has {channels} commands and {markers} markers, '{robot.name}' has {robot.layout.channels} and "
-            f"{len(robot.layout.at)}; give each tendon its command and each marker its place in robot.toml"
+            f"the run has {channels} commands and {markers} markers, '{robot.name}' has "
+            f"{robot.layout.channels} and {len(robot.layout.at)}; give each tendon its command "
+            "and each marker its place in robot.toml"
         )
     free = len(robot.coordinates().labels)
     if len(seen.t) * 3 * markers < 4 * free or not free:
         raise RobotError(
-            f"{len(seen.t)} usable frames of {markers} markers and {free} numbers to fit; give four coordinates "
-            'for each number, and name in [fit] of robot.toml what is to be fitted, as angle = "each"'
+            f"{len(seen.t)} usable frames of {markers} markers and {free} numbers to fit; give "
+            "four coordinates "
+            "for each number, and name in [fit] of robot.toml what is to be fitted, as angle = "
+            '"each"'
         )
     every = -(-len(seen.t) // max(LEAST_FRAMES, MOST_SEEN // markers))
     return seen.every(every)
 
 
 def _sides(robot: Robot, u: Floats, markers: Floats) -> Floats:
-    """Return the side (tendons,) rad to which each tendon pulls the last marker, by a linear fit."""
+    """Return the side (tendons,) rad to which each tendon pulls the last marker, by a linear
+    fit.
+    """
     centred, moved = u - u.mean(axis=0), markers[:, -1, :2] - markers[:, -1, :2].mean(axis=0)
     square = centred.T @ centred
-    slope = np.linalg.solve(square + 1e-3 * np.trace(square) / len(square) * np.eye(len(square)), centred.T @ moved)
+    slope = np.linalg.solve(
+        square + 1e-3 * np.trace(square) / len(square) * np.eye(len(square)), centred.T @ moved
+    )
     pull = slope[list(robot.layout.channel)] * np.array(robot.layout.pull)[:, None]
     return np.asarray(np.arctan2(pull[:, 1], pull[:, 0]))
 
@@ -142,7 +168,9 @@ class Data:
         rod = self.coordinates.layout.compiled(self.coordinates.numbers(x))
         step = max(1, CHUNK // (rod.size * len(self.coordinates.start)))
         parts = [
-            self.coordinates.slopes(x, rod.number_slopes(np.ascontiguousarray(self.u[frames[i : i + step]]))[1])
+            self.coordinates.slopes(
+                x, rod.number_slopes(np.ascontiguousarray(self.u[frames[i : i + step]]))[1]
+            )
             for i in range(0, len(frames), step)
         ]
         return np.concatenate(parts).reshape(-1, len(x))
@@ -152,13 +180,17 @@ class Data:
         some = np.arange(len(self.u)) if frames is None else frames
 
         def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:
-            return self.residuals(x, some).reshape(-1), self.slopes(x, some) if slopes_needed else np.zeros((0, len(x)))
+            return self.residuals(x, some).reshape(-1), self.slopes(
+                x, some
+            ) if slopes_needed else np.zeros((0, len(x)))
 
         return at
 
 
 def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
-    """Fit from the file's start and from others drawn around it; return the best x and how many starts reach it."""
+    """Fit from the file's start and from others drawn around it; return the best x and how many
+    starts reach it.
+    """
     space, rng = data.coordinates, np.random.default_rng(seed)
     tried = [np.zeros(len(space.labels))]
     tried += [rng.normal(size=len(space.labels)) * space.scatter for _ in range(starts - 1)]
@@ -168,7 +200,9 @@ def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
 
 
 def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]:
-    """Return predicted − seen (n, 3M) mm, each fold by a refit without it, and the refits (folds, D)."""
+    """Return predicted − seen (n, 3M) mm, each fold by a refit without it, and the refits (folds,
+    D).
+    """
     residuals, refits = np.empty_like(data.seen), []
     for train, test in parts:
         without = descend(data.term(train), x, data.coordinates.low, data.coordinates.high)[0]
@@ -177,14 +211,16 @@ def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]
     return residuals, np.stack(refits)
 
 
-# --- identified numbers --------------------------------------------------------------------------------
+# --- identified numbers ---------------------------------------------------------------------------
 
 
 def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
     """Return the fitted value of each free number."""
     space, everything = data.coordinates, np.arange(len(data.u))
     residual, jacobian = data.residuals(x).reshape(-1), data.slopes(x, everything)
-    spread, traded = _linear(jacobian, space.doubt, float(residual @ residual) / max(1, len(residual) - len(x)))
+    spread, traded = _linear(
+        jacobian, space.doubt, float(residual @ residual) / max(1, len(residual) - len(x))
+    )
     folds = len(refits)
     jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
     sigma = np.maximum(spread, jackknife)
@@ -203,10 +239,11 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
 
 
 def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, Floats]:
-    """Return one standard deviation of each x from the linearised fit, and their correlations without the diagonal.
+    """Return one standard deviation of each x from the linearised fit, and their correlations
+    without the diagonal.
 
-    A guess of width ten `doubt` is added to the data, so that a direction which the data do not see at all stays
-    finite.
+    A guess of width ten `doubt` is added to the data, so that a direction which the data do not see
+    at all stays finite.
     """
     scaled = jacobian * doubt  # x in units of doubt
     information = scaled.T @ scaled / max(variance, EXACT**2) + 1e-2 * np.eye(len(doubt))

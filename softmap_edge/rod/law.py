@@ -1,12 +1,14 @@
-"""Laws of memory as the chain computes them, fitted with the static map solved again for every set of numbers.
+"""Laws of memory as the chain computes them, fitted with the static map solved again for every set
+of numbers.
 
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
-Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is not smooth. So a scan
-of the held-out loss over the complete range comes first, then a bounded Levenberg-Marquardt from the best few. Ranges
-declared in mm are those of a drive of ±16 mm and scale with the drive. A gap may be nearly the complete range, and the
-held-back share may be all of the motion, because an output may be a force. σ is the larger of that of the linearised
-fit and that of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
+Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is
+not smooth. So a scan of the held-out loss over the complete range comes first, then a bounded
+Levenberg-Marquardt from the best few. Ranges declared in mm are those of a drive of ±16 mm and
+scale with the drive. A gap may be nearly the complete range, and the held-back share may be all of
+the motion, because an output may be a force. σ is the larger of that of the linearised fit and that
+of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 WIDEST = 1.95  # half ranges: a wider gap would never move what it drives
-HELD_BACK = 30.0  # share of the motion held back: at this value the held-back part is the complete response
+# share of the motion held back: at this value the held-back part is the complete response
+HELD_BACK = 30.0
 SCAN = 24  # sets for each number of a scan
 SCAN_ALONG = 12  # of one number while the others are fixed
 TOGETHER = 24  # sets rolled out at a time
@@ -42,7 +45,9 @@ IDLE = 0.02  # of half the range: a number that changes the commands by less doe
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A chain of effects, and which of its free numbers (D,) each parameter (P,) takes, with their ranges."""
+    """A chain of effects, and which of its free numbers (D,) each parameter (P,) takes, with their
+    ranges.
+    """
 
     names: tuple[str, ...]
     chain: _core.Chain
@@ -55,7 +60,9 @@ class Law:
     def values(self, x: Floats) -> Floats:
         """Return the free numbers (…, D) in user units from x in 0 … 1."""
         low = np.where(self.log, self.low, 1.0)
-        return np.where(self.log, low * (self.high / low) ** x, self.low + (self.high - self.low) * x)
+        return np.where(
+            self.log, low * (self.high / low) ** x, self.low + (self.high - self.low) * x
+        )
 
     def params(self, x: Floats) -> Floats:
         """Return parameters (…, P) of the chain."""
@@ -65,16 +72,25 @@ class Law:
         """Return x (D,) of numbers by label, the middle of the range where one is not given."""
         x = np.full(len(self.labels), 0.5)
         for i, label in enumerate(self.labels):
-            value = next((values[name] for name in readings(label, label.split("[")[0]) if name in values), None)
+            value = next(
+                (values[name] for name in readings(label, label.split("[")[0]) if name in values),
+                None,
+            )
             if value is not None:
                 low, high = float(self.low[i]), float(self.high[i])
-                share = np.log(value / low) / np.log(high / low) if self.log[i] else (value - low) / (high - low)
+                share = (
+                    np.log(value / low) / np.log(high / low)
+                    if self.log[i]
+                    else (value - low) / (high - low)
+                )
                 x[i] = np.clip(share, 0.0, 1.0)
         return x
 
 
 def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
-    """Return the law of a chain: one number for all, or one for each channel or cable of the effects in `each`."""
+    """Return the law of a chain: one number for all, or one for each channel or cable of the
+    effects in `each`.
+    """
     chain = _core.Chain(list(names), drive.channels)
     median = float(np.median(drive.half))
     labels: list[str] = []
@@ -83,14 +99,26 @@ def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
     for one, group, unit, least, most in declared:
         label = one if one.split(".")[0] in each else group
         if label not in labels:
-            half = float(drive.half[int(label.partition("[")[2].rstrip("+-]"))]) if "[" in label else median
+            half = (
+                float(drive.half[int(label.partition("[")[2].rstrip("+-]"))])
+                if "[" in label
+                else median
+            )
             bounds = _range(group, unit, float(least), float(most), half)
             labels.append(label)
             low.append(bounds[0])
             high.append(bounds[1])
         of.append(labels.index(label))
     lowest = np.array(low)
-    return Law(tuple(chain.names), chain, tuple(labels), np.array(of, np.intp), lowest, np.array(high), lowest > 0)
+    return Law(
+        tuple(chain.names),
+        chain,
+        tuple(labels),
+        np.array(of, np.intp),
+        lowest,
+        np.array(high),
+        lowest > 0,
+    )
 
 
 def _range(effect: str, unit: str, low: float, high: float, half: float) -> tuple[float, float]:
@@ -105,7 +133,8 @@ def _range(effect: str, unit: str, low: float, high: float, half: float) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss (folds,) mm².
+    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss
+    (folds,) mm².
 
     Numbers at a bound that do nothing there are `idle` (D,): a channel may have no play.
     """
@@ -137,13 +166,17 @@ def _at_bound(x: Floats) -> NDArray[np.bool_]:
 
 
 class LawFit:
-    """The data of a law's fit: a drive, in its unit, and a static map that is solved again for every set of numbers."""
+    """The data of a law's fit: a drive, in its unit, and a static map that is solved again for
+    every set of numbers.
+    """
 
     def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
         self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
 
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
-        """Fit a law from a scan of all numbers but those `known` by label, which start at their value."""
+        """Fit a law from a scan of all numbers but those `known` by label, which start at their
+        value.
+        """
         start = law.at(known)
         open_ = [i for i, label in enumerate(law.labels) if label not in known]
         sets = np.tile(start, (SCAN * max(1, len(open_)), 1))
@@ -160,16 +193,22 @@ class LawFit:
         return self.refined(law, sets[np.argsort(sums)[:REFINED]])
 
     def scanned_along(self, law: Law, start: Floats, i: int) -> Floats:
-        """Return `start` with its number `i` at the best value of a scan; the others are near their best."""
+        """Return `start` with its number `i` at the best value of a scan; the others are near their
+        best.
+        """
         sets = np.tile(start, (SCAN_ALONG + 1, 1))
         sets[1:, i] = np.linspace(0.0, 1.0, SCAN_ALONG)
         rolled = self.drive.rolled(law.chain, law.params(sets))
-        return np.asarray(sets[int(np.argmin([float((self.static.residual(v) ** 2).sum()) for v in rolled]))])
+        return np.asarray(
+            sets[int(np.argmin([float((self.static.residual(v) ** 2).sum()) for v in rolled]))]
+        )
 
     def refined(self, law: Law, starts: Floats) -> FittedLaw:
         """Fit a law from some starts (S, D) and return the best."""
         zero, one = np.zeros(len(law.labels)), np.ones(len(law.labels))
-        ends = [descend(self._term(law, None), start, zero, one, MOST_STEPS, ENOUGH) for start in starts]
+        ends = [
+            descend(self._term(law, None), start, zero, one, MOST_STEPS, ENOUGH) for start in starts
+        ]
         x = min(ends, key=lambda end: end[1])[0]
         acting = self.drive.rolled(law.chain, law.params(x)[None])[0]
         return FittedLaw(law, x, acting, self.static.losses(acting), self._idle(law, x, acting))
@@ -189,29 +228,44 @@ class LawFit:
         residual, slopes = self._term(law, None)(x, True)
         zero, one = np.zeros(len(x)), np.ones(len(x))
         variance = float(residual @ residual) / max(1, len(residual) - len(x))
-        information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))  # where unseen, as wide as the range
+        # where unseen, as wide as the range
+        information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))
         linear = np.sqrt(np.diag(np.linalg.inv(information)))
         refits = np.stack(
-            [descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0] for train, _ in self.static.parts]
+            [
+                descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0]
+                for train, _ in self.static.parts
+            ]
         )
         folds = len(refits)
-        jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
+        jackknife = np.sqrt(
+            (folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0)
+        )
         scale = np.where(
-            law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low
+            law.log,
+            law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)),
+            law.high - law.low,
         )
         sigma = np.maximum(linear, jackknife) * scale
-        sigma = np.where(fitted.idle, np.maximum(sigma, law.values(x)), sigma)  # anything down to nothing
+        # anything down to nothing
+        sigma = np.where(fitted.idle, np.maximum(sigma, law.values(x)), sigma)
         units = {
-            label.partition("[")[0]: self.unit + unit.removeprefix("mm") if unit.startswith("mm") else unit
+            label.partition("[")[0]: self.unit + unit.removeprefix("mm")
+            if unit.startswith("mm")
+            else unit
             for label, unit in zip(law.chain.labels, law.chain.units)
         }
         return {
-            label: LearnedNumber(label, float(value), float(s), units[label.partition("[")[0]], bool(bound))
+            label: LearnedNumber(
+                label, float(value), float(s), units[label.partition("[")[0]], bool(bound)
+            )
             for label, value, s, bound in zip(law.labels, law.values(x), sigma, fitted.bounded)
         }
 
     def _term(self, law: Law, rows: Index | None) -> Term:
-        """Return the residuals of the frames `rows`, and their slopes by differences within the range."""
+        """Return the residuals of the frames `rows`, and their slopes by differences within the
+        range.
+        """
         kept = slice(None) if rows is None else rows
 
         def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:

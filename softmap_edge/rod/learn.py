@@ -1,13 +1,15 @@
-"""Fit a rod to reference runs: the prior of a robot that has no simulator. Seconds; numpy and the core only.
+"""Fit a rod to reference runs: the prior of a robot that has no simulator. Seconds; numpy and the
+core only.
 
-Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`), it is the elastic
-one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial.py`). With
-both, the memory that was in the robot is found (`memory.py`): its law joins the chain by name, with its alternatives.
-`static` leaves it out. With an elastic rod only delays join; other memory is reported. Degree, ridge and law are those
-with the lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices are made on
-the blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used.
-tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin exact recovery and the error
-on real data.
+Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`),
+it is the elastic one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a
+polynomial (`polynomial.py`). With both, the memory that was in the robot is found (`memory.py`):
+its law joins the chain by name, with its alternatives. `static` leaves it out. With an elastic rod
+only delays join; other memory is reported. Degree, ridge and law are those with the lowest error.
+Frames closer than `gap_s` to a block are not used to predict it. These few choices are made on the
+blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used.
+tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin exact
+recovery and the error on real data.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
-USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
+# share of that straying from which a held-out error says that commands explain little
+USELESS = 0.8
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
@@ -60,11 +63,12 @@ POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 class LearnedRod:
     """A rod fitted to runs, and its error on held-out frames.
 
-    `chain_names` and `chain_params` (by label) are the effects of the bundle's chain. `learned_in` describes each of
-    them and its alternatives. `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,),
-    `per_marker_mm` (K,). `form_error` (K, 3) mm is its RMS by marker and axis. `residuals` (n, K, 3) mm (predicted −
-    seen) are those at the `frames` of each run, NaN where other blocks do not cover the command. `coverage` describes
-    the commands of these frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
+    `chain_names` and `chain_params` (by label) are the effects of the bundle's chain. `learned_in`
+    describes each of them and its alternatives. `error_mm` is the blocked cross-validation RMS over
+    all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,). `form_error` (K, 3) mm is its RMS by
+    marker and axis. `residuals` (n, K, 3) mm (predicted − seen) are those at the `frames` of each
+    run, NaN where other blocks do not cover the command. `coverage` describes the commands of these
+    frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
     """
 
     rod: Rod
@@ -89,12 +93,15 @@ class LearnedRod:
 
     def __str__(self) -> str:
         """Say in a few lines what was fitted and how far it is off."""
-        memory = ", ".join(self.chain_names) or ("no law of memory" if self.learned_in else "no memory")
+        memory = ", ".join(self.chain_names) or (
+            "no law of memory" if self.learned_in else "no memory"
+        )
         markers = ", ".join(f"{value:.2f}" for value in self.per_marker_mm)
         blocks = ", ".join(f"{value:.2f}" for value in self.per_fold_mm)
         lines = [
             f"{self.rod}, on the {self.input} command; {memory}",
-            f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks {blocks})",
+            f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks "
+            f"{blocks})",
         ]
         lines += [str(one) for one in self.learned_in]
         return "\n".join([*lines, *(f"  {number}" for number in self.numbers), *self.notes])
@@ -117,20 +124,20 @@ def learn(
     """Fit a rod and the memory of the robot to reference runs with markers.
 
     Args:
-        runs: one or several of one robot, each with commands (T, C) and markers (K, M, 3) mm, base to tip, in the base
-            frame (z along the rest axis). Memory begins in equilibrium in each.
+        runs: one or several of one robot, each with commands (T, C) and markers (K, M, 3) mm, base
+            to tip, in the base frame (z along the rest axis). Memory begins in equilibrium in each.
         input: "goal" or "present"; None takes the present positions where every run has them.
-        blocks: contiguous blocks of the cross-validation. A short run that visits its commands once gets more. An
-            elastic
-            rod uses the runs' `block` labels if they have any.
+        blocks: contiguous blocks of the cross-validation. A short run that visits its commands once
+            gets more. An elastic rod uses the runs' `block` labels if they have any.
         gap_s: s, frames this close to a block are not used to predict it; at most half a block.
         hold_out: intervals (t0, t1) s whose frames are not used at all, in each run.
-        base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
-            fitted, because markers do not identify it (on the trunk any depth from 0 to 94 mm predicts equally well
-            within 0.1 mm).
+        base: (3,) mm, the point from which the first chord starts; None is the origin of the base
+            frame. It is not fitted, because markers do not identify it (on the trunk any depth from
+            0 to 94 mm predicts equally well within 0.1 mm).
         degree: of the polynomial; None chooses among 1, 2, 3 (of one command up to 5).
         rate_hz: at most so many frames a second are used.
-        robot: a description of the robot's tendons; with it the rod is elastic, without it a polynomial.
+        robot: a description of the robot's tendons; with it the rod is elastic, without it a
+            polynomial.
         static: learn the static map alone and leave all memory to the diagnosis.
         seed: of the scans, and of the starts of an elastic fit.
 
@@ -146,20 +153,34 @@ def learn(
     if robot is None:
         fitted = fit_polynomial(seen, blocks, gap_s, base, degree, static, seed)
     elif base is not None or degree is not None:
-        raise SoftmapError("base and degree belong to the polynomial rod; an elastic one has base_mm in its robot.toml")
+        raise SoftmapError(
+            "base and degree belong to the polynomial rod; an elastic one has base_mm in its "
+            "robot.toml"
+        )
     else:
         seen = fit_for(robot, seen)
         fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, seen.labels), seed, static)
     made_from: Document = {
-        "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
-        "pieces": [[part.origin, first, last] for run in together for part, first, last in spans(run)],
-        "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
-        "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static, **kept_places(together),
-    }  # fmt: skip
+        "softmap-edge": __version__,
+        "run": together[0].hash(),
+        "runs": [run.hash() for run in together],
+        "pieces": [
+            [part.origin, first, last] for run in together for part, first, last in spans(run)
+        ],
+        "frames": len(seen.t),
+        "rate_hz": rate_hz,
+        "blocks": len(fitted.parts),
+        "gap_s": gap_s,
+        "hold_out_s": [list(map(float, pair)) for pair in hold_out],
+        "static": static,
+        **kept_places(together),
+    }
     return _learned(seen, fitted, made_from, [line for _, lines in cleared for line in lines])
 
 
-def _learned(seen: ReferenceFrames, fitted: Fitted, made_from: Document, lost: Sequence[str]) -> LearnedRod:
+def _learned(
+    seen: ReferenceFrames, fitted: Fitted, made_from: Document, lost: Sequence[str]
+) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, memory = fitted.residuals, fitted.memory
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
@@ -201,32 +222,45 @@ def _notes(seen: ReferenceFrames, fitted: Fitted, error: float, gap_s: float) ->
     notes, unit = [], seen.unit
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
-        notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
+        notes.append(
+            f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it "
+            "does"
+        )
     notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, seen.runs[0])]
     notes += [*_apart(commands), *_flat(seen.runs), *_short(seen, fitted, gap_s)]
     if error > USELESS * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
-            "mean pose: the commands do not explain these markers, or the run is too short"
+            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of "
+            "a constant mean pose: the commands do not explain these markers, or the run is too "
+            "short"
         )
     elif error > POOR * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is a large part of the {stray:.2f} mm RMS of a constant "
-            "mean pose: the mapping may miss a command or have a wrong rate, or the run is short"
+            f"the held-out error of {error:.2f} mm RMS is a large part of the {stray:.2f} mm RMS "
+            "of a constant mean pose: the mapping may miss a command or have a wrong rate, or "
+            "the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
         notes.append(
-            f"this run does not identify {', '.join(vague)}; make them known in robot.toml, or record other moves"
+            f"this run does not identify {', '.join(vague)}; make them known in robot.toml, or "
+            "record other moves"
         )
-    stuck = [number.label for number in fitted.numbers if number.at_bound and number.label != "slack"]
+    stuck = [
+        number.label for number in fitted.numbers if number.at_bound and number.label != "slack"
+    ]
     if stuck:
-        notes.append(f"{', '.join(stuck)} went as far as the fit may go; start from better numbers in robot.toml")
+        notes.append(
+            f"{', '.join(stuck)} went as far as the fit may go; start from better numbers in "
+            "robot.toml"
+        )
     return tuple(notes)
 
 
 def _turned(runs: Sequence[Run]) -> list[str]:
-    """Return a sentence if the robot was mounted in several orientations, which its model does not know."""
+    """Return a sentence if the robot was mounted in several orientations, which its model does not
+    know.
+    """
     every = [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None]
     if not every:
         return []
@@ -236,21 +270,25 @@ def _turned(runs: Sequence[Run]) -> list[str]:
     if angle < TURNED_DEG:
         return []
     return [
-        f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model has one shape for each "
-        "command: its weight may look like memory; learn from one orientation, or describe the robot in finger.toml"
+        f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model "
+        "has one shape for each command: its weight may look like memory; learn from one "
+        "orientation, or describe the robot in finger.toml"
     ]
 
 
 def _apart(commands: Floats) -> list[str]:
-    """Return a sentence if channels were moved one at a time: the rod then cannot learn their joint effect."""
+    """Return a sentence if channels were moved one at a time: the rod then cannot learn their joint
+    effect.
+    """
     if _dependent(commands, ""):
         return []  # reported as such
     pairs = apart(commands)
     if not pairs:
         return []
     return [
-        f"commands {pairs_text([(i + 1, j + 1) for i, j in pairs])} are never far from home at once: what they do "
-        "together is extrapolated (by leverage), and `softmap compare` reports such frames; record them together too"
+        f"commands {pairs_text([(i + 1, j + 1) for i, j in pairs])} are never far from home at "
+        "once: what they do together is extrapolated (by leverage), and `softmap compare` "
+        "reports such frames; record them together too"
     ]
 
 
@@ -261,7 +299,9 @@ def _flat(runs: Sequence[Run]) -> list[str]:
 
 
 def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
-    """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened or left out."""
+    """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened
+    or left out.
+    """
     counts = [len(train) for train, _ in fitted.parts]
     if seen.timeless or not counts:
         return []
@@ -269,10 +309,15 @@ def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
     if gap >= asked and min(counts) >= len(seen.t) // 4:
         return []
     block = seen.seconds / max(len(counts), 1)
-    left = f"the gap is {gap:.2g} s" if gap < asked else f"{min(counts)} of {len(seen.t)} frames are left to learn from"
+    left = (
+        f"the gap is {gap:.2g} s"
+        if gap < asked
+        else f"{min(counts)} of {len(seen.t)} frames are left to learn from"
+    )
     return [
-        f"blocks of {block:.2g} s are short for the gap of {asked:g} s that separates held-out frames from the others: "
-        f"{left}, and the held-out error is less certain; record for longer, or in longer blocks"
+        f"blocks of {block:.2g} s are short for the gap of {asked:g} s that separates held-out "
+        f"frames from the others: {left}, and the held-out error is less certain; record for "
+        "longer, or in longer blocks"
     ]
 
 
@@ -282,13 +327,16 @@ def _rest(reach: Floats) -> Floats:
 
 
 def _from_home(commands: Floats, run: Run) -> list[str]:
-    """Return a sentence if the commands are not counted from home, or from a home that was assumed."""
+    """Return a sentence if the commands are not counted from home, or from a home that was
+    assumed.
+    """
     unit, assumed = run.command_unit, run.extra.get(HOME_TICKS)
     if assumed is not None and assumed.any():
         ticks = ", ".join(f"{h:.0f}" for h in assumed)
         return [
-            f"commands count ticks from home, which is taken to be {ticks}, the middle of their ranges; where the "
-            "robot rests at other ticks, subtract those in the mapping (`offset`)"
+            f"commands count ticks from home, which is taken to be {ticks}, the middle of their "
+            "ranges; where the robot rests at other ticks, subtract those in the mapping "
+            "(`offset`)"
         ]
     reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
     home = _rest(reach)
@@ -298,8 +346,9 @@ def _from_home(commands: Floats, run: Run) -> list[str]:
     c = int(far[0])
     span = f"command {c + 1} goes from {reach[c, 0]:.6g} to {reach[c, 1]:.6g} {unit}"
     return [
-        f"{span}, far from 0: effects such as gain, play and slack count from 0, which is home; subtract home in the "
-        f"mapping (`offset`); the middle of its range ({home[c]:.6g} {unit}) is taken as the pose at rest"
+        f"{span}, far from 0: effects such as gain, play and slack count from 0, which is home; "
+        f"subtract home in the mapping (`offset`); the middle of its range ({home[c]:.6g} {unit}) "
+        "is taken as the pose at rest"
     ]
 
 
@@ -321,8 +370,9 @@ def _dependent(commands: Floats, unit: str) -> list[str]:
         terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
         sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
     return [
-        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): "
-        "effects of one of these commands alone cannot be learned; move each alone, or keep to such moves"
+        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions "
+        f"({'; '.join(sums)}): effects of one of these commands alone cannot be learned; move "
+        "each alone, or keep to such moves"
     ]
 
 
@@ -384,7 +434,9 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         made_from=learned.made_from,
         arrays={"prior": learned.to_arrays() | learned.coverage.to_arrays(), "fields": {}},
     )
-    return replace(model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model))
+    return replace(
+        model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model)
+    )
 
 
 def _gravity(run: Run) -> Floats:

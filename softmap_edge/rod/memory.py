@@ -1,24 +1,25 @@
 """The memory that was in a robot while it was learned: first its family, then its law.
 
-Level 1. The signals of each family (`signals.py`) are added to the static map as columns, with powers up to three where
-there are few channels. A family counts if it lowers the held-out loss by more than one paired standard error over the
-folds, in most folds, by a share of the loss and of the loss above the noise, and visibly. If the best family fails,
-none is taken, because the next best would only replace it. The B-splines of the command are the control. If they do as
-well as the best family, they join the map, and the families are compared with this map.
+Level 1. The signals of each family (`signals.py`) are added to the static map as columns, with
+powers up to three where there are few channels. A family counts if it lowers the held-out loss by
+more than one paired standard error over the folds, in most folds, by a share of the loss and of the
+loss above the noise, and visibly. If the best family fails, none is taken, because the next best
+would only replace it. The B-splines of the command are the control. If they do as well as the best
+family, they join the map, and the families are compared with this map.
 
-Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
-for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
-included. The law with the fewest numbers wins; the other laws that reach are its alternatives. Numbers for each channel
-count as one. A law is open if its family still explains a good part of what it leaves, or if all laws leave a good part
-of the first loss: a map that fits badly and a wrong law look alike. A law that does not reach, or that is at a bound,
-is only reported if it is weak, if it explains only part of what its family does, or if a family without laws is near:
-it would only replace another cause. The law joins the chain, its effective commands replace the commands, and the
-families are tried again.
+Level 2. The members of the families that fall are fitted with the static map solved again
+(`law.py`), with one number for all channels and with a number per channel. A law *reaches* if it
+does as well as the best of all, representatives included. The law with the fewest numbers wins; the
+other laws that reach are its alternatives. Numbers for each channel count as one. A law is open if
+its family still explains a good part of what it leaves, or if all laws leave a good part of the
+first loss: a map that fits badly and a wrong law look alike. A law that does not reach, or that is
+at a bound, is only reported if it is weak, if it explains only part of what its family does, or if
+a family without laws is near: it would only replace another cause. The law joins the chain, its
+effective commands replace the commands, and the families are tried again.
 
-Several runs: each run whose commands the others cover is also held out as a block. This separates families that draw
-the same loop at one amplitude and speed.
-Limits: laws act in series with the map; a rate alone has no law in the library. Pinned by
-tests/rod/test_learned_memory.py.
+Several runs: each run whose commands the others cover is also held out as a block. This separates
+families that draw the same loop at one amplitude and speed. Limits: laws act in series with the
+map; a rate alone has no law in the library. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -44,17 +45,23 @@ FRAMES = 1500  # of a search; neighbouring frames hold the same information
 FEW_CHANNELS = 3  # up to here signals get powers; with more channels there are too few frames
 POWERS = 3
 LEAST = 0.03  # of the loss that a family must explain: less is within the choice of folds
-FIRST, LATER = 0.05, 0.3  # the same of the loss above the noise; later ones divide the remainder of the first
+# the same of the loss above the noise; later ones divide the remainder of the first
+FIRST, LATER = 0.05, 0.3
 MOST_FOLDS = 0.6  # share of the folds in which it must
 FALL = 0.01  # of its loss by which a fold falls
-VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
+# of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
+VISIBLE = 1e-3
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
-AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
-# Of the loss above the noise: what an identified or unknown law must explain, and what it may leave in all, or to its
-# family.
+# share of at least so many folds that decides where the mean difference does not
+AGREE, FOLDS_THAT_AGREE = 0.85, 5
+# Of the loss above the noise: what an identified or unknown law must explain, and what it may leave
+# in all, or to its family.
 SURE = 0.2
-PART = 0.6  # of what the best family explains: a law that does not reach must explain more, or it stands in for another
-PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
+# of what the best family explains: a law that does not reach must explain more, or it stands in for
+# another
+PART = 0.6
+# of a law's remainder above the noise: a second law of its family that explains less is form error
+PAIR = 0.8
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
 EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
 MOST_LAWS = 3
@@ -63,7 +70,9 @@ SHORT = 2  # effects that are named as the nearest where none reaches
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """The result: the chain and its parameters by label, a record of each part, the noise in mm, remarks."""
+    """The result: the chain and its parameters by label, a record of each part, the noise in mm,
+    remarks.
+    """
 
     names: tuple[str, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
@@ -86,7 +95,9 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """An effect `name` that may be the law of a family, or a family without a law, with its held-out loss (folds,)."""
+    """An effect `name` that may be the law of a family, or a family without a law, with its
+    held-out loss (folds,).
+    """
 
     family: Family
     name: str
@@ -101,7 +112,9 @@ class _Candidate:
 
     @property
     def numbers(self) -> int:
-        """The number of its free numbers; those for each channel, which the evidence requires, count as one."""
+        """The number of its free numbers; those for each channel, which the evidence requires,
+        count as one.
+        """
         return 0 if self.fitted is None else _numbers(self.fitted)
 
 
@@ -109,9 +122,9 @@ class _Candidate:
 class _Found:
     """Effects that were accepted together, the loss before them, and the alternatives.
 
-    They are `short` if they do not reach the best of all, and `weak` if they explain a small part of the loss. Their
-    family explains `more` if its signals, on top of them, lower the remainder clearly. They leave a `rest` if a good
-    part of the first loss is unexplained in the end.
+    They are `short` if they do not reach the best of all, and `weak` if they explain a small part
+    of the loss. Their family explains `more` if its signals, on top of them, lower the remainder
+    clearly. They leave a `rest` if a good part of the first loss is unexplained in the end.
     """
 
     family: Family
@@ -126,21 +139,27 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good, little unexplained error."""
+        """Whether the law is identified: strong, not at a bound, no alternative as good, little
+        unexplained error.
+        """
         if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
         alike = any(self._is_as_good(other) for other in self.alternatives)
         return "ambiguous" if alike or self.weak else "identified"
 
     def _is_as_good(self, other: _Candidate) -> bool:
-        """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
+        """Whether an alternative is of another family, has as few numbers, or is seen to leave
+        less.
+        """
         if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
             return True
         fall = self.fitted.losses - other.losses
         return float(fall.sum()) > standard_error(fall) and float((fall > 0).mean()) >= MOST_FOLDS
 
 
-def find_memory(seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
+def find_memory(
+    seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None = None
+) -> Memory:
     """Find the memory of a robot together with its static map.
 
     Args:
@@ -153,11 +172,14 @@ def find_memory(seen: ReferenceFrames, static: StaticMap, seed: int, members: Se
 
 
 class _Search:
-    def __init__(self, seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None) -> None:
+    def __init__(
+        self, seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None
+    ) -> None:
         self.seen, self.static, self.members = seen, static, members
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
-        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times a frame is held out
+        # times a frame is held out
+        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)
         self.notes: list[str] = []
         self.unknown: tuple[LearnedIn, ...] = ()
 
@@ -168,7 +190,8 @@ class _Search:
             represented = self._represented(acting, found)
             found = self._with_more(represented, acting, found)
             if self._static_suffices(represented, acting, found):
-                self.static = replace(self.static, splined=True)  # the next families are compared with this map
+                # the next families are compared with this map
+                self.static = replace(self.static, splined=True)
                 self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
                 continue
             step = self._step(represented, acting, found)
@@ -184,40 +207,62 @@ class _Search:
     # --- one family ------------------------------------------------------------------------------
 
     def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
-        """Return the families that this log can show, the one with the lowest held-out loss first."""
+        """Return the families that this log can show, the one with the lowest held-out loss
+        first.
+        """
         possible = [
             family
             for family in self.families
             if not (family.fast and self.seen.slow or family.timed and self.seen.timeless)
             and not (family.static and (self.static.splined or self.static.basis.intervals))
         ]
-        every = (_Represented(f, self.static.losses(acting, self._signals_alongside(f, found))) for f in possible)
+        every = (
+            _Represented(f, self.static.losses(acting, self._signals_alongside(f, found)))
+            for f in possible
+        )
         return sorted(every, key=lambda one: float(one.losses.sum()))
 
-    def _static_suffices(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> bool:
+    def _static_suffices(
+        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
+    ) -> bool:
         """Whether a map of another form does as well as any memory."""
         now, best = self.static.losses(acting), represented[0].losses
         if not self._falls(now, best, LATER if found else FIRST):
             return False
         return any(one.family.static and self._near(one.losses, best, now) for one in represented)
 
-    def _with_more(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> list[_Found]:
-        """Return what was found, the last one marked if its family explains a good part of what it leaves."""
+    def _with_more(
+        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
+    ) -> list[_Found]:
+        """Return what was found, the last one marked if its family explains a good part of what it
+        leaves.
+        """
         if not found:
             return []
         now, last = self.static.losses(acting), found[-1]
         own = [one for one in represented if one.family.name == last.family.name]
-        return [*found[:-1], replace(last, more=any(self._falls(now, one.losses, SURE) for one in own))]
+        return [
+            *found[:-1],
+            replace(last, more=any(self._falls(now, one.losses, SURE) for one in own)),
+        ]
 
-    def _step(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> _Found | None:
+    def _step(
+        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
+    ) -> _Found | None:
         """Return the law that is to join the chain, or None."""
         now, best = self.static.losses(acting), represented[0]
         if not self._falls(now, best.losses, LATER if found else FIRST):
             return None
         share = LATER if found else FIRST
-        falling = [one for one in represented if self._falls(now, one.losses, share) and not one.family.static]
+        falling = [
+            one
+            for one in represented
+            if self._falls(now, one.losses, share) and not one.family.static
+        ]
         near = [one for one in falling if self._near(one.losses, best.losses, now)]
-        good = [one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)]
+        good = [
+            one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)
+        ]
         if not good:
             self._only_seen(near, now, False)
             return None
@@ -231,11 +276,14 @@ class _Search:
             return None
         return step
 
-    def _candidates(self, falling: Sequence[_Represented], found: Sequence[_Found]) -> list[_Candidate]:
+    def _candidates(
+        self, falling: Sequence[_Represented], found: Sequence[_Found]
+    ) -> list[_Candidate]:
         """Return the fitted laws of all families that fall, with the laws found before.
 
-        The signals of one channel at a time may explain less than a law behind a map of many channels. So the members
-        of all families that fall are fitted, not only those of the nearest.
+        The signals of one channel at a time may explain less than a law behind a map of many
+        channels. So the members of all families that fall are fitted, not only those of the
+        nearest.
         """
         there = [name for one in found for name in one.names]
         alike = [
@@ -251,23 +299,40 @@ class _Search:
         if best is None or not self._apart(best.law):
             return laws
         # A law with a number for each channel is compared with others that have them too.
-        return [self._each(one, asked=False) if one.family.name == best.family.name else one for one in laws]
+        return [
+            self._each(one, asked=False) if one.family.name == best.family.name else one
+            for one in laws
+        ]
 
     def _chosen(
-        self, near: Sequence[_Represented], good: Sequence[_Candidate], now: Floats, represented: Floats
+        self,
+        near: Sequence[_Represented],
+        good: Sequence[_Candidate],
+        now: Floats,
+        represented: Floats,
     ) -> _Found:
-        """Choose among laws that lower the loss: those that reach the best of all, the fewest numbers first."""
-        lowest = min([*(one.losses for one in good), represented], key=lambda losses: float(losses.sum()))
+        """Choose among laws that lower the loss: those that reach the best of all, the fewest
+        numbers first.
+        """
+        lowest = min(
+            [*(one.losses for one in good), represented], key=lambda losses: float(losses.sum())
+        )
         reach = [one for one in good if self._near(one.losses, lowest, now)]
-        best = min(reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum())))
+        best = min(
+            reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum()))
+        )
         fitted, second = self._paired(best)
         others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
         alternatives = [one for one in others if one.name not in (best.name, second)]
-        lawless = [one for one in near if not one.family.members and self._near(one.losses, lowest, now)]
+        lawless = [
+            one for one in near if not one.family.members and self._near(one.losses, lowest, now)
+        ]
         alternatives += [_Candidate(one.family, "", one.losses) for one in lawless]
         weak = not self._falls(now, fitted.losses, SURE)
         names = tuple(filter(None, (best.name, second)))
-        return _Found(best.family, names, fitted, now, tuple(alternatives), short=not reach, weak=weak)
+        return _Found(
+            best.family, names, fitted, now, tuple(alternatives), short=not reach, weak=weak
+        )
 
     def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
         if not found:
@@ -276,7 +341,9 @@ class _Search:
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
     def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
-        """Return the law with a second member of its family if both explain nearly all of the first one's remainder."""
+        """Return the law with a second member of its family if both explain nearly all of the first
+        one's remainder.
+        """
         fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
         best, second = fitted, ""
@@ -284,7 +351,8 @@ class _Search:
             if member in fitted.law.names:
                 continue
             both = self.fit.scanned(
-                law([*fitted.law.names, member], self.seen.drive, self._apart(fitted)), fitted.numbers
+                law([*fitted.law.names, member], self.seen.drive, self._apart(fitted)),
+                fitted.numbers,
             )
             fall = float((fitted.losses - both.losses).sum())
             if (
@@ -316,14 +384,22 @@ class _Search:
                 starts.append(self.fit.scanned_along(other, starts[-1], i))
         better = self.fit.refined(other, np.stack([start, starts[-1]]))
         fall = fitted.losses - better.losses
-        enough = fall.sum() > (max(standard_error(fall), EACH * float(fitted.losses.sum())) if asked else 0.0)
+        enough = fall.sum() > (
+            max(standard_error(fall), EACH * float(fitted.losses.sum())) if asked else 0.0
+        )
         most = not asked or (better.losses < fitted.losses).mean() >= MOST_FOLDS
-        return _Candidate(candidate.family, name, better.losses, better) if enough and most else candidate
+        return (
+            _Candidate(candidate.family, name, better.losses, better)
+            if enough and most
+            else candidate
+        )
 
     # --- evidence --------------------------------------------------------------------------------
 
     def _signals_alongside(self, family: Family, found: Sequence[_Found]) -> Floats:
-        """Return the columns (n, J) of a family: its signals about the effective commands, and their powers."""
+        """Return the columns (n, J) of a family: its signals about the effective commands, and
+        their powers.
+        """
         parts = []
         middle, half = self.seen.drive.middle, self.seen.drive.half
         powers = POWERS if self.seen.drive.channels <= FEW_CHANNELS and not family.static else 1
@@ -341,14 +417,18 @@ class _Search:
         fall, above = before - after, float(before.sum()) - self.frames * self.floor
         enough = max(LEAST * float(before.sum()), share * max(above, 0.0), standard_error(fall))
         markers = self.seen.markers.shape[1]
-        moved = np.sqrt(max(float(fall.sum()), 0.0) / (self.frames * len(self.static.targets) * markers))
+        moved = np.sqrt(
+            max(float(fall.sum()), 0.0) / (self.frames * len(self.static.targets) * markers)
+        )
         length = float(np.linalg.norm(self.seen.markers, axis=2).mean(axis=0).max())
         most = float((fall > FALL * before).mean()) >= MOST_FOLDS
         return float(fall.sum()) > enough and most and moved > VISIBLE * length
 
     @staticmethod
     def _near(one: Floats, best: Floats, before: Floats) -> bool:
-        """Whether a held-out loss is equal to the best one, within its error and the form tolerance."""
+        """Whether a held-out loss is equal to the best one, within its error and the form
+        tolerance.
+        """
         behind = one - best
         if behind.sum() <= FORM * float((before - best).sum()):
             return True
@@ -356,51 +436,77 @@ class _Search:
         return float(behind.sum()) <= standard_error(behind) and not decided
 
     def _noise(self) -> float:
-        """Return the variance of a target, mm², from its third differences between frames: the part that no map can
-        explain.
+        """Return the variance of a target, mm², from its third differences between frames: the part
+        that no map can explain.
         """
         residual = self.static.residual(self.seen.drive.commanded)
         if len(residual) < 8:
             return 0.0
         square = (np.diff(residual, n=3, axis=0) ** 2).mean(axis=1)
-        return float(np.median(square)) / 20.0  # 1 + 9 + 9 + 1; corners at reversals are few, so the median
+        # 1 + 9 + 9 + 1; corners at reversals are few, so the median
+        return float(np.median(square)) / 20.0
 
-    # --- report --------------------------------------------------------------------------------------
+    # --- report -----------------------------------------------------------------------------------
 
     def _rms(self, losses: Floats) -> float:
-        return float(np.sqrt(losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])))
+        return float(
+            np.sqrt(
+                losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])
+            )
+        )
 
     def _only_seen(self, near: Sequence[_Represented], now: Floats, forbidden: bool) -> None:
         """Report families that the run shows, but whose law does not join the chain."""
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
         drifts = any(one.family.name == DRIFT for one in near)  # possibly of the camera
         if not forbidden and not drifts and self._falls(now, near[0].losses, SURE):
-            first, *others = (Alternative("", one.family.name, self._rms(one.losses)) for one in near)
-            self.unknown = (LearnedIn("", first.family, "unknown", self._rms(now), after, (), tuple(others)),)
+            first, *others = (
+                Alternative("", one.family.name, self._rms(one.losses)) for one in near
+            )
+            self.unknown = (
+                LearnedIn("", first.family, "unknown", self._rms(now), after, (), tuple(others)),
+            )
             return
-        why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
+        why = (
+            "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
+        )
         self.notes.append(
-            f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
-            f"mm RMS), which {why}: it is not in the model"
+            f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} "
+            f"to {after:.2f} mm RMS), which {why}: it is not in the model"
         )
 
     def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
         last = found[-1].fitted
         numbers = self.fit.fitted_numbers(last)
         unexplained, above = (
-            float(losses.sum()) - self.frames * self.floor for losses in (last.losses, found[0].before)
+            float(losses.sum()) - self.frames * self.floor
+            for losses in (last.losses, found[0].before)
         )
         records = []
         for one in (replace(one, rest=unexplained > SURE * above) for one in found):
-            others = tuple(Alternative(o.name, o.family.name, self._rms(o.losses)) for o in one.alternatives)
+            others = tuple(
+                Alternative(o.name, o.family.name, self._rms(o.losses)) for o in one.alternatives
+            )
             before, after = self._rms(one.before), self._rms(one.fitted.losses)
             for name in one.names:
                 twins = tuple(Alternative(twin, one.family.name, after) for twin in _twins(name))
-                params = tuple(number for label, number in numbers.items() if label.startswith(f"{name}."))
-                records.append(
-                    LearnedIn(name, one.family.name, one.certainty, before, after, params, (*others, *twins))
+                params = tuple(
+                    number for label, number in numbers.items() if label.startswith(f"{name}.")
                 )
-        return Memory(last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes))
+                records.append(
+                    LearnedIn(
+                        name,
+                        one.family.name,
+                        one.certainty,
+                        before,
+                        after,
+                        params,
+                        (*others, *twins),
+                    )
+                )
+        return Memory(
+            last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes)
+        )
 
 
 def _numbers(fitted: FittedLaw) -> int:
@@ -417,7 +523,9 @@ def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, see
     """Return the memory with its numbers fitted again with another map of the same targets."""
     if not memory.names:
         return memory
-    each = sorted({label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label})
+    each = sorted(
+        {label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label}
+    )
     again, fit = law(memory.names, seen.drive, each), LawFit(seen.drive, static, seed, seen.unit)
     fitted = fit.refined(again, again.at(memory.params)[None])
     numbers = fit.fitted_numbers(fitted)

@@ -1,12 +1,13 @@
-"""The polynomial rod as Python holds it, and its fit: chords whose bending angles are a polynomial of the commands.
+"""The polynomial rod as Python holds it, and its fit: chords whose bending angles are a polynomial
+of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-Where a command pulls one cable above 0 and another one below, v may be a polynomial of max(q, 0) and max(−q, 0): a
-cable that falls slack puts a kink there. Weights are found by ridge regression; penalty: n · ridge · RIDGE[degree of
-the monomial] on all weights but the intercept, n frames. Basis and ridge are those with the lowest cross-validation
-error (`regression.py`).
-Known limit: one marker at the end of each chord, base to tip. tests/rod/test_rod.py and tests/rod/test_pulled_rod.py
+Where a command pulls one cable above 0 and another one below, v may be a polynomial of max(q, 0)
+and max(−q, 0): a cable that falls slack puts a kink there. Weights are found by ridge regression;
+penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Basis
+and ridge are those with the lowest cross-validation error (`regression.py`). Known limit: one
+marker at the end of each chord, base to tip. tests/rod/test_rod.py and tests/rod/test_pulled_rod.py
 pin exact recovery.
 """
 
@@ -30,11 +31,13 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 DEGREES = (1, 2, 3)
-DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames identify, without a ridge
+# of a single command: the highest that the frames identify, without a ridge
+DEGREES_OF_ONE = (1, 2, 3, 4, 5)
 CUBIC = 3
 INTERVALS = 8  # of splines: eight make (8 + 3)² = 121 terms of two commands
 SPLINED_CHANNELS = 2  # up to here splines are tried; of three commands they would have 1331 terms
-LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: a height below this is constant, an output; base of outputs
+# of the range of markers: a height below this is constant, an output; base of outputs
+LEVEL, FAR_BELOW = 1e-6, 20.0
 
 
 def fit_polynomial(
@@ -46,57 +49,93 @@ def fit_polynomial(
     static: bool,
     seed: int,
 ) -> Fitted:
-    """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no memory."""
+    """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no
+    memory.
+    """
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Blocks are covered in the terms of the richest polynomial; of one command, or of many, in squares: no log has all.
-    richest = [b for b in bases if not b.intervals][-1] if 1 < seen.drive.channels <= FEW_CHANNELS else SQUARES
+    # Blocks are covered in the terms of the richest polynomial; of one command, or of many, in
+    # squares: no log has all.
+    richest = (
+        [b for b in bases if not b.intervals][-1]
+        if 1 < seen.drive.channels <= FEW_CHANNELS
+        else SQUARES
+    )
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
     memory = Memory()
     if not static:
         step = -(-len(seen.t) // FRAMES)
         thinned = seen.every(step)
-        memory = _memory(thinned, search_folds(thinned, richest), fit, seen.drive.commanded, bases, seed)
+        memory = _memory(
+            thinned, search_folds(thinned, richest), fit, seen.drive.commanded, bases, seed
+        )
     u = memory.acting(seen.drive)
     ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
     chosen, ridge = choose_basis(fit, u, bases, ridges)
     if memory.names:
-        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen, richest), chosen, ridge), seed)
+        memory = refined_memory(
+            memory, seen, StaticMap(_plane(fit), search_folds(seen, richest), chosen, ridge), seed
+        )
         u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(
-        fit.base, weights.centre, weights.scale, chosen.degree, weights.angles, weights.lengths, _nominal(fit.lengths),
-        pulled=chosen.pulled, intervals=chosen.intervals,
-    )  # fmt: skip
+        fit.base,
+        weights.centre,
+        weights.scale,
+        chosen.degree,
+        weights.angles,
+        weights.lengths,
+        _nominal(fit.lengths),
+        pulled=chosen.pulled,
+        intervals=chosen.intervals,
+    )
     residuals = fit.cross_validate(u, chosen, ridge)
-    made_from = {"degree": chosen.degree, "pulled": chosen.pulled, "intervals": chosen.intervals, "ridge": ridge}
+    made_from = {
+        "degree": chosen.degree,
+        "pulled": chosen.pulled,
+        "intervals": chosen.intervals,
+        "ridge": ridge,
+    }
     made_from["gap_s"] = round(gap_s, 6)
-    return Fitted(rod, memory, residuals, parts, made_from, basis=chosen if chosen.pulled else SQUARES)
+    return Fitted(
+        rod, memory, residuals, parts, made_from, basis=chosen if chosen.pulled else SQUARES
+    )
 
 
 def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Basis, ...]:
-    """Return the bases that `smallest` frames can identify; pulls where several commands move to both sides of 0."""
+    """Return the bases that `smallest` frames can identify; pulls where several commands move to
+    both sides of 0.
+    """
     channels, commands = seen.drive.channels, seen.drive.commands
     some = (DEGREES if channels > 1 else DEGREES_OF_ONE) if degree is None else (degree,)
     bases = [Basis(d) for d in some]
     if channels > 1 and np.any((commands.min(axis=0) < 0) & (commands.max(axis=0) > 0)):
-        bases += [Basis(d, True) for d in some if d < (CUBIC if channels > FEW_CHANNELS else CUBIC + 1)]
+        bases += [
+            Basis(d, True) for d in some if d < (CUBIC if channels > FEW_CHANNELS else CUBIC + 1)
+        ]
     found = tuple(basis for basis in bases if 2 * basis.count(channels) < smallest)
     found = found if channels > 1 else found[-1:]
     splines = Basis(SPLINE_DEGREE, intervals=INTERVALS)
     if degree is None and channels <= SPLINED_CHANNELS and splines.count(channels) < smallest:
-        found = (*found, splines)  # their smoothness is chosen, so they need fewer frames than numbers without a ridge
+        # their smoothness is chosen, so they need fewer frames than numbers without a ridge
+        found = (*found, splines)
     if not any(not basis.pulled and not basis.intervals for basis in found):
         raise RunError(
-            f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
-            f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
+            f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few "
+            f"for a polynomial of {channels} commands; record longer, use fewer blocks or a "
+            "smaller gap_s"
         )
     return found
 
 
 def _memory(
-    thinned: ReferenceFrames, parts: Folds, fit: Regression, commanded: Floats, bases: tuple[Basis, ...], seed: int
+    thinned: ReferenceFrames,
+    parts: Folds,
+    fit: Regression,
+    commanded: Floats,
+    bases: tuple[Basis, ...],
+    seed: int,
 ) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer one for few channels."""
     chosen, ridge = choose_basis(fit, commanded, bases)
@@ -104,20 +143,30 @@ def _memory(
     if chosen.intervals:
         return find_memory(thinned, StaticMap(plane, parts, chosen, ridge), seed)
     most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
-    alike = [one for one in bases if one.pulled == chosen.pulled and one.degree <= most and not one.intervals]
-    return find_memory(thinned, StaticMap(plane, parts, max(alike, key=lambda basis: basis.degree)), seed)
+    alike = [
+        one
+        for one in bases
+        if one.pulled == chosen.pulled and one.degree <= most and not one.intervals
+    ]
+    return find_memory(
+        thinned, StaticMap(plane, parts, max(alike, key=lambda basis: basis.degree)), seed
+    )
 
 
 def _plane(fit: Regression) -> Floats:
-    """Return chords as plane coordinates (n, 2K) mm: for each marker Σ length × angle over the chords below it."""
+    """Return chords as plane coordinates (n, 2K) mm: for each marker Σ length × angle over the
+    chords below it.
+    """
     turned = fit.angles.reshape(len(fit.angles), -1, 2) * fit.lengths.mean(axis=0)[:, None]
     return np.asarray(np.cumsum(turned, axis=1).reshape(len(turned), -1))
 
 
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
-    """Return the point from which the first chord starts: the given one, the origin, or far below an output.
+    """Return the point from which the first chord starts: the given one, the origin, or far below
+    an output.
 
-    Markers of constant height are outputs and do not bend: seen from far below, a chord's angle is linear in them.
+    Markers of constant height are outputs and do not bend: seen from far below, a chord's angle is
+    linear in them.
     """
     if base is None:
         wide = float(np.ptp(markers[..., :2], axis=0).max(initial=0.0))
@@ -130,6 +179,8 @@ def _base(base: ArrayLike | None, markers: Floats) -> Floats:
 
 
 def _nominal(lengths: Floats) -> float:
-    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip by c·Σ l_k³/12."""
+    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip
+    by c·Σ l_k³/12.
+    """
     mean = lengths.mean(axis=0)
     return float(12.0 * TIP_PER_NEWTON * mean.sum() / (mean**3).sum())

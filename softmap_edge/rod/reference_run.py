@@ -1,4 +1,6 @@
-"""What of a reference run a rod is learned from: its frames, thinned and checked, and the commands behind them."""
+"""What of a reference run a rod is learned from: its frames, thinned and checked, and the commands
+behind them.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class Rod(Protocol):
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why if not identified."""
+    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why if not
+    identified.
+    """
 
     label: str
     value: float
@@ -55,7 +59,10 @@ class FittedNumber:
 
     def to_dict(self) -> Document:
         """Return it as documents have it, to six digits."""
-        return asdict(self) | {"value": float(f"{self.value:.6g}"), "sigma": float(f"{self.sigma:.3g}")}
+        return asdict(self) | {
+            "value": float(f"{self.value:.6g}"),
+            "sigma": float(f"{self.sigma:.3g}"),
+        }
 
     def __str__(self) -> str:
         text = f"{self.label:<14} {self.value:9.3f} ± {self.sigma:<8.3g} {self.unit:<6}"
@@ -99,21 +106,33 @@ class ReferenceFrames:
     @property
     def seconds(self) -> float:
         """The total seen duration of the runs."""
-        spans = [float(np.ptp(run.t_seen[index])) for run, index in zip(self.runs, self.frames) if len(index)]
+        spans = [
+            float(np.ptp(run.t_seen[index]))
+            for run, index in zip(self.runs, self.frames)
+            if len(index)
+        ]
         return sum(spans)
 
     @property
     def labels(self) -> NDArray[np.generic] | None:
-        """The `block` labels (n,) of the frames; None where a run has none, or all frames have the same."""
-        blocks = [run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None]
+        """The `block` labels (n,) of the frames; None where a run has none, or all frames have the
+        same.
+        """
+        blocks = [
+            run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None
+        ]
         if len(blocks) < len(self.runs):
             return None
-        named = np.array([f"{n} {label}" for n, block in enumerate(blocks) for label in block.tolist()])
+        named = np.array(
+            [f"{n} {label}" for n, block in enumerate(blocks) for label in block.tolist()]
+        )
         return named if len(np.unique(named)) > len(self.runs) else None
 
     @property
     def slow(self) -> bool:
-        """Whether delay and lag are unknown: the log has no time, or its commands are too far apart."""
+        """Whether delay and lag are unknown: the log has no time, or its commands are too far
+        apart.
+        """
         return self.timeless or any(float(np.median(np.diff(run.t))) > SLOW for run in self.runs)
 
     @property
@@ -131,13 +150,18 @@ class ReferenceFrames:
         kept = np.concatenate([np.arange(len(index)) % step == 0 for index in self.frames])
         frames = tuple(index[::step] for index in self.frames)
         return ReferenceFrames(
-            self.runs, self.source, frames, self.markers[kept], _drive(self.runs, self.source, frames)
+            self.runs,
+            self.source,
+            frames,
+            self.markers[kept],
+            _drive(self.runs, self.source, frames),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave them.
+    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave
+    them.
 
     `basis` has the terms in which its runs cover commands.
     """
@@ -152,35 +176,50 @@ class Fitted:
 
 
 def observe(
-    runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float
+    runs: Sequence[Run],
+    input: Source | None,
+    hold_out: Sequence[tuple[float, float]],
+    rate_hz: float,
 ) -> ReferenceFrames:
-    """Return the frames to learn from; raise RunError where a run lacks markers, commands or motion."""
+    """Return the frames to learn from; raise RunError where a run lacks markers, commands or
+    motion.
+    """
     runs = tuple(_in_scale(run, runs[0].output) for run in from_home(runs)[0])
     if len({run.hash() for run in runs}) < len(runs):
-        raise RunError("the same run is given twice, and its noise would count as half; give each recording once")
+        raise RunError(
+            "the same run is given twice, and its noise would count as half; give each recording "
+            "once"
+        )
     source: Source = input or ("goal" if any(run.present is None for run in runs) else "present")
     for run in runs:
         if run.markers is None or run.commands(source).shape[1] == 0 or len(run.t) < 2:
             raise RunError(
-                "a rod is learned from markers and at least two rows of commands; this run lacks one of them"
+                "a rod is learned from markers and at least two rows of commands; this run lacks "
+                "one of them"
             )
     _alike(runs, source)
     frames = tuple(_usable(run, hold_out, rate_hz) for run in runs)
-    markers = np.concatenate([np.asarray(run.markers, float)[index] for run, index in zip(runs, frames)])
+    markers = np.concatenate(
+        [np.asarray(run.markers, float)[index] for run, index in zip(runs, frames)]
+    )
     drive = _drive(runs, source, frames)
     if not np.ptp(drive.commands, axis=0).any():
         raise RunError(
-            f"nothing moves: each of the {drive.channels} commands stays as it is in all {len(drive.commands)} rows "
-            f"(the first at {drive.commands[0, 0]:g} {runs[0].command_unit}); record a run that goes through the "
-            "robot's range"
+            f"nothing moves: each of the {drive.channels} commands stays as it is in all "
+            f"{len(drive.commands)} rows (the first at {drive.commands[0, 0]:g} "
+            f"{runs[0].command_unit}); record a run that goes through the robot's range"
         )
     if len(markers):
-        stray, length = rms(markers - markers.mean(axis=0)), float(np.linalg.norm(markers[:, -1].mean(axis=0)))
+        stray, length = (
+            rms(markers - markers.mean(axis=0)),
+            float(np.linalg.norm(markers[:, -1].mean(axis=0))),
+        )
         if stray < STILL * length:
             raise RunError(
-                f"the robot hardly moves: its markers scatter by {stray:.3g} mm from their mean (RMS), the last one is "
-                f"{length:.3g} mm from the base, and under {100 * STILL:g} % of that a model learns noise; record a "
-                "run that goes through the robot's range, or correct the markers' unit"
+                f"the robot hardly moves: its markers scatter by {stray:.3g} mm from their mean "
+                f"(RMS), the last one is {length:.3g} mm from the base, and under {100 * STILL:g} "
+                "% of that a model learns noise; record a run that goes through the robot's "
+                "range, or correct the markers' unit"
             )
     return ReferenceFrames(runs, source, frames, markers, drive)
 
@@ -188,14 +227,23 @@ def observe(
 def _in_scale(run: Run, first: Output | None) -> Run:
     """Return a run of outputs in the scale of the first one, if both are of the same outputs."""
     own = run.output
-    if own is None or first is None or (own.names, own.unit) != (first.names, first.unit) or run.markers is None:
+    if (
+        own is None
+        or first is None
+        or (own.names, own.unit) != (first.names, first.unit)
+        or run.markers is None
+    ):
         return run
     return replace(run, markers=own.rescaled(run.markers, first), output=first)
 
 
 def _drive(runs: Sequence[Run], source: Source, frames: Sequence[NDArray[np.intp]]) -> Drive:
     records = [
-        Record(np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t), run.t_seen[index])
+        Record(
+            np.ascontiguousarray(run.commands(source)),
+            np.ascontiguousarray(run.t),
+            run.t_seen[index],
+        )
         for run, index in zip(runs, frames)
     ]
     return Drive(*records)
@@ -208,12 +256,16 @@ def _alike(runs: Sequence[Run], source: Source) -> None:
         for what, one, other in (
             ("commands a row", first.commands(source).shape[1], run.commands(source).shape[1]),
             ("markers", first.seen_points.shape[1], run.seen_points.shape[1]),
-            ("as its outputs", *(o and f"{', '.join(o.names)} in {o.unit}" for o in (first.output, run.output))),
+            (
+                "as its outputs",
+                *(o and f"{', '.join(o.names)} in {o.unit}" for o in (first.output, run.output)),
+            ),
             ("as the unit of its commands", first.command_unit, run.command_unit),
         ):
             if one != other:
                 raise RunError(
-                    f"run {number} has {other} {what}, the first run {one}; give runs of one robot, in one unit"
+                    f"run {number} has {other} {what}, the first run {one}; give runs of one "
+                    "robot, in one unit"
                 )
 
 

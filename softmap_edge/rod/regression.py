@@ -1,7 +1,8 @@
 """The regression behind `learn`: chords to angles, ridge on a polynomial, blocked cross-validation.
 
-All is linear algebra on sums of products. The sums of all frames less those of the omitted frames give every fold its
-system. The effects themselves compute the effective commands, so the fit and the chain agree.
+All is linear algebra on sums of products. The sums of all frames less those of the omitted frames
+give every fold its system. The effects themselves compute the effective commands, so the fit and
+the chain agree.
 """
 
 from __future__ import annotations
@@ -33,16 +34,22 @@ def normalise(u: Floats) -> Floats:
 
 
 def _angles(markers: Floats, base: Floats) -> tuple[Floats, Floats]:
-    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords from `base` through `markers` (n, K, 3)."""
+    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords from `base` through `markers`
+    (n, K, 3).
+    """
     first = np.broadcast_to(base, (len(markers), 1, 3))
     chord = np.diff(np.concatenate([first, markers], axis=1), axis=1)
     across = np.linalg.norm(chord[..., :2], axis=2)
     turn = np.arctan2(across, chord[..., 2]) / np.where(across > 0, across, 1.0)
-    return (turn[..., None] * chord[..., :2]).reshape(len(markers), -1), np.linalg.norm(chord, axis=2)
+    return (turn[..., None] * chord[..., :2]).reshape(len(markers), -1), np.linalg.norm(
+        chord, axis=2
+    )
 
 
 def _ridge(features: Floats, targets: Floats, penalty: Floats, folds: Folds) -> list[Floats]:
-    """Return the weights (1 + F, outputs) for the training frames of each fold, then for all frames."""
+    """Return the weights (1 + F, outputs) for the training frames of each fold, then for all
+    frames.
+    """
     rows = np.concatenate([np.ones((len(features), 1)), features], axis=1)
     square, mixed = rows.T @ rows, rows.T @ targets
     weights = []
@@ -62,21 +69,28 @@ class Regression:
         self.markers, self.base, self.folds = markers, base, folds
         self.angles, self.lengths = _angles(markers, base)
         quadratic = _core.monomials(self.angles, 2)
-        self.length_weights = _ridge(quadratic, self.lengths, np.full(quadratic.shape[1], LENGTH_RIDGE), folds)
+        self.length_weights = _ridge(
+            quadratic, self.lengths, np.full(quadratic.shape[1], LENGTH_RIDGE), folds
+        )
 
     def angle_weights(self, u: Floats, basis: Basis, ridge: float) -> list[Floats]:
         """Return the weights (1 + F, 2K) of each fold, then of all frames."""
         return _ridge(basis.columns(u), self.angles, ridge * basis.penalty(u.shape[1]), self.folds)
 
     def cross_validate(self, u: Floats, basis: Basis, ridge: float) -> Floats:
-        """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its block.
+        """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its
+        block.
 
         A frame that no fold tests is NaN.
         """
         residuals = np.full_like(self.markers, np.nan)
         centre, scale = basis.span(u)
-        for (_, test), angles, lengths in zip(self.folds, self.angle_weights(u, basis, ridge), self.length_weights):
-            rod = compiled(Weights(centre, scale, basis.in_core(angles, u.shape[1]), lengths), self.base, basis)
+        for (_, test), angles, lengths in zip(
+            self.folds, self.angle_weights(u, basis, ridge), self.length_weights
+        ):
+            rod = compiled(
+                Weights(centre, scale, basis.in_core(angles, u.shape[1]), lengths), self.base, basis
+            )
             rows = np.ascontiguousarray(u[test])
             residuals[test] = rod.evaluate(rows).reshape(len(test), -1, 3) - self.markers[test]
         return residuals
@@ -152,7 +166,9 @@ class Drive:
         return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
 
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
-        """Return effective commands (n, C) of a chain of `names`, its parameters by label; others keep their null."""
+        """Return effective commands (n, C) of a chain of `names`, its parameters by label; others
+        keep their null.
+        """
         if not names:
             return self.commanded
         chain = _core.Chain(list(names), self.channels)
@@ -164,13 +180,16 @@ def choose_basis(
 ) -> tuple[Basis, float]:
     """Return the basis and the ridge with the lowest cross-validation error.
 
-    A richer form, pulls and then splines, must lower it by more than one standard error over the folds. Splines always
-    have their choice of ridges, which is that of their smoothness.
+    A richer form, pulls and then splines, must lower it by more than one standard error over the
+    folds. Splines always have their choice of ridges, which is that of their smoothness.
     """
     found: tuple[Floats, Basis, float] | None = None
     for form in sorted({(basis.intervals, basis.pulled) for basis in bases}):
         alike = [basis for basis in bases if (basis.intervals, basis.pulled) == form]
-        every = [(fit.losses(u, *choice), *choice) for choice in product(alike, RIDGE_STEPS if form[0] else ridges)]
+        every = [
+            (fit.losses(u, *choice), *choice)
+            for choice in product(alike, RIDGE_STEPS if form[0] else ridges)
+        ]
         best = min(every, key=lambda one: float(one[0].sum()))
         if found is None or float((found[0] - best[0]).sum()) > standard_error(found[0] - best[0]):
             found = best

@@ -1,7 +1,9 @@
-"""A tendon robot as a file describes it: segments, tendons, markers, and what of it a fit may change (`robot.toml`).
+"""A tendon robot as a file describes it: segments, tendons, markers, and what of it a fit may
+change (`robot.toml`).
 
-It is read by `softmap learn RUN --robot robot.toml`; examples/tdcr_robot.toml is the template. Every key is known: a
-misspelt one is named with those that exist. Units: mm, degrees; stiffness in mm² (bending over tendon stiffness).
+It is read by `softmap learn RUN --robot robot.toml`; examples/tdcr_robot.toml is the template.
+Every key is known: a misspelt one is named with those that exist. Units: mm, degrees; stiffness in
+mm² (bending over tendon stiffness).
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ _MOST = 64  # segments, tendons, commands
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tendon robot: its `layout`, the numbers (P,) from which a fit starts, and the `modes` of what it may change.
+    """A tendon robot: its `layout`, the numbers (P,) from which a fit starts, and the `modes` of
+    what it may change.
 
     With `angles_known` false the tendons' angles are found from the run.
     """
@@ -45,15 +48,21 @@ class Robot:
         """Read a `robot.toml`.
 
         Raises:
-            RobotError: it cannot be read, or a key is unknown, missing or out of range; the message names it.
+            RobotError: it cannot be read, or a key is unknown, missing or out of range; the message
+                names it.
         """
         file = Path(path)
         try:
             if file.stat().st_size > _SIZE:
-                raise RobotError(f"{file}: {file.stat().st_size} bytes, a robot's file has at most {_SIZE}; {EXAMPLE}")
+                raise RobotError(
+                    f"{file}: {file.stat().st_size} bytes, a robot's file has at most {_SIZE}; "
+                    f"{EXAMPLE}"
+                )
             text = file.read_bytes().decode("utf-8")
         except OSError as cause:
-            raise RobotError(f"{file}: cannot be read ({cause.strerror or cause}); give a robot.toml") from None
+            raise RobotError(
+                f"{file}: cannot be read ({cause.strerror or cause}); give a robot.toml"
+            ) from None
         except UnicodeDecodeError:
             raise RobotError(f"{file}: is not text; give a robot.toml, {EXAMPLE}") from None
         return cls.from_toml(text, str(file))
@@ -73,10 +82,14 @@ class Robot:
         except RobotError:
             raise
         except (SoftmapError, ValueError) as cause:
-            raise RobotError(str(cause) if where in str(cause) else f"{where}: {brief(cause)}; {EXAMPLE}") from None
+            raise RobotError(
+                str(cause) if where in str(cause) else f"{where}: {brief(cause)}; {EXAMPLE}"
+            ) from None
 
     def with_slack(self, slack: float) -> Robot:
-        """Return the robot with other tendons: 0 for cables, 1 for two-sided ones, which the fit leaves so."""
+        """Return the robot with other tendons: 0 for cables, 1 for two-sided ones, which the fit
+        leaves so.
+        """
         start = self.start.copy()
         start[self.layout.places()["slack"]] = slack
         return replace(self, start=start, modes=self.modes | {"slack": "known"})
@@ -90,11 +103,14 @@ def _robot(top: TomlTable) -> Robot:
     schema = top.get("schema", (str,), "")
     if schema != SCHEMA:
         raise RobotError(
-            f"{top.where}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in the first line"
+            f"{top.where}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" "
+            "in the first line"
         )
     name = top.get("name", (str,), "robot")
     if not 1 <= len(name) <= 100 or not name.isprintable():
-        raise RobotError(f"{top.where}: name of {len(name)} characters, expected 1 to 100 that can be printed")
+        raise RobotError(
+            f"{top.where}: name of {len(name)} characters, expected 1 to 100 that can be printed"
+        )
     body, tendons, fit = (top.table(key) for key in ("body", "tendons", "fit"))
     segments = body.integer("segments", None, 1, 32)
     if segments is None:
@@ -104,8 +120,9 @@ def _robot(top: TomlTable) -> Robot:
     channel = _integers(tendons, "command", list(range(1, count + 1)), _MOST)
     if len(channel) != count or sorted(set(channel)) != list(range(1, max(channel) + 1)):
         raise RobotError(
-            f"{tendons.where}: command names {sorted(set(channel))} for {len(channel)} of {count} tendons; give each "
-            "tendon the number of the command that draws it in, from 1, none left out"
+            f"{tendons.where}: command names {sorted(set(channel))} for {len(channel)} of {count} "
+            "tendons; give each tendon the number of the command that draws it in, from 1, none "
+            "left out"
         )
     layout = RodLayout(
         segments=segments,
@@ -132,23 +149,35 @@ def _robot(top: TomlTable) -> Robot:
     layout.compiled(start)  # the core has the last word
     modes = {kind: fit.choice(kind, allowed, "known") for kind, allowed in MODES.items()}
     if not angles_known and modes["angle"] != "each":
-        raise RobotError(f'{tendons.where}: angle_deg is missing and [fit] angle is not "each"; give one of them')
+        raise RobotError(
+            f'{tendons.where}: angle_deg is missing and [fit] angle is not "each"; give one of them'
+        )
     for table in (body, tendons, fit, top):
         table.done()
     return Robot(name, layout, start, modes, angles_known)
 
 
-def _spread(table: TomlTable, key: str, count: int, default: float | None, low: float, high: float) -> Floats:
-    """Return `count` numbers within low … high: one for all, or a list of them (nested lists are read in a row)."""
+def _spread(
+    table: TomlTable, key: str, count: int, default: float | None, low: float, high: float
+) -> Floats:
+    """Return `count` numbers within low … high: one for all, or a list of them (nested lists are
+    read in a row).
+    """
     value = table.get(key, (int, float, list), default)
     if value is None:
-        raise RobotError(f"{table.where}: {key} is missing; give one number for all, or a list of {count}")
+        raise RobotError(
+            f"{table.where}: {key} is missing; give one number for all, or a list of {count}"
+        )
     try:
         flat = np.array(value, float).reshape(-1)
     except (ValueError, TypeError, OverflowError):
-        raise RobotError(f"{table.where}: {key} is not a list of numbers; give one number, or {count}") from None
+        raise RobotError(
+            f"{table.where}: {key} is not a list of numbers; give one number, or {count}"
+        ) from None
     if len(flat) not in (1, count):
-        raise RobotError(f"{table.where}: {key} has {len(flat)} numbers, expected one for all or {count}")
+        raise RobotError(
+            f"{table.where}: {key} has {len(flat)} numbers, expected one for all or {count}"
+        )
     if not np.all((flat >= low) & (flat <= high)):
         wrong = float(flat[~((flat >= low) & (flat <= high))][0])
         raise RobotError(f"{table.where}: {key} holds {wrong:g}, expected {low:g} to {high:g}")
@@ -158,11 +187,14 @@ def _spread(table: TomlTable, key: str, count: int, default: float | None, low: 
 def _integers(table: TomlTable, key: str, default: Sequence[int] | None, most: int) -> list[int]:
     value = table.get(key, (list,), default)
     good = (
-        isinstance(value, list) and 1 <= len(value) <= _MOST and all(type(v) is int and 1 <= v <= most for v in value)
+        isinstance(value, list)
+        and 1 <= len(value) <= _MOST
+        and all(type(v) is int and 1 <= v <= most for v in value)
     )
     if not good:
         raise RobotError(
-            f"{table.where}: {key} is not a list of whole numbers 1 to {most}, one a tendon (1 to {_MOST})"
+            f"{table.where}: {key} is not a list of whole numbers 1 to {most}, one a tendon (1 to "
+            f"{_MOST})"
         )
     return list(value)
 
@@ -176,6 +208,7 @@ def _markers(body: TomlTable, segments: int) -> tuple[float, ...]:
         at = np.zeros((0, 0))
     if at.ndim != 1 or not 1 <= len(at) <= 1000 or not np.all((at > 0) & (at <= segments)):
         raise RobotError(
-            f"{body.where}: markers is not a list of places above 0 and up to {segments}, in segments from the base"
+            f"{body.where}: markers is not a list of places above 0 and up to {segments}, in "
+            "segments from the base"
         )
     return tuple(at.tolist())

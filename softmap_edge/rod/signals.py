@@ -1,9 +1,10 @@
 """Signals of the families of memory, which `learn` may add to a static map.
 
-A *family* is everything that depends on the same history of the commands, whatever its law. The families, their signals
-and their members among the effects are declared in the core (rust/families/): plays, Dahl elements, shifts, poles,
-velocities, softening, time. The B-splines of the command, which have no memory, are the control.
-Limit: one channel at a time; products of channels are left to the laws. Pinned by tests/model/test_families.py and
+A *family* is everything that depends on the same history of the commands, whatever its law. The
+families, their signals and their members among the effects are declared in the core
+(rust/families/): plays, Dahl elements, shifts, poles, velocities, softening, time. The B-splines of
+the command, which have no memory, are the control. Limit: one channel at a time; products of
+channels are left to the laws. Pinned by tests/model/test_families.py and
 tests/rod/test_learned_memory.py.
 """
 
@@ -29,7 +30,9 @@ TIMED = (*FAST, "creep", DRIFT)  # families that a log without time cannot show
 
 @dataclass(frozen=True)
 class Family:
-    """A family: its `name`, and the effects of the library that act on commands and are its `members`."""
+    """A family: its `name`, and the effects of the library that act on commands and are its
+    `members`.
+    """
 
     name: str
     members: tuple[str, ...]
@@ -50,19 +53,27 @@ class Family:
         return self.name in TIMED
 
     def signals(self, record: Record, acting: Floats, middle: Floats, half: Floats) -> Floats:
-        """Return the signals (n, J) of the effective commands (T, C) in a run, at its seen times."""
+        """Return the signals (n, J) of the effective commands (T, C) in a run, at its seen
+        times.
+        """
         series = _core.Series(np.ascontiguousarray(acting), record.t, middle, half)
-        return np.asarray(_core.Bank(self.name, acting.shape[1]).signals(series, record.t_seen, wide=True)[1].T)
+        return np.asarray(
+            _core.Bank(self.name, acting.shape[1]).signals(series, record.t_seen, wide=True)[1].T
+        )
 
 
 def families() -> tuple[Family, ...]:
     """Return the families that have signals.
 
-    The members of the control are left to the map. A change with time is no memory of a robot and is only reported.
+    The members of the control are left to the map. A change with time is no memory of a robot and
+    is only reported.
     """
     on_commands = {info.name for info in registry().values() if info.on_commands and not info.needs}
     return tuple(
-        Family(one["name"], () if one["name"] in LAWLESS else tuple(m for m in one["members"] if m in on_commands))
+        Family(
+            one["name"],
+            () if one["name"] in LAWLESS else tuple(m for m in one["members"] if m in on_commands),
+        )
         for one in _core.families()
         if one["signals"]
     )

@@ -1,13 +1,16 @@
-"""The static map that is solved again for every law of memory: a ridge on its terms (variable projection).
+"""The static map that is solved again for every law of memory: a ridge on its terms (variable
+projection).
 
     targets (n, q) ≈ base(v) + [1, terms(v)] W,   v = effective commands (n, C)
 
-Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of length × angle.
-Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
-`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other folds.
-Folds stay contiguous because frames near each other are alike (`run/folds.py`). While laws are searched they are fitted
-with the map's `ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss.
-Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/rod/test_learned_memory.py.
+Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of
+length × angle. Their squared error is about that of the markers. With a described rod they are the
+coordinates of the markers, and `base` is that rod. The *held-out loss* of a fold is the sum of
+squares over its frames, predicted from the other folds. Folds stay contiguous because frames near
+each other are alike (`run/folds.py`). While laws are searched they are fitted with the map's
+`ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss. Source:
+variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by
+tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -26,10 +29,12 @@ from softmap_edge.run.folds import Folds
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-ADDED_RIDGES = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # for columns of unit spread added to the map
+# for columns of unit spread added to the map
+ADDED_RIDGES = tuple(np.geomspace(1e-6, 1.0, 7).tolist())
 SPLINED = 1e-4  # ridge of the B-splines of a splined map
 STILL = 1e-9  # spread of a column that does not move
-FLOOR = 1e-9  # of a column's mean square, added to each system: columns that follow from others are shared evenly
+# of a column's mean square, added to each system: columns that follow from others are shared evenly
+FLOOR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +56,29 @@ class StaticMap:
         return self.targets if self.base is None else self.targets - self.base(acting)
 
     def residual(self, acting: Floats, rows: Index | None = None) -> Floats:
-        """Return seen − mapped (n, q) mm with the map solved on the frames `rows` (all of them if None)."""
+        """Return seen − mapped (n, q) mm with the map solved on the frames `rows` (all of them if
+        None).
+        """
         columns, penalty, targets = *self._columns(acting), self.left(acting)
         penalty = self.ridge * penalty
         rows = np.arange(len(targets)) if rows is None else rows
         kept = columns[rows]
-        weights = np.linalg.solve(_system(kept.T @ kept, len(rows), penalty), kept.T @ targets[rows])
+        weights = np.linalg.solve(
+            _system(kept.T @ kept, len(rows), penalty), kept.T @ targets[rows]
+        )
         return np.asarray(targets - columns @ weights)
 
     def scanned(self, acting: Floats) -> float:
-        """Return the held-out loss mm² at the usual ridge: quick, and a map of few motions cannot overfit."""
+        """Return the held-out loss mm² at the usual ridge: quick, and a map of few motions cannot
+        overfit.
+        """
         columns, penalty = self._columns(acting)
         return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
     def losses(self, acting: Floats, extra: Floats | None = None) -> Floats:
-        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) added to the map if given."""
+        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) added to the map if
+        given.
+        """
         (columns, penalty), targets = self._columns(acting), self.left(acting)
         folded = _Folded(columns, targets, self.parts)
         alone = [folded.losses(ridge * penalty) for ridge in RIDGE_STEPS]
@@ -74,9 +87,16 @@ class StaticMap:
             return alone[best]
         spread = extra.std(axis=0)
         moving = spread > STILL
-        folded = _Folded(np.concatenate([columns, extra[:, moving] / spread[moving]], axis=1), targets, self.parts)
+        folded = _Folded(
+            np.concatenate([columns, extra[:, moving] / spread[moving]], axis=1),
+            targets,
+            self.parts,
+        )
         added = np.ones(int(moving.sum()))
-        found = [folded.losses(np.append(RIDGE_STEPS[best] * penalty, ridge * added)) for ridge in ADDED_RIDGES]
+        found = [
+            folded.losses(np.append(RIDGE_STEPS[best] * penalty, ridge * added))
+            for ridge in ADDED_RIDGES
+        ]
         return min(found, key=lambda losses: float(losses.sum()))
 
     def _columns(self, acting: Floats) -> tuple[Floats, Floats]:
@@ -91,7 +111,9 @@ class StaticMap:
 
 
 class _Folded:
-    """Sums of products of columns (n, p) and targets (n, q) for each fold: any ridge is then a small solve."""
+    """Sums of products of columns (n, p) and targets (n, q) for each fold: any ridge is then a
+    small solve.
+    """
 
     def __init__(self, columns: Floats, targets: Floats, parts: Folds) -> None:
         square, mixed = columns.T @ columns, columns.T @ targets
@@ -114,4 +136,6 @@ class _Folded:
 
 def _system(square: Floats, frames: int, penalty: Floats) -> Floats:
     """Return the normal equations' matrix with its ridge."""
-    return square + np.diag(frames * penalty + FLOOR * max(float(np.trace(square)) / len(square), 1e-12))
+    return square + np.diag(
+        frames * penalty + FLOOR * max(float(np.trace(square)) / len(square), 1e-12)
+    )

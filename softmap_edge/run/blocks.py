@@ -1,7 +1,8 @@
-"""Labels of the blocks of a joined run: a new block at each gap, and where orientation or temperature changes.
+"""Labels of the blocks of a joined run: a new block at each gap, and where orientation or
+temperature changes.
 
-A label is `2:slow`: the run, and its own label, if it has labels. `2:slow/3` is the third part of it, since a gap, a
-turn or a change of temperature lies between.
+A label is `2:slow`: the run, and its own label, if it has labels. `2:slow/3` is the third part of
+it, since a gap, a turn or a change of temperature lies between.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[np.ge
 
 
 def borders(run: Run) -> NDArray[np.bool_]:
-    """Return at which frames (K,) a new block begins: after a gap, or with another orientation or temperature."""
+    """Return at which frames (K,) a new block begins: after a gap, or with another orientation or
+    temperature.
+    """
     found = np.zeros(run.frames, bool)
     if run.frames < 2:
         return found
@@ -76,7 +79,11 @@ def _own(runs: Sequence[Run]) -> NDArray[np.generic] | None:
 
 def _named(number: int, own: NDArray[np.generic] | None, parts: NDArray[np.bool_]) -> list[str]:
     """Return the labels of one recording in a joined run."""
-    head = [str(number)] * len(parts) if own is None else [f"{number}:{label}" for label in own.tolist()]
+    head = (
+        [str(number)] * len(parts)
+        if own is None
+        else [f"{number}:{label}" for label in own.tolist()]
+    )
     counts: dict[str, int] = {}
     seen: dict[tuple[str, int], int] = {}
     found = []

@@ -1,11 +1,14 @@
-"""What a run was doing at each seen frame (speed, direction, dwell, history, ...), and the cells these fall into.
+"""What a run was doing at each seen frame (speed, direction, dwell, history, ...), and the cells
+these fall into.
 
-    v(t)  = [u(t) - u(t - w)] / w                w = 3 median sample periods, 0.1 to 0.5 s      mm/s, (C,)
+    v(t)  = [u(t) - u(t - w)] / w  w = 3 median sample periods, 0.1 to 0.5 s  mm/s, (C,)
     speed = |v|;  moving where speed > 0.5 % of the largest command span per second
-    dwell = time since the last motion, 0 while moving; history = largest |command| so far, this frame included
+    dwell = time since the last motion, 0 while moving; history = largest |command| so far, this
+        frame included
 
-Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts as standing still,
-and the start of a dwell is known to one sample. Pinned by tests/comparison/test_compare.py.
+Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts
+as standing still, and the start of a dwell is known to one sample. Pinned by
+tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity window: median periods; s; s
+# velocity window: median periods; s; s
+WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5
 STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
 NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
 WARMING = 3.0  # °C of a change of temperature that counts
-TURNED = 0.02  # change of the unit gravity vector between frames, about a degree: another orientation
+# change of the unit gravity vector between frames, about a degree: another orientation
+TURNED = 0.02
 ALIKE = 0.02  # of the largest: commands nearer to one another than this are one size
 HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
 DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
@@ -41,7 +46,8 @@ class Conditions:
     velocity: Floats  # (K, C) mm/s
     speed: Floats  # (K,) mm/s
     moving: Mask  # (K,)
-    visit: NDArray[np.int64]  # (K,) which uninterrupted dwell in one orientation the frame belongs to; -1 while moving
+    # (K,) which uninterrupted dwell in one orientation the frame belongs to; -1 while moving
+    visit: NDArray[np.int64]
     dwell: Floats  # (K,) s
     history: Floats  # (K,) mm
     time: Floats  # (K,) s, as in the run
@@ -51,7 +57,9 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Cell:
-    """A class of frames: its name, its bounds where it has any, and which of the K frames are in it."""
+    """A class of frames: its name, its bounds where it has any, and which of the K frames are in
+    it.
+    """
 
     label: str
     low: float | None
@@ -63,7 +71,8 @@ def conditions(run: Run, command: Floats) -> Conditions:
     """Work out what the commands of a run were doing at its seen frames.
 
     Args:
-        run: a run with `t` (T,) s, `t_seen` (K,) s and perhaps `gravity` and `temperature`; K = 0 is valid.
+        run: a run with `t` (T,) s, `t_seen` (K,) s and perhaps `gravity` and `temperature`; K = 0
+            is valid.
         command: (T, C) mm as the model takes them (goals or present positions); C = 0 is valid.
 
     Returns:
@@ -83,13 +92,15 @@ def conditions(run: Run, command: Floats) -> Conditions:
 
     grid_moving = np.linalg.norm(velocity(t), axis=1) > threshold  # (T,)
     index = np.clip(np.searchsorted(t, seen, side="right") - 1, 0, len(t) - 1)
-    last = np.maximum.accumulate(np.where(grid_moving, np.arange(len(t)), -1))[index]  # (K,) -1: not moved yet
+    # (K,) -1: not moved yet
+    last = np.maximum.accumulate(np.where(grid_moving, np.arange(len(t)), -1))[index]
     v = velocity(seen)
     speed = np.linalg.norm(v, axis=1)
     moving = speed > threshold
     gravity = _at_seen(run, "gravity", t, seen, 3)
     visit = last + 1
-    if gravity is not None and len(seen):  # a robot that is turned while it stands still is not seen twice alike
+    # a robot that is turned while it stands still is not seen twice alike
+    if gravity is not None and len(seen):
         turned = np.r_[False, np.linalg.norm(np.diff(gravity, axis=0), axis=1) > TURNED]
         visit = visit + (len(t) + 1) * np.cumsum(turned)
     stopped = np.where(last >= 0, t[last] - window + period, t[0])
@@ -114,7 +125,8 @@ def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
         state: the conditions of K frames. unit: of the commands, for the labels.
 
     Returns:
-        dict: direction, speed, dwell, history, command, time; orientation and temperature where the run has them.
+        dict: direction, speed, dwell, history, command, time; orientation and temperature where the
+        run has them.
     """
     found = {
         "direction": _directions(state),
@@ -156,19 +168,25 @@ def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
 
 
 def _at_seen(run: object, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
-    """A declared field at the seen frames: (K, 3) for a vector, (K,) (mean over channels) for a number."""
+    """A declared field at the seen frames: (K, 3) for a vector, (K,) (mean over channels) for a
+    number.
+    """
     raw = getattr(run, name, None)
     if raw is None:
         return None
     value = np.asarray(raw, float)
     if width == 3:
         return np.tile(value, (len(seen), 1)) if value.ndim == 1 else _sample(seen, t, value)
-    column = np.full(len(t), float(value)) if value.ndim == 0 else value.reshape(len(t), -1).mean(axis=1)
+    column = (
+        np.full(len(t), float(value)) if value.ndim == 0 else value.reshape(len(t), -1).mean(axis=1)
+    )
     return np.asarray(np.interp(seen, t, column))
 
 
 def _edges(values: Floats, count: int) -> Floats:
-    """Bounds of up to `count` classes of about equal size; classes narrower than a tenth of the largest value join."""
+    """Bounds of up to `count` classes of about equal size; classes narrower than a tenth of the
+    largest value join.
+    """
     if len(values) == 0:
         return np.zeros(0)
     quantiles = np.quantile(values, np.linspace(0.0, 1.0, count + 1))
@@ -198,7 +216,11 @@ def _sizes(values: Floats, count: int) -> Floats:
 def _labels(edges: Floats) -> list[str]:
     """Bounds as texts of three digits, or of as many as it takes to distinguish them."""
     kinds = len(np.unique(edges))
-    return next(labels for digits in range(3, 18) if len(set(labels := [f"{e:.{digits}g}" for e in edges])) == kinds)
+    return next(
+        labels
+        for digits in range(3, 18)
+        if len(set(labels := [f"{e:.{digits}g}" for e in edges])) == kinds
+    )
 
 
 def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None) -> list[Cell]:
@@ -207,9 +229,17 @@ def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None)
         return [Cell(f"{edges[0]:g} {unit}", float(edges[0]), float(edges[0]), among)]
     if len(edges) == 0 or edges[-1] <= edges[0]:
         return []
-    which, labels = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), _labels(edges)
+    which, labels = (
+        np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2),
+        _labels(edges),
+    )
     return [
-        Cell(f"{labels[k]} … {labels[k + 1]} {unit}", float(edges[k]), float(edges[k + 1]), among & (which == k))
+        Cell(
+            f"{labels[k]} … {labels[k + 1]} {unit}",
+            float(edges[k]),
+            float(edges[k + 1]),
+            among & (which == k),
+        )
         for k in range(len(edges) - 1)
     ]
 
@@ -229,7 +259,11 @@ def _directions(state: Conditions) -> list[Cell]:
     if state.velocity.shape[1] == 0:
         return found
     fastest = np.argmax(np.abs(state.velocity), axis=1)
-    pace = np.take_along_axis(state.velocity, fastest[:, None], axis=1)[:, 0] if len(fastest) else state.speed
+    pace = (
+        np.take_along_axis(state.velocity, fastest[:, None], axis=1)[:, 0]
+        if len(fastest)
+        else state.speed
+    )
     for channel in range(state.velocity.shape[1]):
         for sign, mark in ((1, "+"), (-1, "−")):
             frames = state.moving & (fastest == channel) & (np.sign(pace) == sign)
@@ -238,7 +272,9 @@ def _directions(state: Conditions) -> list[Cell]:
 
 
 def _commands(state: Conditions, unit: str) -> list[Cell]:
-    """Cells of the largest channel: home, then its signed range in thirds (its sign alone beyond three channels)."""
+    """Cells of the largest channel: home, then its signed range in thirds (its sign alone beyond
+    three channels).
+    """
     channels = state.command.shape[1]
     size = np.max(np.abs(state.command), axis=1, initial=0.0)
     top = float(np.max(size, initial=0.0))
@@ -250,10 +286,14 @@ def _commands(state: Conditions, unit: str) -> list[Cell]:
     value = np.take_along_axis(state.command, largest[:, None], axis=1)[:, 0]
     parts = np.array([HOME, 0.4, 0.7, 1.0] if channels <= FINE_CHANNELS else [HOME, 1.0]) * top
     for channel in range(channels):
-        bounds = [(-b, -a) for a, b in zip(parts[:-1], parts[1:])][::-1] + list(zip(parts[:-1], parts[1:]))
+        bounds = [(-b, -a) for a, b in zip(parts[:-1], parts[1:])][::-1] + list(
+            zip(parts[:-1], parts[1:])
+        )
         for low, high in bounds:
             magnitude = np.abs(value)
-            inside = (magnitude > min(abs(low), abs(high))) & (magnitude <= max(abs(low), abs(high)))
+            inside = (magnitude > min(abs(low), abs(high))) & (
+                magnitude <= max(abs(low), abs(high))
+            )
             frames = ~home & (largest == channel) & (np.sign(value) == np.sign(low + high)) & inside
             name = f"u{channel} {low:+.3g} … {high:+.3g} {unit}".replace("-", "−")
             found.append(Cell(name, float(low), float(high), frames))
@@ -277,7 +317,9 @@ def _direction_name(g: Floats) -> str:
 
 
 def orientations(gravity: Floats | None) -> int:
-    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is declared)."""
+    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is
+    declared).
+    """
     if gravity is None:
         return 1
     rows = np.atleast_2d(np.asarray(gravity, float))

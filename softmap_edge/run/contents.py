@@ -1,4 +1,6 @@
-"""List the contents of a run: channels, units, rows, frames, blocks, time span, declared conditions, origin."""
+"""List the contents of a run: channels, units, rows, frames, blocks, time span, declared
+conditions, origin.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,13 @@ def contents(run: Run) -> Document:
     """Return the contents of a run, with units in the keys.
 
     Returns:
-        dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance, `origin` a list of
-        `{recording, rows, frames, from_s, to_s, at_s}`: the hash of each recording, the span of its clock, and the
-        time in this run at which it begins.
+        dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance, `origin`
+        a list of `{recording, rows, frames, from_s, to_s, at_s}`: the hash of each recording, the
+        span of its clock, and the time in this run at which it begins.
     """
-    seen = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
+    seen = next(
+        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None
+    )
     return {
         "robot": run.robot,
         "hash": run.hash(),
@@ -95,7 +99,9 @@ def _origin(run: Run) -> list[Document]:
 
 
 def command_ranges(run: Run) -> list[list[float]]:
-    """Return the lowest and highest command, or ticks, of each channel; [] of a run without commands."""
+    """Return the lowest and highest command, or ticks, of each channel; [] of a run without
+    commands.
+    """
     rows = run.command if run.command is not None else run.ticks
     return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 
@@ -111,8 +117,12 @@ def lines(document: Document) -> list[str]:
     over = "without time" if d["timeless"] else f"from {d['from_s']:g} to {d['to_s']:g} s"
     found = [
         f"robot     {d['robot'] or 'not named'}",
-        f"commands  {d['channels']} channels in {unit}, {d['rows']} rows {over}" + ", encoders" * d["encoders"],
-        *(f"          channel {c}: {low:g} to {high:g} {unit}" for c, (low, high) in enumerate(d["command_range"])),
+        f"commands  {d['channels']} channels in {unit}, {d['rows']} rows {over}"
+        + ", encoders" * d["encoders"],
+        *(
+            f"          channel {c}: {low:g} to {high:g} {unit}"
+            for c, (low, high) in enumerate(d["command_range"])
+        ),
         f"seen      {d['frames']} frames of {_seen(d)}" + ", aligned to the base" * d["aligned"],
         f"declared  {_conditions(d['declared'])}",
     ]
@@ -126,11 +136,15 @@ def _seen(document: Document) -> str:
     names, unit = document["names"], document["output_unit"]
     if unit is not None:
         return f"{', '.join(names)} ({unit})"
-    return f"{len(names)} markers: {', '.join(names)}" if names else str(document["seen"] or "nothing")
+    return (
+        f"{len(names)} markers: {', '.join(names)}" if names else str(document["seen"] or "nothing")
+    )
 
 
 def _conditions(declared: Document) -> str:
-    texts = [f"gravity {' and '.join(map(str, declared['gravity']))}"] if "gravity" in declared else []
+    texts = (
+        [f"gravity {' and '.join(map(str, declared['gravity']))}"] if "gravity" in declared else []
+    )
     for name, unit in DECLARED.items():
         if name in declared:
             low, high = declared[name]

@@ -1,9 +1,10 @@
-"""Cut a piece out of a run: a span of time or a block, with the hash of its recording and its times.
+"""Cut a piece out of a run: a span of time or a block, with the hash of its recording and its
+times.
 
-A piece keeps the frames of its span, and the rows from the last one before it (whose command still holds) to the first
-one after its last frame (commands are linear between rows). Prediction begins in equilibrium at the first row, so the
-memory of earlier commands is lost; `lead_s` keeps the rows of that many seconds before the first frame.
-Pinned by tests/run/test_run_parts.py.
+A piece keeps the frames of its span, and the rows from the last one before it (whose command still
+holds) to the first one after its last frame (commands are linear between rows). Prediction begins
+in equilibrium at the first row, so the memory of earlier commands is lost; `lead_s` keeps the rows
+of that many seconds before the first frame. Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def cut(
     Args:
         run: with T rows and K frames.
         start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
-        block: a label, in place of a time. If its frames lie in several places of the run, these are joined.
+        block: a label, in place of a time. If its frames lie in several places of the run, these
+            are joined.
         lead_s: s of commands that are kept before the first frame, so that memory is still right.
 
     Raises:
@@ -45,7 +47,9 @@ def cut(
     if not lead_s >= 0.0:
         raise RunError(f"lead_s: {lead_s:g} s, expected 0 or more")
     if block is None:
-        return _span(run, -np.inf if start is None else start, np.inf if end is None else end, lead_s)
+        return _span(
+            run, -np.inf if start is None else start, np.inf if end is None else end, lead_s
+        )
     if start is not None or end is not None:
         raise RunError("cut: give a block or a time, not both; a piece of a piece takes two cuts")
     found = [_part(run, frames, lead_s) for frames in _places(run, str(block))]
@@ -55,8 +59,14 @@ def cut(
 def _span(run: Run, start: float, end: float, lead_s: float) -> Run:
     """Return the piece of a span of time."""
     if start > run.t[-1] and end > start:
-        raise RunError(f"cut: the run ends at {run.t[-1]:g} s, before --from {start:g}; give a begin within the run")
-    span = f"from {run.t[0] if start == -np.inf else start:g} to {run.t[-1] if end == np.inf else end:g} s"
+        raise RunError(
+            f"cut: the run ends at {run.t[-1]:g} s, before --from {start:g}; give a begin within "
+            "the run"
+        )
+    span = (
+        f"from {run.t[0] if start == -np.inf else start:g} to "
+        f"{run.t[-1] if end == np.inf else end:g} s"
+    )
     lasts = f"the run lasts from {run.t[0]:g} to {run.t[-1]:g} s"
     if not start < end:
         raise RunError(f"cut: {span} ends before it begins; {lasts}")
@@ -73,7 +83,8 @@ def _places(run: Run, label: str) -> list[slice]:
     """Return the stretches of frames that have this label."""
     if run.block is None:
         raise RunError(
-            "cut: the run has no blocks; cut it by time (--from, --to), or declare `block` where it is imported"
+            "cut: the run has no blocks; cut it by time (--from, --to), or declare `block` where "
+            "it is imported"
         )
     labels = np.array([str(one) for one in run.block.tolist()])
     inside = np.r_[False, labels == label, False]
@@ -83,8 +94,12 @@ def _places(run: Run, label: str) -> list[slice]:
     return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2])]
 
 
-def _part(run: Run, frames: slice, lead_s: float, start: float = np.inf, end: float = -np.inf) -> Run:
-    """Return some frames of a run, with the rows that belong to them and to the span from `start` to `end`."""
+def _part(
+    run: Run, frames: slice, lead_s: float, start: float = np.inf, end: float = -np.inf
+) -> Run:
+    """Return some frames of a run, with the rows that belong to them and to the span from `start`
+    to `end`.
+    """
     t, seen = run.t, run.t_seen[frames]
     begins = min(start, float(seen[0]) if len(seen) else np.inf)
     ends = float(seen[-1]) if len(seen) else -np.inf
@@ -102,7 +117,11 @@ def _part(run: Run, frames: slice, lead_s: float, start: float = np.inf, end: fl
 
 def _rows(run: Run, rows: slice) -> Document:
     """Return the fields that have a row for each command, cut."""
-    values = {name: getattr(run, name) for name, (axes, _) in run_fields.AXES.items() if axes.startswith("T")}
+    values = {
+        name: getattr(run, name)
+        for name, (axes, _) in run_fields.AXES.items()
+        if axes.startswith("T")
+    }
     return {
         name: value[rows]
         for name, value in values.items()
@@ -112,8 +131,12 @@ def _rows(run: Run, rows: slice) -> Document:
 
 def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[np.generic], slice]]:
     """Return the unknown fields that have an entry for each row or each frame, and their part."""
-    unknown = [(name, array) for name, array in run.extra.items() if name not in OURS and array.ndim]
+    unknown = [
+        (name, array) for name, array in run.extra.items() if name not in OURS and array.ndim
+    ]
     by_row = [(name, array, rows) for name, array in unknown if len(array) == len(run.t)]
     return by_row + [
-        (name, array, frames) for name, array in unknown if len(array) == run.frames and len(array) != len(run.t)
+        (name, array, frames)
+        for name, array in unknown
+        if len(array) == run.frames and len(array) != len(run.t)
     ]

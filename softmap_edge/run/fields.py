@@ -1,8 +1,8 @@
 """What each field of a run must be: type, axes, range, and the one sentence that reports a fault.
 
-A table and the loop over it; a new field is one line in `AXES`. Ranges are wide limits of what the unit
-allows, chosen so that the usual mistakes (metres for mm, kelvin for °C, m/s² for a unit vector, ticks for
-mm) fall outside.
+A table and the loop over it; a new field is one line in `AXES`. Ranges are wide limits of what the
+unit allows, chosen so that the usual mistakes (metres for mm, kelvin for °C, m/s² for a unit
+vector, ticks for mm) fall outside.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from softmap_edge.run.output import Output, output_of
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
-# field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K + 1;
-# A cameras; a digit is itself.
+# field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in
+# all, S = K + 1; A cameras; a digit is itself.
 AXES: dict[str, tuple[str, str]] = {
     "t": ("T", "real"),
     "t_seen": ("K", "real"),
@@ -45,7 +45,9 @@ AXES: dict[str, tuple[str, str]] = {
     "frame_sigma": ("6", "real"),
     "cameras": ("A34", "real"),
 }
-ROW_S = 0.05  # s for each row of a log without time: the rate at which a model is learned, so that no row is left out
+# s for each row of a log without time: the rate at which a model is learned, so that no row is left
+# out
+ROW_S = 0.05
 _TIME = (-1e11, 1e11, "s", "convert the time to seconds")
 _TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
 _PLACE = (-1e4, 1e4, "mm", "convert the points to mm")
@@ -72,7 +74,8 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
 }
 _COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
 _SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
-_STRETCH = 4.0  # no robot is that much longer or shorter than at rest; other units are ten times off
+# no robot is that much longer or shorter than at rest; other units are ten times off
+_STRETCH = 4.0
 _TICK = 1e-9  # s: no clock of ours is finer
 _SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
 
@@ -99,9 +102,12 @@ def convert(name: str, value: object) -> NDArray[np.generic]:
             raise RunError(f"{name}: values other than 0 and 1; give true where a point was seen")
         return frozen(array.astype(np.bool_))
     if kind == "integer":
-        if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
+        if array.dtype.kind == "f" and not (
+            np.isfinite(array).all() and (array == np.rint(array)).all()
+        ):
             raise RunError(
-                f"{name}: fractions or NaN, expected whole ticks or counts; round them or give `command` in mm"
+                f"{name}: fractions or NaN, expected whole ticks or counts; round them or give "
+                "`command` in mm"
             )
         if array.size and float(np.abs(array.astype(np.float64)).max()) > 2**53:
             raise RunError(f"{name}: values beyond 2^53; give ticks counted from home")
@@ -133,7 +139,8 @@ def text(name: str, value: NDArray[np.generic]) -> str:
 def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
     """Replace the fields of outputs in a file by those of a run; return these.
 
-    A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and their scale.
+    A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and
+    their scale.
 
     Raises:
         RunError: a field is missing or of another kind.
@@ -142,7 +149,9 @@ def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
     if "timeless" in stored:
         found["timeless"] = bool(np.all(convert("visible", stored.pop("timeless"))))
     unit = text("output_unit", stored.pop("output_unit")) if "output_unit" in stored else None
-    names = tuple(str(name) for name in np.atleast_1d(stored.pop("output_names", np.zeros(0, "U1"))))
+    names = tuple(
+        str(name) for name in np.atleast_1d(stored.pop("output_names", np.zeros(0, "U1")))
+    )
     scale = stored.pop("output_mm_per_unit", None)
     values = None if unit is None else stored.pop("output", None)
     if unit is None:
@@ -153,12 +162,17 @@ def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
         visible = {} if np.isfinite(rows).all() else {"visible": np.isfinite(rows)}
         return found | visible | {"markers": output.markers(rows), "output": output}
     if scale is None or scale.size != 1 or scale.dtype.kind not in "iuf":
-        raise RunError("output_mm_per_unit: missing, expected one number; or give `output` (K, Q) in `output_unit`")
+        raise RunError(
+            "output_mm_per_unit: missing, expected one number; or give `output` (K, Q) in "
+            "`output_unit`"
+        )
     return found | {"output": Output(names, unit, float(scale.reshape(-1)[0]))}
 
 
 def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
-    """Return the fields in which a file keeps the meaning of the markers, and that there is no time."""
+    """Return the fields in which a file keeps the meaning of the markers, and that there is no
+    time.
+    """
     found: dict[str, NDArray[np.generic]] = {"timeless": np.asarray(True)} if run.timeless else {}
     if run.output is None:
         return found
@@ -203,7 +217,9 @@ def _sizes(run: Run) -> dict[str, tuple[int, str]]:
     return sizes
 
 
-def _shape(name: str, value: NDArray[np.generic], axes: str, sizes: dict[str, tuple[int, str]]) -> None:
+def _shape(
+    name: str, value: NDArray[np.generic], axes: str, sizes: dict[str, tuple[int, str]]
+) -> None:
     if name == "sigma" and value.ndim == 0:
         return
     if name == "gravity" and value.ndim == 1:
@@ -214,16 +230,25 @@ def _shape(name: str, value: NDArray[np.generic], axes: str, sizes: dict[str, tu
     if fits:
         return
     written = ", ".join(axes) + ("," if len(axes) == 1 else "")
-    known = [f"{a} = {sizes[a][0]} from {sizes[a][1]}" for a in axes if sizes.get(a, (0, ""))[1] not in ("", name)]
+    known = [
+        f"{a} = {sizes[a][0]} from {sizes[a][1]}"
+        for a in axes
+        if sizes.get(a, (0, ""))[1] not in ("", name)
+    ]
     hint = ""
     if name in ("command", "ticks", "present", "present_ticks") and value.ndim == 1:
         hint = "; one channel is a column, shape (T, 1)"
-    elif value.ndim == len(axes) == 2 and value.shape[1] == sizes.get(axes[0], (-1,))[0] != value.shape[0]:
+    elif (
+        value.ndim == len(axes) == 2
+        and value.shape[1] == sizes.get(axes[0], (-1,))[0] != value.shape[0]
+    ):
         hint = "; it looks transposed"
     elif value.ndim == len(axes) and axes.endswith("3") and value.shape[-1] != 3:
         hint = "; the last axis is x, y, z"
     expected = f"expected ({written})" + (f" with {', '.join(known)}" if known else "")
-    raise RunError(f"{name}: shape {value.shape}, {expected}{hint}; change the array or its time column")
+    raise RunError(
+        f"{name}: shape {value.shape}, {expected}{hint}; change the array or its time column"
+    )
 
 
 def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
@@ -231,7 +256,11 @@ def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
         return
     if value.dtype.kind == "f":
         bad = ~np.isfinite(value)
-        if name in ("vertices", "markers") and run.visible is not None and run.visible.shape == value.shape[:2]:
+        if (
+            name in ("vertices", "markers")
+            and run.visible is not None
+            and run.visible.shape == value.shape[:2]
+        ):
             bad &= run.visible[..., None]
         if bad.any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -240,14 +269,18 @@ def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
                 if name in ("vertices", "markers")
                 else "remove or interpolate these rows"
             )
-            raise RunError(f"{name}: {int(bad.sum())} values are not finite, the first at {list(where)}; {remedy}")
+            raise RunError(
+                f"{name}: {int(bad.sum())} values are not finite, the first at {list(where)}; "
+                f"{remedy}"
+            )
     if name in RANGES and value.size:
         low, high, unit, remedy = RANGES[name]
         finite = value[np.isfinite(value)] if value.dtype.kind == "f" else value
         if finite.size and (finite.min() < low or finite.max() > high):
             worst = finite.min() if finite.min() < low else finite.max()
             raise RunError(
-                f"{name}: {worst:g}{unit and ' ' + unit}, expected {low:g} to {high:g}{unit and ' ' + unit}; {remedy}"
+                f"{name}: {worst:g}{unit and ' ' + unit}, expected {low:g} to "
+                f"{high:g}{unit and ' ' + unit}; {remedy}"
             )
 
 
@@ -272,10 +305,13 @@ def _together(run: Run) -> None:
         raise RunError("t: empty; a run needs at least one command row")
     if len(seen) > 1:
         raise RunError(
-            f"{' and '.join(seen)}: a run holds one of vertices, markers, points; save them as separate runs"
+            f"{' and '.join(seen)}: a run holds one of vertices, markers, points; save them as "
+            "separate runs"
         )
     if run.command is not None and run.ticks is not None:
-        raise RunError("command and ticks: a run holds one of the two; drop the one that was derived")
+        raise RunError(
+            "command and ticks: a run holds one of the two; drop the one that was derived"
+        )
     if (run.points is None) != (run.start is None):
         missing = "start" if run.start is None else "points"
         raise RunError(f"{missing}: missing; clouds need points (P, 3) and start (K + 1,)")
@@ -285,16 +321,27 @@ def _together(run: Run) -> None:
         value = getattr(run, name)
         if value is not None and value.ndim and not {"vertices", "markers"} & set(seen):
             raise RunError(
-                f"{name}: given for each point, but the run holds no vertices or markers; give them or drop it"
+                f"{name}: given for each point, but the run holds no vertices or markers; give "
+                "them or drop it"
             )
     for name, present in (("command", run.present), ("ticks", run.present_ticks)):
         if present is not None and run.channels == 0 and present.shape[1]:
-            raise RunError(f"present: {present.shape[1]} channels, but `{name}` has none; give what was commanded")
+            raise RunError(
+                f"present: {present.shape[1]} channels, but `{name}` has none; give what was "
+                "commanded"
+            )
     if run.command_unit == "" or len(run.command_unit) > 32:
-        raise RunError(f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or ticks")
-    if run.output is not None and (run.markers is None or run.markers.shape[1] != len(run.output.names)):
+        raise RunError(
+            f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or "
+            "ticks"
+        )
+    if run.output is not None and (
+        run.markers is None or run.markers.shape[1] != len(run.output.names)
+    ):
         there = "none" if run.markers is None else str(run.markers.shape[1])
-        raise RunError(f"output: {len(run.output.names)} outputs need as many markers, the run has {there}")
+        raise RunError(
+            f"output: {len(run.output.names)} outputs need as many markers, the run has {there}"
+        )
     if run.marker_rest is not None and run.vertices is not None:
         raise RunError("marker_rest: belongs to markers, but the run holds vertices; drop it")
 
@@ -313,27 +360,45 @@ def _units(run: Run) -> None:
         worst = float(length[np.argmax(np.abs(length - 1.0))])
         if abs(worst - 1.0) > 1e-3:
             raise RunError(
-                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide it by its length"
+                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide "
+                "it by its length"
             )
     if run.frame is not None:
         turn = run.frame[:, :3]
         if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
-            raise RunError("frame: its first three columns are no rotation; make it with `softmap run align`")
+            raise RunError(
+                "frame: its first three columns are no rotation; make it with `softmap run align`"
+            )
     if run.cameras is not None and run.cameras.size:
         turns = run.cameras[:, :, :3]
-        if np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turns).min() < 0:
-            raise RunError("cameras: their first three columns are no rotations; give poses [R | t] base to camera")
+        if (
+            np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
+            or np.linalg.det(turns).min() < 0
+        ):
+            raise RunError(
+                "cameras: their first three columns are no rotations; give poses [R | t] base to "
+                "camera"
+            )
     for name in ("command", "present"):
         value = getattr(run, name)
-        if run.command_unit == "mm" and value is not None and value.size and np.abs(value).max() > _COMMAND_LIMIT:
+        if (
+            run.command_unit == "mm"
+            and value is not None
+            and value.size
+            and np.abs(value).max() > _COMMAND_LIMIT
+        ):
             raise RunError(
-                f"{name}: up to {np.abs(value).max():.4g} mm of tendon, at most {_COMMAND_LIMIT:g} is "
-                "plausible; give ticks as `ticks`, or name the unit in `command_unit`"
+                f"{name}: up to {np.abs(value).max():.4g} mm of tendon, at most "
+                f"{_COMMAND_LIMIT:g} is plausible; give ticks as `ticks`, or name the unit in "
+                "`command_unit`"
             )
     if len(run.t) and len(run.t_seen) and (run.t_seen[-1] < run.t[0] or run.t_seen[0] > run.t[-1]):
-        first, last, begin, end = differing(*(float(t) for t in (*run.t_seen[[0, -1]], *run.t[[0, -1]])))
+        first, last, begin, end = differing(
+            *(float(t) for t in (*run.t_seen[[0, -1]], *run.t[[0, -1]]))
+        )
         raise RunError(
-            f"t_seen: {first} to {last} s lies outside the commands' {begin} to {end} s; bring both to one clock"
+            f"t_seen: {first} to {last} s lies outside the commands' {begin} to {end} s; bring "
+            "both to one clock"
         )
     if run.markers is not None and run.marker_rest is not None:
         hidden = None if run.visible is None else ~run.visible[..., None]
@@ -347,11 +412,16 @@ def _units(run: Run) -> None:
         sample = sample[np.isfinite(sample).all(axis=1)]
         extent = float(np.ptp(sample, axis=0).max()) if len(sample) > 1 else _SMALLEST
         if extent < _SMALLEST:
-            raise RunError(f"{name}: all points lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
+            raise RunError(
+                f"{name}: all points lie within {extent:.3g} mm, which looks like metres; "
+                "multiply by 1000"
+            )
 
 
 def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None:
-    """Compare the spread of the markers with that of their places at rest: bending halves it at most."""
+    """Compare the spread of the markers with that of their places at rest: bending halves it at
+    most.
+    """
     if len(rest) < 2 or not len(markers):
         return
     frames = markers[:: max(1, len(markers) // 50)]
@@ -363,6 +433,7 @@ def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None
     ratio = float(np.median(spread)) / at_rest
     if not 1.0 / _STRETCH < ratio < _STRETCH:
         raise RunError(
-            f"marker_rest: the markers are spread {ratio:.3g} times as far as their places at rest, at most "
-            f"{_STRETCH:g} times (or 1/{_STRETCH:g}) is plausible; give both in mm, in the same order"
+            f"marker_rest: the markers are spread {ratio:.3g} times as far as their places at "
+            f"rest, at most {_STRETCH:g} times (or 1/{_STRETCH:g}) is plausible; give both in mm, "
+            "in the same order"
         )

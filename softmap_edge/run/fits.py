@@ -1,4 +1,6 @@
-"""Check whether runs can be joined: one robot, one unit, the same channels, points and declared conditions."""
+"""Check whether runs can be joined: one robot, one unit, the same channels, points and declared
+conditions.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,16 @@ from softmap_edge.run.run import Run
 
 REST_MM = 1e-6  # mm by which the markers at rest may differ
 ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs
-OPTIONAL = ("present", "present_ticks", "current", "temperature", "load", "gravity", "sigma", "frame_sigma")
+OPTIONAL = (
+    "present",
+    "present_ticks",
+    "current",
+    "temperature",
+    "load",
+    "gravity",
+    "sigma",
+    "frame_sigma",
+)
 
 
 def check_fit(runs: Sequence[Run]) -> None:
@@ -21,8 +32,8 @@ def check_fit(runs: Sequence[Run]) -> None:
         for what, first, other in _facts(runs[0], run):
             if first != other:
                 raise RunError(
-                    f"run {number} has {_text(other)} {what}, the first run {_text(first)}; join runs of one robot, "
-                    "recorded and imported in the same way"
+                    f"run {number} has {_text(other)} {what}, the first run {_text(first)}; join "
+                    "runs of one robot, recorded and imported in the same way"
                 )
     for number, run in enumerate(runs, start=1):
         for name in (*OPTIONAL, "frame", *ONCE):
@@ -30,7 +41,9 @@ def check_fit(runs: Sequence[Run]) -> None:
 
 
 def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the properties that must agree, as (name, value of the first run, value of the other)."""
+    """Yield the properties that must agree, as (name, value of the first run, value of the
+    other).
+    """
     if one.robot is not None and other.robot is not None:
         yield "as its robot", one.robot, other.robot
     yield "as the kind of its commands", _kind(one), _kind(other)
@@ -55,7 +68,9 @@ def _time(run: Run) -> str:
 
 def _text(value: object) -> str:
     """Return a value as a message prints it."""
-    return ", ".join(value[:6]) + ", …" * (len(value) > 6) if isinstance(value, list) else str(value)
+    return (
+        ", ".join(value[:6]) + ", …" * (len(value) > 6) if isinstance(value, list) else str(value)
+    )
 
 
 def _kind(run: Run) -> str:
@@ -65,7 +80,10 @@ def _kind(run: Run) -> str:
 
 def _seen(run: Run) -> str:
     """Return the kind of points that a run holds."""
-    return next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), "nothing")
+    return next(
+        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None),
+        "nothing",
+    )
 
 
 def _count(run: Run) -> int:
@@ -80,13 +98,18 @@ def _check_all(name: str, number: int, run: Run, runs: Sequence[Run]) -> None:
     if (first is None) != (value is None):
         holds, lacks = (1, number) if value is None else (number, 1)
         raise RunError(
-            f"{name}: run {holds} holds it, run {lacks} does not; declare it in both, or leave it out (--drop {name})"
+            f"{name}: run {holds} holds it, run {lacks} does not; declare it in both, or leave it "
+            f"out (--drop {name})"
         )
     if name not in ONCE or first is None:
         return
     if first.shape != value.shape or not np.allclose(first, value, rtol=0.0, atol=REST_MM):
-        off = f"by up to {np.abs(first - value).max():.3g} mm" if first.shape == value.shape else "in their number"
+        off = (
+            f"by up to {np.abs(first - value).max():.3g} mm"
+            if first.shape == value.shape
+            else "in their number"
+        )
         raise RunError(
-            f"{name}: that of run {number} differs from that of run 1 {off}; join runs of one set-up, or leave it out "
-            f"(--drop {name})"
+            f"{name}: that of run {number} differs from that of run 1 {off}; join runs of one "
+            f"set-up, or leave it out (--drop {name})"
         )

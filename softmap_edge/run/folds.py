@@ -1,11 +1,12 @@
 """Folds of cross-validation: which frames are held out together, and which are then fitted.
 
-Frames near each other are alike, so folds are blocks of time, with a gap on each side that trains nothing. But moves of
-one kind are often recorded one after the other, and a block of time then holds all of them: what was never seen cannot
-be learned (on a real nine-tendon robot a polynomial looked ten times worse than it is). So where a run labels its
-frames (`block`) and has labels enough, complete labels are dealt out to the folds in turn, in order of appearance.
-In the same way every fifth block of a run is withheld from a search, to confirm what it claims.
-Units: s. Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_certificates.py.
+Frames near each other are alike, so folds are blocks of time, with a gap on each side that trains
+nothing. But moves of one kind are often recorded one after the other, and a block of time then
+holds all of them: what was never seen cannot be learned (on a real nine-tendon robot a polynomial
+looked ten times worse than it is). So where a run labels its frames (`block`) and has labels
+enough, complete labels are dealt out to the folds in turn, in order of appearance. In the same way
+every fifth block of a run is withheld from a search, to confirm what it claims. Units: s. Pinned by
+tests/diagnosis/test_fit.py, tests/diagnosis/test_certificates.py.
 """
 
 from __future__ import annotations
@@ -26,24 +27,33 @@ MOST_FOLDS = 10
 LEAST_FRAMES = 8
 LEAST_LABELLED = 3  # frames of one label, on average: one a frame is a number and no label
 LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
-EVERY, FIRST = 5, 2  # every fifth block is withheld, the third first: a run begins with frames that choose
-MOST_BLOCKS, GAPS_A_BLOCK = 25, 5  # a block is at least so many gaps long, so that the gaps next to it cost little
+# every fifth block is withheld, the third first: a run begins with frames that choose
+EVERY, FIRST = 5, 2
+# a block is at least so many gaps long, so that the gaps next to it cost little
+MOST_BLOCKS, GAPS_A_BLOCK = 25, 5
 LEAST_WITHHOLDING = 60  # frames of a run from which blocks are withheld
 
 
 def folds(
-    t: Floats, blocks: int, gap_s: float, labels: NDArray[np.generic] | None = None, most: int = MOST_FOLDS
+    t: Floats,
+    blocks: int,
+    gap_s: float,
+    labels: NDArray[np.generic] | None = None,
+    most: int = MOST_FOLDS,
 ) -> Folds:
-    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
+    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from
+    all of it.
 
-    Without `labels` (n,) a fold is a block of time. With them it is complete labels, dealt out in turn to at
-    most `most` folds.
+    Without `labels` (n,) a fold is a block of time. With them it is complete labels, dealt out in
+    turn to at most `most` folds.
 
     Raises:
         RunError: too few frames or labels.
     """
     if labels is None:
-        fold = np.repeat(np.arange(max(blocks, 1)), [len(part) for part in np.array_split(t, max(blocks, 1))])
+        fold = np.repeat(
+            np.arange(max(blocks, 1)), [len(part) for part in np.array_split(t, max(blocks, 1))]
+        )
     else:
         _, first, label = np.unique(labels, return_index=True, return_inverse=True)
         order = np.argsort(np.argsort(first))  # labels in the order in which they appear
@@ -51,7 +61,8 @@ def folds(
         fold = order[label.reshape(-1)] % max(blocks, 1)
     if blocks < 2 or len(t) < 2 * blocks:
         raise RunError(
-            f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more"
+            f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 "
+            "frames or more"
         )
     parts: Folds = []
     for k in range(blocks):
@@ -61,7 +72,8 @@ def folds(
 
 
 def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Folds:
-    """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else by blocks of time.
+    """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else
+    by blocks of time.
 
     Args:
         t_seen: (K,) s. labels: (K,), one for each frame.
@@ -72,19 +84,22 @@ def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Fold
     frames = len(t_seen)
     if frames < LEAST_FRAMES:
         raise SoftmapError(
-            f"{frames} seen frames cannot be held out in blocks; record {LEAST_FRAMES} or more, better 60"
+            f"{frames} seen frames cannot be held out in blocks; record {LEAST_FRAMES} or more, "
+            "better 60"
         )
     count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
     found = []
     for train, test in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):
-        if len(train) < frames // 4:  # labels that change with every frame leave nothing a second away
+        # labels that change with every frame leave nothing a second away
+        if len(train) < frames // 4:
             train = np.setdiff1d(np.arange(frames), test)
         found.append((train, test))
     return found
 
 
 def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tuple[int, int]:
-    """Count the folds of a diagnosis that have no gap next to them, because blocks are shorter than the gap.
+    """Count the folds of a diagnosis that have no gap next to them, because blocks are shorter than
+    the gap.
 
     Args:
         t_seen: times of the frames, shape (K,), s.
@@ -110,7 +125,9 @@ def labelled(labels: NDArray[np.generic] | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Withheld:
-    """Frames that a search uses, and frames of complete blocks that it does not; the others lie within a gap."""
+    """Frames that a search uses, and frames of complete blocks that it does not; the others lie
+    within a gap.
+    """
 
     chosen: Index  # (n,) rising, the first frame of each run among them
     rows: Index  # (w,) rising, none within a gap of those chosen
@@ -121,7 +138,8 @@ class Withheld:
 def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) -> Withheld:
     """Withhold every fifth block of a run, of time or of labels as in `run_folds`.
 
-    Noise is correlated over short times, so frames within a gap of a withheld block choose nothing either.
+    Noise is correlated over short times, so frames within a gap of a withheld block choose nothing
+    either.
 
     Args:
         t_seen: (K,) s.
@@ -131,11 +149,17 @@ def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) 
     frames = len(t_seen)
     every = np.arange(frames)
     if frames < LEAST_WITHHOLDING:
-        return Withheld(every, every[:0], 0, f"{frames} frames are too few to withhold any; {LEAST_WITHHOLDING} needed")
+        return Withheld(
+            every,
+            every[:0],
+            0,
+            f"{frames} frames are too few to withhold any; {LEAST_WITHHOLDING} needed",
+        )
     if labels is not None and labelled(labels):
         _, first, label = np.unique(labels, return_index=True, return_inverse=True)
         block = np.argsort(np.argsort(first))[label.reshape(-1)]
-        out = np.arange(FIRST, len(first), EVERY)[: len(first) - LABELS_A_FOLD * FOLDS]  # the others stay enough
+        # the others stay enough
+        out = np.arange(FIRST, len(first), EVERY)[: len(first) - LABELS_A_FOLD * FOLDS]
     else:
         count = int(float(t_seen[-1] - t_seen[0]) / (EVERY * GAPS_A_BLOCK * GAP))
         count = EVERY * min(max(count, 1), MOST_BLOCKS // EVERY)
@@ -146,7 +170,9 @@ def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) 
         return Withheld(every, every[:0], 0, "too few labelled blocks to withhold any")
     chosen = np.setdiff1d(np.flatnonzero(_away(t_seen, t_seen[rows]) > GAP), rows)
     if len(chosen) < frames // 2:
-        return Withheld(every, every[:0], 0, f"blocks are shorter than the gaps of {GAP:g} s that separate them")
+        return Withheld(
+            every, every[:0], 0, f"blocks are shorter than the gaps of {GAP:g} s that separate them"
+        )
     return Withheld(chosen, rows, len(np.unique(block[rows])))
 
 

@@ -1,8 +1,8 @@
 """Documents about outputs other than places: their figures in the output's own unit, for a report.
 
-A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit. Numbers of commands
-(`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are outputs. Pinned by
-tests/run/test_output.py.
+A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit.
+Numbers of commands (`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are
+outputs. Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def words_in_unit(text: str, output: Output | None) -> str:
 
     def turned(found: re.Match[str]) -> str:
         first, second = (
-            _NUMBER.sub(lambda number: mm(output.value(float(number.group()))), part) for part in found.groups()
+            _NUMBER.sub(lambda number: mm(output.value(float(number.group()))), part)
+            for part in found.groups()
         )
         return f"{first}{second} {output.unit} RMS"
 
@@ -47,21 +48,31 @@ def words_in_unit(text: str, output: Output | None) -> str:
 
 
 def in_unit(document: Document) -> Document:
-    """Return a diagnosis document with its figures in the unit of its output; unchanged for places."""
+    """Return a diagnosis document with its figures in the unit of its output; unchanged for
+    places.
+    """
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
     found: Document = lengths_in_unit(dict(document), output)
     error = dict(document.get("error") or {})
-    figures = {key: value for key, value in error.items() if isinstance(value, (int, float)) and key not in _PLAIN}
+    figures = {
+        key: value
+        for key, value in error.items()
+        if isinstance(value, (int, float)) and key not in _PLAIN
+    }
     error |= {key: output.value(value) for key, value in figures.items()}
-    error["ladder"] = [{**row, "value": _value(row.get("value"), output)} for row in error.get("ladder") or []]
+    error["ladder"] = [
+        {**row, "value": _value(row.get("value"), output)} for row in error.get("ladder") or []
+    ]
     where = {moment: renamed_maps(maps) for moment, maps in (found.get("where") or {}).items()}
     return found | {"error": error | {"unit": output.unit}, "where": where}
 
 
 def renamed_maps(maps: Document) -> Document:
-    """Return maps of the error with one entry for each output in place of the sections of a body."""
+    """Return maps of the error with one entry for each output in place of the sections of a
+    body.
+    """
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
 
@@ -69,12 +80,17 @@ _PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no length
 
 
 def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:
-    """Return a part of a document with its lengths and sentences converted; fitted numbers keep their unit."""
+    """Return a part of a document with its lengths and sentences converted; fitted numbers keep
+    their unit.
+    """
     if key in ("params", "refitted", "made_from", "servo"):
         return value
     if isinstance(value, Mapping):
         lengths = key == "displacement_mm"
-        return {k: _value(v, output) if lengths else lengths_in_unit(v, output, str(k)) for k, v in value.items()}
+        return {
+            k: _value(v, output) if lengths else lengths_in_unit(v, output, str(k))
+            for k, v in value.items()
+        }
     if isinstance(value, list):
         return [lengths_in_unit(item, output, key) for item in value]
     if isinstance(value, str):

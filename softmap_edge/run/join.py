@@ -1,9 +1,11 @@
-"""Join runs of one robot into one run: rows and frames one after the other, a border of blocks at each gap.
+"""Join runs of one robot into one run: rows and frames one after the other, a border of blocks at
+each gap.
 
-Pieces of one recording keep its clock, and a piece that begins where the one before it ends continues it: cutting a run
-and joining its pieces gives the run again. Any other run begins `gap_s` after the end of the one before. A prediction
-runs through such a gap, so the memory at its far side is that of a robot which waited there; commands that learn from
-several runs take them unjoined, and each begins in equilibrium. Pinned by tests/run/test_run_parts.py.
+Pieces of one recording keep its clock, and a piece that begins where the one before it ends
+continues it: cutting a run and joining its pieces gives the run again. Any other run begins `gap_s`
+after the end of the one before. A prediction runs through such a gap, so the memory at its far side
+is that of a robot which waited there; commands that learn from several runs take them unjoined, and
+each begins in equilibrium. Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from softmap_edge.run.folds import GAP
 from softmap_edge.run.run import BASE_MARKERS, MAX_NUMBERS, PIECES, Run
 
 Floats = NDArray[np.float64]
-GAP_S = 10.0  # s between runs of several recordings: ten times the gap next to a block of a diagnosis
+# s between runs of several recordings: ten times the gap next to a block of a diagnosis
+GAP_S = 10.0
 NEXT = 1.5  # usual steps of rows within which a piece continues the one before it
 SLACK = 1e-6  # s by which times of one recording may differ after a shift and its inverse
 POINTS = ("vertices", "markers")
@@ -32,7 +35,9 @@ BY_ROW = ("command", "ticks", "present", "present_ticks", "current", "temperatur
 
 @dataclass(frozen=True)
 class _Placed:
-    """A run in the joined one: `shift_s` is added to its times; its first `skip` rows repeat the run before."""
+    """A run in the joined one: `shift_s` is added to its times; its first `skip` rows repeat the
+    run before.
+    """
 
     run: Run
     shift_s: float
@@ -45,16 +50,21 @@ def join_runs(runs: Sequence[Run], gap_s: float = GAP_S, drop: Collection[str] =
 
     Args:
         runs: two or more, in the order of the joined run.
-        gap_s: s between the end of a run and the begin of the next, if they are not of one recording.
+        gap_s: s between the end of a run and the begin of the next, if they are not of one
+            recording.
         drop: fields to leave out, such as one that not all runs hold.
 
     Raises:
-        RunError: the runs are not of one robot, a field is not in all of them, or they hold the same frames.
+        RunError: the runs are not of one robot, a field is not in all of them, or they hold the
+            same frames.
     """
     if len(runs) < 2:
         raise RunError(f"{len(runs)} run{'s' * (len(runs) != 1)} to join; give two or more")
     if not (np.isfinite(gap_s) and gap_s >= GAP):
-        raise RunError(f"gap_s: {gap_s:g} s, expected {GAP:g} s or more: folds leave out that much next to a block")
+        raise RunError(
+            f"gap_s: {gap_s:g} s, expected {GAP:g} s or more: folds leave out that much next to a "
+            "block"
+        )
     runs = [_without(run, drop) for run in runs]
     runs = [runs[0], *(_in_scale(run, runs[0]) for run in runs[1:])]
     check_fit(runs)
@@ -75,7 +85,9 @@ def _without(run: Run, drop: Collection[str]) -> Run:
     needed = {"t", "t_seen", "command", "ticks", "start", *POINTS, "points"} & set(drop)
     if needed:
         raise RunError(f"drop: {', '.join(sorted(needed))} cannot be left out of a run")
-    known: Document = {name: None for name in drop if name in run.__dataclass_fields__ and name not in run.extra}
+    known: Document = {
+        name: None for name in drop if name in run.__dataclass_fields__ and name not in run.extra
+    }
     extra = {name: array for name, array in run.extra.items() if name not in drop}
     return replace(run, **known, extra=extra)
 
@@ -83,7 +95,12 @@ def _without(run: Run, drop: Collection[str]) -> Run:
 def _in_scale(run: Run, first: Run) -> Run:
     """Return a run of outputs in the scale of the first one, if both are of the same outputs."""
     own, other = run.output, first.output
-    if own is None or other is None or (own.names, own.unit) != (other.names, other.unit) or run.markers is None:
+    if (
+        own is None
+        or other is None
+        or (own.names, own.unit) != (other.names, other.unit)
+        or run.markers is None
+    ):
         return run
     return replace(run, markers=own.rescaled(run.markers, other), output=other)
 
@@ -92,7 +109,9 @@ def _check_size(runs: Sequence[Run]) -> None:
     """Raise RunError if the joined run would exceed the size limit of a run file."""
     numbers = sum(array.size for run in runs for array in run.arrays().values())
     if numbers > MAX_NUMBERS:
-        raise RunError(f"{numbers:.3g} numbers in all, at most {MAX_NUMBERS:.3g} are read; join fewer runs")
+        raise RunError(
+            f"{numbers:.3g} numbers in all, at most {MAX_NUMBERS:.3g} are read; join fewer runs"
+        )
 
 
 # --- where each run stands ------------------------------------------------------------------
@@ -104,8 +123,13 @@ def _placed(runs: Sequence[Run], gap_s: float) -> list[_Placed]:
         before = found[-1]
         end = _end(before.run) + before.shift_s
         shift = _on_its_clock(before, run)
-        if shift is None or _begin(run) + shift < before.run.t_seen[-1:].max(initial=-np.inf) + before.shift_s:
-            found.append(_Placed(run, end + gap_s - float(min([run.t[0], *run.t_seen[:1]])), 0, False))
+        if (
+            shift is None
+            or _begin(run) + shift < before.run.t_seen[-1:].max(initial=-np.inf) + before.shift_s
+        ):
+            found.append(
+                _Placed(run, end + gap_s - float(min([run.t[0], *run.t_seen[:1]])), 0, False)
+            )
             continue
         last_row = float(before.run.t[-1]) + before.shift_s
         skip = int(np.searchsorted(run.t + shift, last_row + SLACK))
@@ -130,7 +154,9 @@ def _end(run: Run) -> float:
 
 
 def _on_its_clock(before: _Placed, run: Run) -> float | None:
-    """Return the shift (s) of a run on the clock of the recording before it; None if it is of another recording."""
+    """Return the shift (s) of a run on the clock of the recording before it; None if it is of
+    another recording.
+    """
     last, first = run_pieces.pieces(before.run)[-1], run_pieces.pieces(run)[0]
     if last.origin != first.origin:
         return None
@@ -150,14 +176,17 @@ def _check_apart(runs: Sequence[Run]) -> None:
             for origin, start, stop, other in known:
                 if origin == part.origin and low <= stop and start <= high:
                     raise RunError(
-                        f"runs {other} and {number} both hold {max(low, start):g} to {min(high, stop):g} s of "
-                        f"recording {origin[:12]}; the same frames would count twice, so give each once"
+                        f"runs {other} and {number} both hold {max(low, start):g} to "
+                        f"{min(high, stop):g} s of recording {origin[:12]}; the same frames would "
+                        "count twice, so give each once"
                     )
             known.append((part.origin, low, high, number))
 
 
 def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
-    """Return the pieces of the joined run; a piece that continues the one before is a part of it."""
+    """Return the pieces of the joined run; a piece that continues the one before is a part of
+    it.
+    """
     found: list[run_pieces.Piece] = []
     rows = frames = 0
     for one in placed:
@@ -173,11 +202,17 @@ def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
 def _by_row(placed: Sequence[_Placed]) -> Document:
     """Return the fields that have an entry for each row."""
     names = [name for name in BY_ROW if getattr(placed[0].run, name) is not None]
-    found: Document = {name: np.concatenate([getattr(one.run, name)[one.skip :] for one in placed]) for name in names}
+    found: Document = {
+        name: np.concatenate([getattr(one.run, name)[one.skip :] for one in placed])
+        for name in names
+    }
     gravity = [one.run.gravity for one in placed if one.run.gravity is not None]
     if gravity:
         same = all(rows.ndim == 1 and np.array_equal(rows, gravity[0]) for rows in gravity)
-        full = [np.broadcast_to(rows, (len(one.run.t), 3))[one.skip :] for rows, one in zip(gravity, placed)]
+        full = [
+            np.broadcast_to(rows, (len(one.run.t), 3))[one.skip :]
+            for rows, one in zip(gravity, placed)
+        ]
         found["gravity"] = gravity[0] if same else np.concatenate(full)
     return found
 
@@ -189,16 +224,24 @@ def _seen(runs: Sequence[Run]) -> Document:
         for name in POINTS
         if getattr(runs[0], name) is not None
     }
-    clouds = [(run.points, run.start) for run in runs if run.points is not None and run.start is not None]
+    clouds = [
+        (run.points, run.start) for run in runs if run.points is not None and run.start is not None
+    ]
     if clouds:
         counts = np.concatenate([np.diff(start) for _, start in clouds])
-        found |= {"points": np.concatenate([points for points, _ in clouds]), "start": np.r_[0, np.cumsum(counts)]}
+        found |= {
+            "points": np.concatenate([points for points, _ in clouds]),
+            "start": np.r_[0, np.cumsum(counts)],
+        }
     if any(run.visible is not None for run in runs):
         found["visible"] = np.concatenate([_visible(run) for run in runs])
     sigma = [run.sigma for run in runs if run.sigma is not None]
     if sigma:
         one = all(value.ndim == 0 and value == sigma[0] for value in sigma)
-        full = [value if value.ndim else np.full(_visible(run).shape, float(value)) for value, run in zip(sigma, runs)]
+        full = [
+            value if value.ndim else np.full(_visible(run).shape, float(value))
+            for value, run in zip(sigma, runs)
+        ]
         found["sigma"] = sigma[0] if one else np.concatenate(full)
     return found
 
@@ -207,34 +250,52 @@ def _visible(run: Run) -> NDArray[np.bool_]:
     """Return which points (K, N) are not hidden."""
     if run.visible is not None:
         return run.visible
-    count = next((getattr(run, name).shape[1] for name in POINTS if getattr(run, name) is not None), 0)
+    count = next(
+        (getattr(run, name).shape[1] for name in POINTS if getattr(run, name) is not None), 0
+    )
     return np.ones((run.frames, count), bool)
 
 
 def _frames(runs: Sequence[Run]) -> Document:
     """Return the frame of aligned runs if they share it, and the largest of their uncertainties."""
     first, sigma = runs[0].frame, [run.frame_sigma for run in runs if run.frame_sigma is not None]
-    same = first is not None and all(run.frame is not None and np.array_equal(run.frame, first) for run in runs)
-    return {"frame": first if same else None, "frame_sigma": np.max(sigma, axis=0) if sigma else None}
+    same = first is not None and all(
+        run.frame is not None and np.array_equal(run.frame, first) for run in runs
+    )
+    return {
+        "frame": first if same else None,
+        "frame_sigma": np.max(sigma, axis=0) if sigma else None,
+    }
 
 
 def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
-    """Return the fields of `extra`: joined where they go by row or by frame, else as they are in all runs."""
+    """Return the fields of `extra`: joined where they go by row or by frame, else as they are in
+    all runs.
+    """
     found = {}
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
         arrays = [one.run.extra.get(name) for one in placed]
         known = [array for array in arrays if array is not None]
         in_all = len(known) == len(placed)
-        if in_all and all(array.shape == known[0].shape and np.array_equal(array, known[0]) for array in known):
+        if in_all and all(
+            array.shape == known[0].shape and np.array_equal(array, known[0]) for array in known
+        ):
             found[name] = known[0]
         elif name in ("made_by", "made_from"):
             continue  # of each recording: its hash stands for it
-        elif in_all and name != BASE_MARKERS and all(a.ndim and len(a) == len(o.run.t) for a, o in zip(known, placed)):
+        elif (
+            in_all
+            and name != BASE_MARKERS
+            and all(a.ndim and len(a) == len(o.run.t) for a, o in zip(known, placed))
+        ):
             found[name] = _stacked(name, [array[one.skip :] for array, one in zip(known, placed)])
         elif in_all and all(a.ndim and len(a) == o.run.frames for a, o in zip(known, placed)):
             found[name] = _stacked(name, known)
         else:
-            raise RunError(f"{name}: differs between the runs; leave it out (--drop {name}), or give runs of one robot")
+            raise RunError(
+                f"{name}: differs between the runs; leave it out (--drop {name}), or give runs of "
+                "one robot"
+            )
     return found
 
 
@@ -242,6 +303,7 @@ def _stacked(name: str, arrays: Sequence[NDArray[np.generic]]) -> NDArray[np.gen
     """Return arrays one after the other; raise RunError if their other axes differ."""
     if len({(array.shape[1:], array.dtype.kind) for array in arrays}) > 1:
         raise RunError(
-            f"{name}: shapes {[array.shape for array in arrays]} do not fit together; leave it out (--drop {name})"
+            f"{name}: shapes {[array.shape for array in arrays]} do not fit together; leave it "
+            f"out (--drop {name})"
         )
     return np.concatenate(arrays)

@@ -1,8 +1,9 @@
-"""Report what is suspicious about runs that are joined: they follow one another in time, or hold the same data.
+"""Report what is suspicious about runs that are joined: they follow one another in time, or hold
+the same data.
 
-Noise makes each frame of a camera different, so frames that follow one another and are equal in two runs are the same
-frames. Frames that repeat within their own run, as those of a simulation at rest, do not count. Pinned by
-tests/run/test_join_doubts.py.
+Noise makes each frame of a camera different, so frames that follow one another and are equal in two
+runs are the same frames. Frames that repeat within their own run, as those of a simulation at rest,
+do not count. Pinned by tests/run/test_join_doubts.py.
 """
 
 from __future__ import annotations
@@ -53,7 +54,10 @@ def _followed(k: int, one: Run, other: Run, gap_s: float) -> str | None:
     same_clock = run_pieces.pieces(one)[-1].origin == run_pieces.pieces(other)[0].origin
     if one.timeless or other.timeless or same_clock:
         return None
-    end, begin = float(max([one.t[-1], *one.t_seen[-1:]])), float(min([other.t[0], *other.t_seen[:1]]))
+    end, begin = (
+        float(max([one.t[-1], *one.t_seen[-1:]])),
+        float(min([other.t[0], *other.t_seen[:1]])),
+    )
     pause = begin - end
     if not 0.0 <= pause <= LONGEST_S or abs(pause - gap_s) <= _AGREE * gap_s:
         return None
@@ -63,8 +67,9 @@ def _followed(k: int, one: Run, other: Run, gap_s: float) -> str | None:
         else "import their logs together, as parts of one log, to keep the true pause"
     )
     return (
-        f"runs {k + 1} and {k + 2} follow one another on their own clocks ({end:.6g} s, then {begin:.6g} s), and are "
-        f"joined {gap_s:g} s apart: if they are parts of one experiment, {way}"
+        f"runs {k + 1} and {k + 2} follow one another on their own clocks ({end:.6g} s, then "
+        f"{begin:.6g} s), and are joined {gap_s:g} s apart: if they are parts of one experiment, "
+        f"{way}"
     )
 
 
@@ -75,13 +80,20 @@ def _measured(run: Run) -> _Rows | None:
         seen = getattr(run, name)
         if seen is not None and len(seen):
             return _Rows("frames", run.t_seen, np.asarray(seen, float).reshape(len(seen), -1))
-    rows = [np.asarray(value, float) for name in _MEASURED if (value := getattr(run, name)) is not None]
+    rows = [
+        np.asarray(value, float) for name in _MEASURED if (value := getattr(run, name)) is not None
+    ]
     return _Rows("rows", run.t, np.concatenate(rows, axis=1)) if rows and rows[0].size else None
 
 
 def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None:
     """Return the sentence on data that two runs share; None without any."""
-    if one is None or other is None or one.name != other.name or one.numbers.shape[1:] != other.numbers.shape[1:]:
+    if (
+        one is None
+        or other is None
+        or one.name != other.name
+        or one.numbers.shape[1:] != other.numbers.shape[1:]
+    ):
         return None
     length = max(2, -(-_NUMBERS // one.numbers.shape[1]))
     mine, theirs = _stretches(one.numbers, length), _stretches(other.numbers, length)
@@ -91,15 +103,19 @@ def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None
     first, second = ([rows[key] for key in shared] for rows in (mine, theirs))
     count = len({at + k for at in second for k in range(length)})
     spans = [(t[min(at)], t[max(at) + length - 1]) for t, at in ((one.t, first), (other.t, second))]
-    where = " and ".join(f"{low:.6g} to {high:.6g} s of run {n + 1}" for (low, high), n in zip(spans, (i, j)))
+    where = " and ".join(
+        f"{low:.6g} to {high:.6g} s of run {n + 1}" for (low, high), n in zip(spans, (i, j))
+    )
     return (
-        f"{count} {one.name} have equal values in runs {i + 1} and {j + 1} ({where}): they count twice; take them out "
-        f"of one run with `softmap run cut`"
+        f"{count} {one.name} have equal values in runs {i + 1} and {j + 1} ({where}): they count "
+        "twice; take them out of one run with `softmap run cut`"
     )
 
 
 def _stretches(numbers: Floats, length: int) -> dict[bytes, int]:
-    """Return the first rows of all stretches of so many rows (K, N) that occur once and are not at rest, by content."""
+    """Return the first rows of all stretches of so many rows (K, N) that occur once and are not at
+    rest, by content.
+    """
     rows = np.ascontiguousarray(np.where(np.isfinite(numbers), numbers, 0.0) + 0.0)
     moves = np.any(np.diff(rows, axis=0) != 0, axis=1)
     found: dict[bytes, int] = {}

@@ -1,8 +1,8 @@
 """Outputs of any kind: a force, an angle or a level in place of the positions of a body.
 
-A run of outputs has no geometry. Each output is carried as one marker on a straight line of markers, `mm_per_unit` mm
-along x for one unit of the output. So every function that takes markers works on it. Reports convert the figures back
-(`Output.value`). Pinned by tests/run/test_output.py.
+A run of outputs has no geometry. Each output is carried as one marker on a straight line of
+markers, `mm_per_unit` mm along x for one unit of the output. So every function that takes markers
+works on it. Reports convert the figures back (`Output.value`). Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from softmap_edge.files.atomic import Document
 
 Floats = NDArray[np.float64]
 
-LENGTH_MM = 500.0  # of the line of markers: five times its motion, so that a chord's angle is linear in the output
+# of the line of markers: five times its motion, so that a chord's angle is linear in the output
+LENGTH_MM = 500.0
 RANGE_MM = 100.0  # range of the outputs inside: the motion of a usual finger, in any unit
 FARTHEST = 3.0  # ranges from zero: beyond, the angle of a chord hardly depends on the output
 DIGITS = 2  # of mm_per_unit: runs of one machine that differ little get the same scale
@@ -47,16 +48,24 @@ class Output:
         named = [*self.names, self.unit]
         if not 1 <= len(self.names) <= MOST or len(set(self.names)) < len(self.names):
             raise RunError(f"output: {len(self.names)} names, expected 1 to {MOST} that differ")
-        if not all(isinstance(text, str) and 1 <= len(text) <= 40 and text.isprintable() for text in named):
+        if not all(
+            isinstance(text, str) and 1 <= len(text) <= 40 and text.isprintable() for text in named
+        ):
             raise RunError("output: names and unit are texts of 1 to 40 printable characters")
         if not _SCALES[0] <= self.mm_per_unit <= _SCALES[1]:
-            raise RunError(f"output: {self.mm_per_unit:g} mm stand for 1 {self.unit}; give a positive finite number")
+            raise RunError(
+                f"output: {self.mm_per_unit:g} mm stand for 1 {self.unit}; give a positive finite "
+                "number"
+            )
 
     def markers(self, values: ArrayLike) -> Floats:
         """Return outputs (K, Q) in `unit` as markers (K, Q, 3) mm."""
         rows = np.asarray(values, float)
         if rows.ndim != 2 or rows.shape[1] != len(self.names):
-            raise RunError(f"output: shape {rows.shape}, expected (K, {len(self.names)}) for {', '.join(self.names)}")
+            raise RunError(
+                f"output: shape {rows.shape}, expected (K, {len(self.names)}) for "
+                f"{', '.join(self.names)}"
+            )
         points = np.zeros((*rows.shape, 3))
         points[..., 0] = self.mm_per_unit * rows
         points[..., 2] = LENGTH_MM * np.arange(1, rows.shape[1] + 1) / rows.shape[1]
@@ -71,7 +80,9 @@ class Output:
         return mm / self.mm_per_unit
 
     def rescaled(self, markers: Floats, other: Output) -> Floats:
-        """Return markers (K, Q, 3) mm of this output as those of `other`, which has another scale."""
+        """Return markers (K, Q, 3) mm of this output as those of `other`, which has another
+        scale.
+        """
         points = np.array(markers, float)
         points[..., 0] *= other.mm_per_unit / self.mm_per_unit
         return points
@@ -90,7 +101,9 @@ class Output:
         try:
             return cls(tuple(document["names"]), document["unit"], float(document["mm_per_unit"]))
         except (KeyError, TypeError, ValueError) as cause:
-            raise RunError(f"output: damaged ({type(cause).__name__}: {cause}); import the run again") from None
+            raise RunError(
+                f"output: damaged ({type(cause).__name__}: {cause}); import the run again"
+            ) from None
 
 
 def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Output:
@@ -101,14 +114,18 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
     """
     rows = np.asarray(values, float)
     if rows.ndim != 2 or not rows.size or np.isinf(rows).any():
-        raise RunError(f"output: shape {rows.shape}, expected (K, Q) finite numbers, one column an output")
-    spread = float(np.max(np.nanmax(rows, axis=0) - np.nanmin(rows, axis=0), initial=0.0, where=_known(rows)))
+        raise RunError(
+            f"output: shape {rows.shape}, expected (K, Q) finite numbers, one column an output"
+        )
+    spread = float(
+        np.max(np.nanmax(rows, axis=0) - np.nanmin(rows, axis=0), initial=0.0, where=_known(rows))
+    )
     if not spread > 0:
         raise RunError("output: no column moves; name the columns of what was measured")
     if (far := float(np.nanmax(np.abs(rows)))) > FARTHEST * spread:
         raise RunError(
-            f"output: up to {far:.4g} {unit}, moving by {spread:.3g} {unit} only; subtract its mean "
-            "(`offset` in a mapping)"
+            f"output: up to {far:.4g} {unit}, moving by {spread:.3g} {unit} only; subtract its "
+            "mean (`offset` in a mapping)"
         )
     scale = float(f"{RANGE_MM / spread:.{DIGITS}g}")
     return Output(names or tuple(f"output {q + 1}" for q in range(rows.shape[1])), unit, scale)
@@ -119,12 +136,17 @@ def acts_on_outputs(effect: Mapping[str, object]) -> bool:
 
     Loads, shapes, obstacles and camera frames belong to a body.
     """
-    return bool(effect["role"] == "channel" or (effect["role"] == "sensing" and effect["family"] == "delay"))
+    return bool(
+        effect["role"] == "channel" or (effect["role"] == "sensing" and effect["family"] == "delay")
+    )
 
 
 def needs_time(effect: Document) -> bool:
-    """Return whether an effect of the registry is a delay, a rate or a time constant, which needs times."""
-    units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]  # an instant is a row as well
+    """Return whether an effect of the registry is a delay, a rate or a time constant, which needs
+    times.
+    """
+    # an instant is a row as well
+    units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
 
 

@@ -1,7 +1,9 @@
-"""The recordings that a run was cut from or joined of: the pieces that a cut or a join keeps in the run's file.
+"""The recordings that a run was cut from or joined of: the pieces that a cut or a join keeps in the
+run's file.
 
-A piece is the rows from `row` on and the frames from `frame` on, up to those of the next piece. Its times in the run
-are those of its recording plus `shift_s`. A run that was neither cut nor joined is one piece: itself.
+A piece is the rows from `row` on and the frames from `frame` on, up to those of the next piece. Its
+times in the run are those of its recording plus `shift_s`. A run that was neither cut nor joined is
+one piece: itself.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ _HASH = 64  # characters of a SHA-256 in hex
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording: its `origin` (the hash of that recording) and where it begins in the run."""
+    """A part of a recording: its `origin` (the hash of that recording) and where it begins in the
+    run.
+    """
 
     origin: str
     row: int
@@ -40,10 +44,13 @@ def pieces(run: Run) -> tuple[Piece, ...]:
     arrays = [np.atleast_1d(run.extra.get(name, np.zeros(0))) for name in PIECES]
     if len(there) < len(PIECES) or not _fit(run, arrays):
         raise RunError(
-            f"{', '.join(there)}: do not fit the rows and frames of the run; cut or join its recordings again"
+            f"{', '.join(there)}: do not fit the rows and frames of the run; cut or join its "
+            "recordings again"
         )
     origin, row, frame, shift = arrays
-    return tuple(Piece(str(o), int(r), int(f), float(s)) for o, r, f, s in zip(origin, row, frame, shift))
+    return tuple(
+        Piece(str(o), int(r), int(f), float(s)) for o, r, f, s in zip(origin, row, frame, shift)
+    )
 
 
 def _fit(run: Run, arrays: Sequence[NDArray[np.generic]]) -> bool:
@@ -51,11 +58,25 @@ def _fit(run: Run, arrays: Sequence[NDArray[np.generic]]) -> bool:
     origin, row, frame, shift = arrays
     if len({array.shape for array in arrays}) > 1 or origin.ndim != 1 or not len(origin):
         return False
-    if origin.dtype.kind != "U" or {row.dtype.kind, frame.dtype.kind} - set("iu") or shift.dtype.kind != "f":
+    if (
+        origin.dtype.kind != "U"
+        or {row.dtype.kind, frame.dtype.kind} - set("iu")
+        or shift.dtype.kind != "f"
+    ):
         return False
-    named = all(len(text) == _HASH and not set(text) - set("0123456789abcdef") for text in origin.tolist())
-    rise = all(begins[0] == 0 and np.all(np.diff(begins.astype(float)) >= 0) for begins in (row, frame))
-    return bool(named and rise and row[-1] < len(run.t) and frame[-1] <= run.frames and np.isfinite(shift).all())
+    named = all(
+        len(text) == _HASH and not set(text) - set("0123456789abcdef") for text in origin.tolist()
+    )
+    rise = all(
+        begins[0] == 0 and np.all(np.diff(begins.astype(float)) >= 0) for begins in (row, frame)
+    )
+    return bool(
+        named
+        and rise
+        and row[-1] < len(run.t)
+        and frame[-1] <= run.frames
+        and np.isfinite(shift).all()
+    )
 
 
 def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
@@ -70,23 +91,31 @@ def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
 
 
 def within(parts: Sequence[Piece], rows: slice, frames: slice) -> list[Piece]:
-    """Return the pieces of which rows or frames lie within a part of their run, counted from its beginning."""
+    """Return the pieces of which rows or frames lie within a part of their run, counted from its
+    beginning.
+    """
     found = []
     ends = [(part.row, part.frame) for part in parts[1:]] + [(rows.stop, frames.stop)]
     for part, (row_end, frame_end) in zip(parts, ends):
-        if max(part.row, rows.start) < min(row_end, rows.stop) or max(part.frame, frames.start) < min(
-            frame_end, frames.stop
-        ):
+        if max(part.row, rows.start) < min(row_end, rows.stop) or max(
+            part.frame, frames.start
+        ) < min(frame_end, frames.stop):
             begins = max(part.row - rows.start, 0), max(part.frame - frames.start, 0)
             found.append(Piece(part.origin, *begins, part.shift_s))
     return found
 
 
 def spans(run: Run) -> list[tuple[Piece, float, float]]:
-    """Return each piece with the first and the last time of its rows, s on the clock of its recording."""
+    """Return each piece with the first and the last time of its rows, s on the clock of its
+    recording.
+    """
     parts = pieces(run)
     ends = [part.row for part in parts[1:]] + [len(run.t)]
     return [
-        (part, float(run.t[part.row]) - part.shift_s, float(run.t[max(end - 1, part.row)]) - part.shift_s)
+        (
+            part,
+            float(run.t[part.row]) - part.shift_s,
+            float(run.t[max(end - 1, part.row)]) - part.shift_s,
+        )
         for part, end in zip(parts, ends)
     ]

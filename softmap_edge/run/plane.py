@@ -1,11 +1,14 @@
-"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted or validated.
+"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted
+or validated.
 
-A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x", "y" or "z"), and 0
-is that coordinate. A model's prediction for such a run has 0 there as well. So the error, and whatever an effect does
-across the plane, is 0, and no effect is found or excluded by it. Pinned by tests/run/test_plane.py.
+A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x",
+"y" or "z"), and 0 is that coordinate. A model's prediction for such a run has 0 there as well. So
+the error, and whatever an effect does across the plane, is 0, and no effect is found or excluded by
+it. Pinned by tests/run/test_plane.py.
 
-A run that declares nothing may still lie in one plane to the last digit, in every frame (`plane_of`): a planar robot
-seen by one camera, whose third coordinate is a constant. Noise of a real third coordinate is far larger than `EXACT`.
+A run that declares nothing may still lie in one plane to the last digit, in every frame
+(`plane_of`): a planar robot seen by one camera, whose third coordinate is a constant. Noise of a
+real third coordinate is far larger than `EXACT`.
 """
 
 from __future__ import annotations
@@ -32,7 +35,8 @@ SAMPLE = 20_000  # points that are tested
 
 
 def unmeasured(run: Run) -> int | None:
-    """Return the axis of the base frame (0, 1, 2) that the markers of a run do not measure; None if they measure all.
+    """Return the axis of the base frame (0, 1, 2) that the markers of a run do not measure; None if
+    they measure all.
 
     Raises:
         RunError: the field `plane` is not x, y or z.
@@ -42,12 +46,16 @@ def unmeasured(run: Run) -> int | None:
         return None  # an array of this name is a field of another program
     axis = str(field.reshape(-1)[0])
     if axis not in tuple(AXES):
-        raise RunError(f'plane: {str(field)[:40]!r}, expected the axis that is not measured: "x", "y" or "z"')
+        raise RunError(
+            f'plane: {str(field)[:40]!r}, expected the axis that is not measured: "x", "y" or "z"'
+        )
     return AXES.index(axis)
 
 
 def flat(points: Array, run: Run) -> Array:
-    """Return points (..., 3) mm with 0 as the coordinate that a run does not measure; unchanged if it measures all."""
+    """Return points (..., 3) mm with 0 as the coordinate that a run does not measure; unchanged if
+    it measures all.
+    """
     axis = unmeasured(run)
     if axis is None:
         return points
@@ -61,7 +69,10 @@ def unmeasured_parameters(run: Run) -> tuple[str, ...]:
     axis = unmeasured(run)
     if axis is None:
         return ()
-    return (f"mount.shift_{AXES[axis]}", *(f"mount.turn_{name}" for name in AXES if name != AXES[axis]))
+    return (
+        f"mount.shift_{AXES[axis]}",
+        *(f"mount.turn_{name}" for name in AXES if name != AXES[axis]),
+    )
 
 
 # --- found in the points -------------------------------------------------------------------
@@ -74,17 +85,28 @@ class Plane:
 
     def __str__(self) -> str:
         axis = int(np.argmax(np.abs(self.normal)))
-        plane = "xyz".replace("xyz"[axis], "") + " plane" if abs(self.normal[axis]) > ALONG else "plane"
+        plane = (
+            "xyz".replace("xyz"[axis], "") + " plane" if abs(self.normal[axis]) > ALONG else "plane"
+        )
         across = ", ".join(f"{x + 0.0:.2f}" for x in self.normal)
-        where = "through the origin" if self.distance < NEAR_MM else f"{self.distance:.4g} mm from the origin"
-        text = f"all points lie in one {plane} {where} (normal {across}): nothing across it was measured"
+        where = (
+            "through the origin"
+            if self.distance < NEAR_MM
+            else f"{self.distance:.4g} mm from the origin"
+        )
+        text = (
+            f"all points lie in one {plane} {where} (normal {across}): nothing across it was "
+            "measured"
+        )
         if axis == 2 and abs(self.normal[2]) > ALONG:
             text += "; the robot's axis is z by definition, so set frame.axes in the mapping"
         return text
 
 
 def plane_of(run: Run) -> Plane | None:
-    """Return the plane that holds all points of a run; None if they fill space or lie on one line."""
+    """Return the plane that holds all points of a run; None if they fill space or lie on one
+    line.
+    """
     seen = run.vertices if run.vertices is not None else run.markers
     if seen is None or run.output is not None or not seen.size:
         return None

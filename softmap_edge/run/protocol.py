@@ -1,13 +1,14 @@
-"""The command records that show what a finger lacks: a standard protocol, and a validation run of another kind.
+"""The command records that show what a finger lacks: a standard protocol, and a validation run of
+another kind.
 
-A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two offsets,
-diagonals, staircases with long dwells, fast triangles. Each comes in two mounting orientations, because one alone
-cannot distinguish the weight of the body from a weight at the tip. The other run holds circles, spirals and smooth
-random moves.
-A `Tape` takes the moves, within the `Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`.
-Units: s, mm of tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit: straight
-moves at constant speed, without the ramps of a real servo; `tests/synthetic/test_truth.py` pins the frame counts,
-speeds and coverage.
+A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two
+offsets, diagonals, staircases with long dwells, fast triangles. Each comes in two mounting
+orientations, because one alone cannot distinguish the weight of the body from a weight at the tip.
+The other run holds circles, spirals and smooth random moves. A `Tape` takes the moves, within the
+`Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`. Units: s, mm of
+tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit:
+straight moves at constant speed, without the ramps of a real servo; `tests/synthetic/test_truth.py`
+pins the frame counts, speeds and coverage.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ STAIRS = 3  # channels up to which each has its staircase in each orientation
 TURNING = 6.0  # s at home while the mounting is turned; no frame is taken
 LIMIT_MINUTES = 120.0  # longer is no protocol
 HANGING = (0.0, 0.0, 1.0)
-LEAN, AZIMUTH = np.radians(35.0), np.radians(25.0)  # second mounting: off hanging, and out of the tendon planes
+# second mounting: off hanging, and out of the tendon planes
+LEAN, AZIMUTH = np.radians(35.0), np.radians(25.0)
 LEANING = (
     float(np.sin(LEAN) * np.cos(AZIMUTH)),
     float(np.sin(LEAN) * np.sin(AZIMUTH)),
@@ -43,9 +45,10 @@ LEANING = (
 class Protocol:
     """Commands to send and instants to look.
 
-    `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block` (K,) labels.
-    `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be reached, where they are part of it.
-    `notes` give the times (s) of steps done by hand; `unit` is that of the commands.
+    `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block`
+    (K,) labels. `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be
+    reached, where they are part of it. `notes` give the times (s) of steps done by hand; `unit` is
+    that of the commands.
     """
 
     name: str
@@ -72,7 +75,9 @@ class Protocol:
 
 @dataclass(frozen=True)
 class Limits:
-    """How far and how fast a robot is moved: home, low, high (C,) in its unit, slow and fast (C,) in units a second."""
+    """How far and how fast a robot is moved: home, low, high (C,) in its unit, slow and fast (C,)
+    in units a second.
+    """
 
     home: Floats
     low: Floats
@@ -90,14 +95,16 @@ class Limits:
         """
         if channels < 1 or not 0.0 < reach < 1e3:
             raise SoftmapError(
-                f"a protocol needs at least 1 channel and 0 < reach < 1000 mm, got {channels} and {reach}"
+                f"a protocol needs at least 1 channel and 0 < reach < 1000 mm, got {channels} and "
+                f"{reach}"
             )
         one = np.ones(channels)
         return cls(0.0 * one, -reach * one, reach * one, SLOW * one, FAST * one)
 
     @classmethod
     def of(cls, command_range: Floats, unit: str = "mm", fastest: float | None = None) -> Limits:
-        """Return three quarters of a model's `command_range` (C, 2) to both sides of home, at speeds that go with it.
+        """Return three quarters of a model's `command_range` (C, 2) to both sides of home, at
+        speeds that go with it.
 
         Home is command 0, or what is nearest to it. `fastest` units a second bounds every speed.
 
@@ -107,10 +114,13 @@ class Limits:
         low, high = np.asarray(command_range, float).reshape(-1, 2).T
         if not low.size or not np.all(np.isfinite(low) & np.isfinite(high) & (high > low)):
             raise SoftmapError(
-                f"commands from {low.tolist()} to {high.tolist()} leave no room to move; take a model with commands"
+                f"commands from {low.tolist()} to {high.tolist()} leave no room to move; take a "
+                "model with commands"
             )
         if fastest is not None and not 0.0 < fastest < 1e6:
-            raise SoftmapError(f"a fastest speed of {fastest:g} {unit}/s is none; give a number above 0")
+            raise SoftmapError(
+                f"a fastest speed of {fastest:g} {unit}/s is none; give a number above 0"
+            )
         home = np.clip(0.0, low, high)
         up, down = SHARE * (high - home), SHARE * (home - low)
         slow, fast = (np.maximum(up, down) * speed / REACH for speed in (SLOW, FAST))
@@ -130,7 +140,9 @@ class Limits:
         return np.asarray((self.home - self.low > least) & (self.high - self.home > least))
 
     def at(self, share: Floats) -> Floats:
-        """Return the command (..., C) at `share` of the way from home to high (above 0) or to low (below 0)."""
+        """Return the command (..., C) at `share` of the way from home to high (above 0) or to low
+        (below 0).
+        """
         up, down = self.high - self.home, self.home - self.low
         return np.asarray(self.home + np.where(share > 0, share * up, share * down))
 
@@ -145,29 +157,41 @@ def standard_protocol(
 ) -> Protocol:
     """Make the standard protocol: about 360 frames in 4 minutes, two orientations.
 
-    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command; `limits` of a robot,
-    in place of both; `back` returns to the first orientation for triangles and the other side of the staircases, so
-    that orientation no longer follows time: 6 minutes; `orientations` are the two directions of gravity.
-    Returns the protocol. Raises SoftmapError if channels or reach are not usable.
+    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command;
+    `limits` of a robot, in place of both; `back` returns to the first orientation for triangles and
+    the other side of the staircases, so that orientation no longer follows time: 6 minutes;
+    `orientations` are the two directions of gravity. Returns the protocol. Raises SoftmapError if
+    channels or reach are not usable.
     """
     limits = limits or Limits.even(channels, reach)
     directions = (*orientations, orientations[0]) if back else orientations
     return _in_orientations("standard protocol", limits, seed, _standard_blocks, directions)
 
 
-def other_protocol(channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None) -> Protocol:
+def other_protocol(
+    channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None
+) -> Protocol:
     """Make a validation run of another kind: circles, spirals, smooth random moves.
 
-    Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two orientations.
+    Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two
+    orientations.
     """
     limits = limits or Limits.even(channels, reach)
     return _in_orientations("another kind of run", limits, seed, _other_blocks, (HANGING, LEANING))
 
 
 class Tape:
-    """Collects the corners of the command, the conditions and the instants to look, one move after another."""
+    """Collects the corners of the command, the conditions and the instants to look, one move after
+    another.
+    """
 
-    def __init__(self, limits: Limits, rng: np.random.Generator, gravity: tuple[float, ...], load: float = 0.0) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        rng: np.random.Generator,
+        gravity: tuple[float, ...],
+        load: float = 0.0,
+    ) -> None:
         self.limits, self.rng, self.channels = limits, rng, limits.channels
         self.slow, self.fast = limits.slow, limits.fast
         self.now = 0.0
@@ -193,7 +217,9 @@ class Tape:
         """Turn the mounting half-way through a pause at home."""
         if gravity != self.turns[-1][1]:
             down = " ".join(f"{x:.2f}" for x in gravity)
-            self.turns.append((self._pause(f"turn the robot until gravity points along {down}"), gravity))
+            self.turns.append(
+                (self._pause(f"turn the robot until gravity points along {down}"), gravity)
+            )
 
     def hang(self, load: float) -> None:
         """Hang `load` g at the tip, in all, half-way through a pause at home."""
@@ -209,7 +235,11 @@ class Tape:
         if rate <= 0.0:
             return
         last = self.seen[-1][0] if self.seen else -np.inf
-        at = max(start, last) + self.rng.uniform(0.1, 0.6) / rate if last > start - 1.0 / rate else start + 0.3 / rate
+        at = (
+            max(start, last) + self.rng.uniform(0.1, 0.6) / rate
+            if last > start - 1.0 / rate
+            else start + 0.3 / rate
+        )
         while at < end:
             self.seen.append((at, label))
             at += self.rng.uniform(0.75, 1.25) / rate
@@ -220,7 +250,9 @@ class Tape:
         self.corners.append((self.now, self.here.copy()))
 
     def to(self, target: Floats, speed: Floats, rate: float, label: str) -> None:
-        """Move straight to `target` (C,) mm; none of the channels moves faster than its `speed` (C,) mm/s."""
+        """Move straight to `target` (C,) mm; none of the channels moves faster than its `speed`
+        (C,) mm/s.
+        """
         samples = int(np.ceil(float(np.max(np.abs(target - self.here) / speed)) * RATE - 1e-9))
         if samples <= 0:
             return
@@ -229,7 +261,9 @@ class Tape:
         self.now += seconds
         self.corners.append((self.now, np.array(target, dtype=np.float64)))
 
-    def follow(self, path: Callable[[Floats], Floats], seconds: float, rate: float, label: str) -> None:
+    def follow(
+        self, path: Callable[[Floats], Floats], seconds: float, rate: float, label: str
+    ) -> None:
         """Follow `path`: phase (n,) in 0..1 → command (n, C) mm."""
         steps = max(2, int(np.ceil(seconds * RATE)))
         phase = np.arange(1, steps + 1) / steps
@@ -248,7 +282,9 @@ class Tape:
         times = np.array([time for time, _ in self.corners])
         corners = np.array([command for _, command in self.corners])
         t = np.arange(int(np.ceil(self.now * RATE)) + 1) / RATE
-        command = np.stack([np.interp(t, times, corners[:, c]) for c in range(self.channels)], axis=1)
+        command = np.stack(
+            [np.interp(t, times, corners[:, c]) for c in range(self.channels)], axis=1
+        )
         gravity, load = np.empty((t.size, 3)), np.empty(t.size)
         for start, direction in self.turns:
             gravity[t >= start] = direction
@@ -287,7 +323,8 @@ def _standard_blocks(tape: Tape, part: int) -> None:
             small_loops(tape, channel)
         diagonals(tape)
     for channel in channels:
-        if tape.channels <= STAIRS or channel % 2 == part % 2:  # with many channels each in one of the orientations
+        # with many channels each in one of the orientations
+        if tape.channels <= STAIRS or channel % 2 == part % 2:
             staircase(tape, channel, 1.0 if part == 0 else -1.0)
     for channel in channels if part < 2 else ():
         fast_triangles(tape, channel)
@@ -347,7 +384,9 @@ def _other_blocks(tape: Tape, part: int) -> None:
 
 
 def circle(tape: Tape) -> Callable[[Floats], Floats]:
-    """Return a path of two turns, each channel a quarter behind the one before, that starts and ends at home."""
+    """Return a path of two turns, each channel a quarter behind the one before, that starts and
+    ends at home.
+    """
     shift = np.arange(tape.channels) * (np.pi / 2)
 
     def path(phase: Floats) -> Floats:
@@ -362,13 +401,17 @@ def spiral(tape: Tape) -> Callable[[Floats], Floats]:
     shift = np.arange(tape.channels) * (np.pi / 2)
 
     def path(phase: Floats) -> Floats:
-        return tape.limits.at(0.95 * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift))
+        return tape.limits.at(
+            0.95 * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift)
+        )
 
     return path
 
 
 def wander(tape: Tape, size: float) -> Callable[[Floats], Floats]:
-    """Return a smooth random path that starts and ends at home and stays within ± `size` of the reach."""
+    """Return a smooth random path that starts and ends at home and stays within ± `size` of the
+    reach.
+    """
     waves = np.arange(1, 6)
     weight = tape.rng.normal(size=(waves.size, tape.channels)) / waves[:, None] ** 0.5
 

@@ -1,4 +1,6 @@
-"""The command at which a robot rests: 0, unless its range lies far from 0, as servo ticks not counted from home."""
+"""The command at which a robot rests: 0, unless its range lies far from 0, as servo ticks not
+counted from home.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
         reach: least and largest command of each channel, shape (C, 2).
 
     Returns:
-        0 if the range holds it, the nearest end of a range that begins a little beyond 0, the middle of a range far
-        from 0.
+        0 if the range holds it, the nearest end of a range that begins a little beyond 0, the
+        middle of a range far from 0.
     """
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     near = np.clip(0.0, np.minimum(low, high), np.maximum(low, high))
@@ -26,7 +28,9 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
 
 
 def far_from_home(reach: ArrayLike) -> NDArray[np.bool_]:
-    """Return which channels (C,) are not counted from home: their range, of shape (C, 2), lies far from 0."""
+    """Return which channels (C,) are not counted from home: their range, of shape (C, 2), lies far
+    from 0.
+    """
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     return np.asarray((np.maximum(low, -high) > FAR * (high - low)) & (high > low))
 
@@ -34,11 +38,13 @@ def far_from_home(reach: ArrayLike) -> NDArray[np.bool_]:
 def rest_command(rows: ArrayLike) -> NDArray[np.float64]:
     """Return the command (C,) at which a robot probably rests, of finite commands (T, C).
 
-    It is that of `home_command`. Of channels whose range lies far from 0 it is the first command, if the run stays
-    there, or ends there.
+    It is that of `home_command`. Of channels whose range lies far from 0 it is the first command,
+    if the run stays there, or ends there.
     """
     rows = np.asarray(rows, float)
     reach = np.stack([rows.min(axis=0), rows.max(axis=0)], axis=1)
     home, near = home_command(reach), _NEAR * np.ptp(reach, axis=1)
-    stays = (np.abs(rows[:_STAYS] - rows[0]) <= near).all() or (np.abs(rows[-1] - rows[0]) <= near).all()
+    stays = (np.abs(rows[:_STAYS] - rows[0]) <= near).all() or (
+        np.abs(rows[-1] - rows[0]) <= near
+    ).all()
     return np.asarray(np.where(far_from_home(reach), rows[0], home)) if stays else home

@@ -1,7 +1,8 @@
-"""Find commands and encoders that roll over: jumps of about one turn between rows that otherwise move slowly.
+"""Find commands and encoders that roll over: jumps of about one turn between rows that otherwise
+move slowly.
 
-A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A step that was commanded has the same size, but
-the motion does not go on across it. Pinned by tests/run/test_rollover.py.
+A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A step that was commanded
+has the same size, but the motion does not go on across it. Pinned by tests/run/test_rollover.py.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
     step, span = np.diff(values), float(np.ptp(values))
     size = np.abs(step)
     for turn in turns:
-        if not 0.5 * turn < span <= turn * (1 + 1e-9) or (turn == TURNS[0] and (values == np.rint(values)).all()):
+        if not 0.5 * turn < span <= turn * (1 + 1e-9) or (
+            turn == TURNS[0] and (values == np.rint(values)).all()
+        ):
             continue  # whole numbers are no radians
         jumps = size > 0.5 * turn
         if not jumps.any() or size[~jumps].max(initial=0.0) > _SLOW * turn:
@@ -64,7 +67,9 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
 
 
 def _reach(size: Floats, jumps: NDArray[np.bool_]) -> Floats:
-    """Return the largest step that the motion around each jump allows, from the steps (T - 1,); -1 at rest."""
+    """Return the largest step that the motion around each jump allows, from the steps (T - 1,); -1
+    at rest.
+    """
     steps = np.where(jumps, 0.0, size)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, _NEAR), 2 * _NEAR + 1)
     fastest = windows[np.flatnonzero(jumps)].max(axis=1)
@@ -98,7 +103,8 @@ def roll_overs_of(run: Run) -> list[str]:
 
 
 def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) -> str | None:
-    """Return the sentence on channels that roll over, which ends with the key of the mapping; None without any.
+    """Return the sentence on channels that roll over, which ends with the key of the mapping; None
+    without any.
 
     Args:
         name: of the quantity in a mapping.
@@ -108,9 +114,11 @@ def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) ->
     some = [(label, one) for label, one in zip(names, found) if one is not None]
     if not some:
         return None
-    channels = listed((f"{label} in {one.count} rows (the first is row {one.row})" for label, one in some), _SHOWN)
+    channels = listed(
+        (f"{label} in {one.count} rows (the first is row {one.row})" for label, one in some), _SHOWN
+    )
     turn = f"{some[0][1].turn:.7g}"
     return (
-        f"{name}: jumps by about {turn} within one row and moves slowly otherwise, as an encoder that rolls over: "
-        f"{channels}; if so, set {name}.unwrap = {turn}"
+        f"{name}: jumps by about {turn} within one row and moves slowly otherwise, as an encoder "
+        f"that rolls over: {channels}; if so, set {name}.unwrap = {turn}"
     )

@@ -1,11 +1,12 @@
-"""The run: what was commanded and what was seen, every field checked (units mm, s, ticks, mA, °C, g).
+"""The run: what was commanded and what was seen, every field checked (units mm, s, ticks, mA, °C,
+g).
 
-`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: code that
-receives one need not check again. T command rows, C channels, K frames seen, N vertices or M markers; C = 0 and K = 0
-are valid. The unit of `command` and `present` is mm of tendon unless `command_unit` names another (a robot
-without a spool radius).
-Known limit: a file in metres is recognised by its extent (< 1 mm in all), so a robot smaller than that is
-refused; tests/run/test_runs.py pins this and each message.
+`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: code
+that receives one need not check again. T command rows, C channels, K frames seen, N vertices or M
+markers; C = 0 and K = 0 are valid. The unit of `command` and `present` is mm of tendon unless
+`command_unit` names another (a robot without a spool radius). Known limit: a file in metres is
+recognised by its extent (< 1 mm in all), so a robot smaller than that is refused;
+tests/run/test_runs.py pins this and each message.
 """
 
 from __future__ import annotations
@@ -31,35 +32,60 @@ from softmap_edge.run.plane import PLANE
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
 MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
-BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
+# the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
+BASE_MARKERS = "base_markers"
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
-SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
+# the field in which an import keeps the radius of the spools of its mapping
+SPOOL_RADIUS = "spool_radius_mm"
 SPOOLS_MM = (1e-3, 1e4)  # radii that a mapping may declare
-NOT_SEEN = "not_seen"  # the field that marks the search for places that stand for "not seen" as done or switched off
-PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
+# the field that marks the search for places that stand for "not seen" as done or switched off
+NOT_SEEN = "not_seen"
+# fields of a run that was cut or joined
+PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")
 NO_COMMANDS = (  # what a run of markers alone cannot be used for
-    "a run without commands can be shown, cut and joined, but no model can be learned from it, compared with it or "
-    "diagnosed; name the columns of the commands (or encoders) as `command` or `ticks` in the mapping"
+    "a run without commands can be shown, cut and joined, but no model can be learned from it, "
+    "compared with it or diagnosed; name the columns of the commands (or encoders) as `command` "
+    "or `ticks` in the mapping"
 )
-HOME_TICKS = "home_ticks"  # the field with the ticks at home (C,) of a run whose commands count ticks from there
-CALIBRATION = "calibration"  # the field with the map (JSON) by which a control loop turned commands into `ticks`
+# the field with the ticks at home (C,) of a run whose commands count ticks from there
+HOME_TICKS = "home_ticks"
+# the field with the map (JSON) by which a control loop turned commands into `ticks`
+CALIBRATION = "calibration"
 DAMAGE = "damage"  # the field with a sentence on what the recording lacks of which the run was made
 # Fields of `extra` that our own commands write.
-OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, HOME_TICKS, "made_by", "made_from", "marker_labels"}
+OURS = {
+    BASE_MARKERS,
+    SPOOL_RADIUS,
+    ROLL_SEEN,
+    NOT_SEEN,
+    PLANE,
+    HOME_TICKS,
+    "made_by",
+    "made_from",
+    "marker_labels",
+}
 OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
 
 def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
-    """Return the radius of the spools (mm) that a mapping declared, of `Run.extra`; None without a plausible one."""
+    """Return the radius of the spools (mm) that a mapping declared, of `Run.extra`; None without a
+    plausible one.
+    """
     value = np.asarray(extra.get(SPOOL_RADIUS, 0.0))
     plain = value.ndim == 0 and value.dtype.kind in "fiu"
     return float(value) if plain and SPOOLS_MM[0] <= float(value) <= SPOOLS_MM[1] else None
 
 
 def text_in(extra: Mapping[str, NDArray[np.generic]], name: str) -> str | None:
-    """Return the text of a field of `Run.extra`; None if there is none, or an array of another program."""
+    """Return the text of a field of `Run.extra`; None if there is none, or an array of another
+    program.
+    """
     field = extra.get(name)
-    return None if field is None or field.dtype.kind != "U" or field.size != 1 else str(field.reshape(-1)[0])
+    return (
+        None
+        if field is None or field.dtype.kind != "U" or field.size != 1
+        else str(field.reshape(-1)[0])
+    )
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
@@ -74,8 +100,12 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     """
     archive = read_npz(Path(path), RunError, limit)
     numbers = sum(array.size for array in archive.values())
-    if numbers > MAX_NUMBERS:  # each takes eight bytes, several times, in whatever type it is stored
-        raise RunError(f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into shorter runs")
+    # each takes eight bytes, several times, in whatever type it is stored
+    if numbers > MAX_NUMBERS:
+        raise RunError(
+            f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into "
+            "shorter runs"
+        )
     try:
         stored: dict[str, NDArray[np.generic]] = dict(archive)
         known: Document = {name: stored.pop(name) for name in fields.AXES if name in stored}
@@ -91,7 +121,9 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     except RunError as fault:
         raise RunError(f"{path}: {fault}") from None
     except MemoryError:
-        raise RunError(f"{path}: larger than this machine's free memory; cut the recording into shorter runs") from None
+        raise RunError(
+            f"{path}: larger than this machine's free memory; cut the recording into shorter runs"
+        ) from None
 
 
 class _Load:
@@ -118,21 +150,28 @@ class Run:
         command, ticks: (T, C) commands, in `command_unit` (mm of shortening) or in servo ticks;
             one of the two.
         present, present_ticks: (T, C) encoder positions, in `command_unit` or in ticks.
-        current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one number.
+        current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one
+            number.
         gravity: (3,) or (T, 3) unit vector in the base frame.
-        vertices, markers: (K, N, 3) mm; or `points` (P, 3) mm, cloud k being `points[start[k]:start[k + 1]]`.
-        visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or text
-            labels.
+        vertices, markers: (K, N, 3) mm; or `points` (P, 3) mm, cloud k being
+            `points[start[k]:start[k + 1]]`.
+        visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or
+            text labels.
         marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
-        frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame (`softmap run align`);
-            frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
-        cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in which it looks along z.
-        output: meaning of the markers, if they are forces, angles or levels and not places (`of_outputs`).
-        timeless: whether `t` counts rows, because the log has no time: nothing about rates can be learned from it.
+        frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame
+            (`softmap run align`); frame_sigma: (6,) its standard deviations, deg and mm, about the
+            axes of the base frame.
+        cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in
+            which it looks along z.
+        output: meaning of the markers, if they are forces, angles or levels and not places
+            (`of_outputs`).
+        timeless: whether `t` counts rows, because the log has no time: nothing about rates can be
+            learned from it.
         extra: unknown fields, kept as they are.
 
     Raises:
-        RunError: a field is not as above; the message gives its name, its value and the expected one.
+        RunError: a field is not as above; the message gives its name, its value and the expected
+            one.
     """
 
     t: Array
@@ -164,7 +203,13 @@ class Run:
 
     @classmethod
     def of_outputs(
-        cls, values: ArrayLike, unit: str, names: Sequence[str] = (), *, t_seen: ArrayLike, **recorded: Any
+        cls,
+        values: ArrayLike,
+        unit: str,
+        names: Sequence[str] = (),
+        *,
+        t_seen: ArrayLike,
+        **recorded: Any,
     ) -> Run:
         """Return a run of outputs other than places: forces, angles, levels.
 
@@ -183,7 +228,12 @@ class Run:
         shown = np.isfinite(rows)
         if not shown.all():
             recorded = {"visible": shown} | recorded
-        return cls(markers=output.markers(rows), t_seen=np.asarray(t_seen, float), output=output, **recorded)
+        return cls(
+            markers=output.markers(rows),
+            t_seen=np.asarray(t_seen, float),
+            output=output,
+            **recorded,
+        )
 
     def __post_init__(self) -> None:
         for name in fields.AXES:
@@ -199,8 +249,8 @@ class Run:
         self.validate()
 
     def validate(self) -> None:
-        """Check every field: shape, finiteness, order of time, plausible units. A Run is checked when it is
-        made.
+        """Check every field: shape, finiteness, order of time, plausible units. A Run is checked
+        when it is made.
 
         Raises:
             RunError: the first fault, with what was expected.
@@ -209,7 +259,9 @@ class Run:
 
     # --- files ---------------------------------------------------------------------------
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the fields that are set, as they are stored (texts as 0-d arrays), unknown ones last."""
+        """Return the fields that are set, as they are stored (texts as 0-d arrays), unknown ones
+        last.
+        """
         known = {name: getattr(self, name) for name in fields.AXES}
         stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
         stored |= {"command_unit": np.asarray(self.command_unit)}
@@ -251,7 +303,9 @@ class Run:
 
     @property
     def marker_names(self) -> list[str]:
-        """The names of the markers, from `marker_labels` where an import kept them, else their numbers from 1."""
+        """The names of the markers, from `marker_labels` where an import kept them, else their
+        numbers from 1.
+        """
         if self.output is not None:
             return list(self.output.names)
         count = 0 if self.markers is None else self.markers.shape[1]
@@ -285,7 +339,8 @@ class Run:
                 return seen
         if self.points is not None:
             raise RunError(
-                "points: clouds have no correspondence yet; lay a template onto them with `softmap run register`"
+                "points: clouds have no correspondence yet; lay a template onto them with "
+                "`softmap run register`"
             )
         raise RunError("vertices, markers: the run holds neither; record or import what was seen")
 
@@ -293,8 +348,8 @@ class Run:
         """Return (T, C) what drives the model, in `command_unit`.
 
         Args:
-            source: "goal" (what was commanded), "present" (what the encoders measured); None takes the present
-                position where the run has it, else the goal.
+            source: "goal" (what was commanded), "present" (what the encoders measured); None takes
+                the present position where the run has it, else the goal.
 
         Raises:
             RunError: the run does not hold it, or holds ticks only.
@@ -303,14 +358,16 @@ class Run:
             raise RunError(f"source: '{source}', expected goal or present")
         if source == "present" or (source is None and self.present is not None):
             if self.present is None:
-                raise RunError("present: the run has no encoder positions in mm; use the goal (--input goal)")
+                raise RunError(
+                    "present: the run has no encoder positions in mm; use the goal (--input goal)"
+                )
             return self.present
         if self.command is None:
             raise RunError(
-                "command: the run holds ticks, and the model takes another unit without a calibration; `softmap learn "
-                "RUN --out DIR` makes a model in ticks from a run with markers, "
-                "`softmap model calibrate RUN --bundle DIR "
-                "--out DIR2` calibrates a model of this robot; then give --bundle DIR or DIR2"
+                "command: the run holds ticks, and the model takes another unit without a "
+                "calibration; `softmap learn RUN --out DIR` makes a model in ticks from a run "
+                "with markers, `softmap model calibrate RUN --bundle DIR --out DIR2` calibrates a "
+                "model of this robot; then give --bundle DIR or DIR2"
             )
         return self.command
 
@@ -323,7 +380,8 @@ class Run:
 
     # --- parts ---------------------------------------------------------------------------
     def at(self, select: ArrayLike) -> Run:
-        """Return the run with some of its frames; the commands stay complete, so that memory is still right.
+        """Return the run with some of its frames; the commands stay complete, so that memory is
+        still right.
 
         Args:
             select: (K,) bool, or indices of frames in increasing order.
@@ -333,10 +391,14 @@ class Run:
         """
         chosen = np.asarray(select)
         if chosen.dtype == bool and chosen.shape != (self.frames,):
-            raise RunError(f"select: shape {chosen.shape}, expected ({self.frames},) for {self.frames} frames")
+            raise RunError(
+                f"select: shape {chosen.shape}, expected ({self.frames},) for {self.frames} frames"
+            )
         if chosen.dtype != bool and chosen.size and chosen.dtype.kind not in "iu":
             raise RunError(f"select: {chosen.dtype}, expected booleans or indices of frames")
-        index = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
+        index = (
+            np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
+        )
         if index.size and (index.min() < -self.frames or index.max() >= self.frames):
             raise RunError(f"select: frame {index.max()}, the run has {self.frames}")
         change: Document = {}
@@ -347,16 +409,20 @@ class Run:
         if self.points is not None and self.start is not None:
             clouds = [self.points[self.start[k] : self.start[k + 1]] for k in index]
             change["points"] = np.concatenate(clouds) if clouds else np.zeros((0, 3))
-            change["start"] = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]).astype(np.int64)
+            change["start"] = np.concatenate(
+                [[0], np.cumsum([len(cloud) for cloud in clouds])]
+            ).astype(np.int64)
         base = self.extra.get(BASE_MARKERS)
         if base is not None and base.ndim and len(base) == self.frames:
             change["extra"] = self.extra | {BASE_MARKERS: base[index]}
         return dataclasses.replace(self, **change)
 
     def slice_time(self, t0: float, t1: float) -> Run:
-        """Return rows and frames with t0 <= time < t1 (s), and the row before t0 whose command still holds.
+        """Return rows and frames with t0 <= time < t1 (s), and the row before t0 whose command
+        still holds.
 
-        What the robot remembers of earlier rows is cut off with them; use `at` where memory matters.
+        What the robot remembers of earlier rows is cut off with them; use `at` where memory
+        matters.
 
         Raises:
             RunError: the interval is empty or holds no row.
@@ -365,7 +431,8 @@ class Run:
         last = int(np.searchsorted(self.t, t1))
         if not t0 < t1 or last <= first:
             raise RunError(
-                f"slice_time: no rows in [{t0:g}, {t1:g}) s; the run lasts from {self.t[0]:g} to {self.t[-1]:g} s"
+                f"slice_time: no rows in [{t0:g}, {t1:g}) s; the run lasts from {self.t[0]:g} to "
+                f"{self.t[-1]:g} s"
             )
         part = self.at((self.t_seen >= t0) & (self.t_seen < t1))
         rows = (
@@ -380,7 +447,11 @@ class Run:
             "gravity",
         )
         change = {name: getattr(self, name) for name in rows}
-        cut = {name: value[first:last] for name, value in change.items() if value is not None and value.ndim != 0}
+        cut = {
+            name: value[first:last]
+            for name, value in change.items()
+            if value is not None and value.ndim != 0
+        }
         if self.gravity is not None and self.gravity.ndim == 1:
             del cut["gravity"]
         return dataclasses.replace(part, **cut)
@@ -399,7 +470,8 @@ class Run:
             start: time in s; frames with start <= time < end are kept. None: from the first one on.
             end: time in s. None: to the last frame.
             block: a label, in place of a time.
-            lead_s: s of commands that are kept before the first frame, so that memory is still right.
+            lead_s: s of commands that are kept before the first frame, so that memory is still
+                right.
 
         Raises:
             RunError: the piece is empty, or there is no such block.
@@ -409,7 +481,10 @@ class Run:
         return cut(self, start, end, block=block, lead_s=lead_s)
 
     def __repr__(self) -> str:
-        seen = next((name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing")
+        seen = next(
+            (name for name in ("vertices", "markers", "points") if getattr(self, name) is not None),
+            "nothing",
+        )
         if self.output is not None:
             seen = f"{', '.join(self.output.names)} ({self.output.unit})"
         rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"
@@ -417,6 +492,8 @@ class Run:
 
 
 def known(run: Run, points: Array) -> NDArray[np.bool_]:
-    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not reported as hidden."""
+    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not reported as
+    hidden.
+    """
     finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     return finite if run.visible is None else np.logical_and(finite, run.visible)

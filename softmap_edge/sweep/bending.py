@@ -1,17 +1,20 @@
-"""Say how a body without a known stiffness answers loads, by bending its own centreline with one compliance number.
+"""Say how a body without a known stiffness answers loads, by bending its own centreline with one
+compliance number.
 
-A load turns every cross-section by its bending moment M(s). With c = 1/(E·I) (N⁻¹·mm⁻², uniform) a point that hangs on
-the line at arc s_i moves, to first order, by
+A load turns every cross-section by its bending moment M(s). With c = 1/(E·I) (N⁻¹·mm⁻², uniform) a
+point that hangs on the line at arc s_i moves, to first order, by
 
-    δp_i = d(s_i) + θ(s_i) × (p_i − r(s_i)),   θ(s) = c ∫₀ˢ m dr,   d(s) = c ∫₀ˢ m × (r(s) − r) dr      (mm)
+    δp_i = d(s_i) + θ(s_i) × (p_i − r(s_i)),   θ(s) = c ∫₀ˢ m dr,   d(s) = c ∫₀ˢ m × (r(s) − r) dr
+        (mm)
 
-M(s) = (r_tip − r(s)) × F for a force F on the tip, and the first moment of what hangs beyond for a weight spread
-evenly; m = [M]⊥ (twist is stiff) less what the tendons carry: motors that hold keep each tendon's length, so the mean
-of m over the body, in frames carried along it without twist, is taken away by the share `lock` (1: of fixed length, 0:
-free to slide). Facts for lock = 1: the built-in finger moves 3 mm under 20 g at its tip, 3.5 by this formula, 14 with
-free tendons. The line is chords between stations, on which the integrand is a cubic at most: Simpson's rule is exact.
-The same law for a fitted rod, chord by chord: rust/rod/field.rs. Limits: linear in the load; no axial or shear
-stiffness.
+M(s) = (r_tip − r(s)) × F for a force F on the tip, and the first moment of what hangs beyond for a
+weight spread evenly; m = [M]⊥ (twist is stiff) less what the tendons carry: motors that hold keep
+each tendon's length, so the mean of m over the body, in frames carried along it without twist, is
+taken away by the share `lock` (1: of fixed length, 0: free to slide). Facts for lock = 1: the
+built-in finger moves 3 mm under 20 g at its tip, 3.5 by this formula, 14 with free tendons. The
+line is chords between stations, on which the integrand is a cubic at most: Simpson's rule is exact.
+The same law for a fitted rod, chord by chord: rust/rod/field.rs. Limits: linear in the load; no
+axial or shear stiffness.
 """
 
 from __future__ import annotations
@@ -35,9 +38,11 @@ _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0))
 
 @dataclass(frozen=True)
 class Stiffness:
-    """What scales the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and how well a known load was met.
+    """What scales the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and how well a
+    known load was met.
 
-    `known` is false for nominal numbers; `residual_mm` RMS is left of `moved_mm` RMS that the known load moved.
+    `known` is false for nominal numbers; `residual_mm` RMS is left of `moved_mm` RMS that the known
+    load moved.
     """
 
     compliance: float
@@ -49,15 +54,15 @@ class Stiffness:
 
     @classmethod
     def nominal(cls, line: Centreline) -> Stiffness:
-        """Return the numbers that stand in where no load is known: 1 N moves the tip of the straight body by a
-        tenth.
+        """Return the numbers that stand in where no load is known: 1 N moves the tip of the
+        straight body by a tenth.
         """
         return cls(12.0 * TIP_PER_NEWTON / line.length**2, LOCK, NOMINAL_WEIGHT, False)
 
 
 def fields(line: Centreline, points: Floats, stiffness: Stiffness) -> dict[str, Floats]:
-    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm by field: per 1 g of gravity, per 1 N on the
-    tip.
+    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm by field: per 1 g of
+    gravity, per 1 N on the tip.
     """
     found = {}
     for name in _core.LOADS:
@@ -70,12 +75,17 @@ def fields(line: Centreline, points: Floats, stiffness: Stiffness) -> dict[str, 
 
 
 def weigh(
-    line: Centreline, unloaded: Floats, loaded: Floats, force: Floats, mass: float, own_error_mm: float
+    line: Centreline,
+    unloaded: Floats,
+    loaded: Floats,
+    force: Floats,
+    mass: float,
+    own_error_mm: float,
 ) -> Stiffness:
     """Find compliance and lock from shapes under a known load.
 
-    Args: shapes (L, N, 3) mm without and with the load; `force` (L, 3) N on the tip; `mass` g of the body;
-    `own_error_mm` of the unloaded shapes.
+    Args: shapes (L, N, 3) mm without and with the load; `force` (L, 3) N on the tip; `mass` g of
+    the body; `own_error_mm` of the unloaded shapes.
 
     Raises:
         SoftmapError: the load moves the body too little, or against its direction.
@@ -85,9 +95,8 @@ def weigh(
     size = float(np.sqrt(np.mean(np.sum(moved**2, axis=2))))
     if size < 3.0 * own_error_mm:
         raise SoftmapError(
-            f"the known load moves the body by {size:.3g} mm RMS, the unloaded model's own error is "
-            f"{own_error_mm:.3g} mm; "
-            "hang on more, in a pose where it bends the body"
+            f"the known load moves the body by {size:.3g} mm RMS, the unloaded model's own error "
+            f"is {own_error_mm:.3g} mm; hang on more, in a pose where it bends the body"
         )
     both = np.stack([free.ravel(), -held.ravel()], axis=1)
     (a, b), *_ = np.linalg.lstsq(both, moved.ravel(), rcond=1e-9)
@@ -100,16 +109,21 @@ def weigh(
         _, a, b = min(fits)
     if a <= 0.0:
         raise SoftmapError(
-            "the known load moves the body against its own direction; check `gravity`, `load` (g) and which shapes "
-            "are loaded"
+            "the known load moves the body against its own direction; check `gravity`, `load` (g) "
+            "and which shapes are loaded"
         )
     rest = moved.ravel() - both @ np.array([a, b])
     residual = float(np.sqrt(np.sum(rest**2) / (moved.size / 3)))
-    return Stiffness(float(a), float(b / a), mass * 1e-3 * _core.STANDARD_GRAVITY, True, size, residual)
+    return Stiffness(
+        float(a), float(b / a), mass * 1e-3 * _core.STANDARD_GRAVITY, True, size, residual
+    )
 
 
-def _answers(line: Centreline, points: Floats, force: Floats, spread: bool) -> tuple[Floats, Floats]:
-    """Return the displacements (n, N, 3) for c = 1 by free tendons, and the part that held tendons take away.
+def _answers(
+    line: Centreline, points: Floats, force: Floats, spread: bool
+) -> tuple[Floats, Floats]:
+    """Return the displacements (n, N, 3) for c = 1 by free tendons, and the part that held tendons
+    take away.
 
     `force` (n, 3) N acts at the tip, or is `spread` over the body.
     """
@@ -126,23 +140,36 @@ def _answers(line: Centreline, points: Floats, force: Floats, spread: bool) -> t
     mean = np.sum(inside, axis=1) / np.sum(length, axis=1)[:, None]
     even = np.einsum("kjab,kb->kja", frames, mean)
     held = [even - tangent * np.sum(even * tangent, axis=2, keepdims=True)] * len(_SIMPSON)
-    return moved(line, points, stations, length, bending), moved(line, points, stations, length, held)
+    return moved(line, points, stations, length, bending), moved(
+        line, points, stations, length, held
+    )
 
 
-def _moment(stations: Floats, chord: Floats, length: Floats, share: float, force: Floats, spread: bool) -> Floats:
+def _moment(
+    stations: Floats, chord: Floats, length: Floats, share: float, force: Floats, spread: bool
+) -> Floats:
     """Return the moment (n, J, 3) of the load at this share of each chord."""
     at = stations[:, :-1] + share * chord
     if not spread:
         return np.cross(stations[:, -1:] - at, force[:, None])
     middle = stations[:, :-1] + 0.5 * chord
-    hanging = np.cumsum((length[..., None] * middle)[:, ::-1], axis=1)[:, ::-1] - length[..., None] * middle
+    hanging = (
+        np.cumsum((length[..., None] * middle)[:, ::-1], axis=1)[:, ::-1]
+        - length[..., None] * middle
+    )
     weight = np.cumsum(length[:, ::-1], axis=1)[:, ::-1] - length
     rest = length * (1.0 - share)
-    arm = rest[..., None] * (stations[:, :-1] + 0.5 * (1.0 + share) * chord - at) + hanging - weight[..., None] * at
+    arm = (
+        rest[..., None] * (stations[:, :-1] + 0.5 * (1.0 + share) * chord - at)
+        + hanging
+        - weight[..., None] * at
+    )
     return np.cross(arm / np.sum(length, axis=1)[:, None, None], force[:, None])
 
 
-def moved(line: Centreline, points: Floats, stations: Floats, length: Floats, bending: list[Floats]) -> Floats:
+def moved(
+    line: Centreline, points: Floats, stations: Floats, length: Floats, bending: list[Floats]
+) -> Floats:
     """Carry the points (n, N, 3) by the bending (n, J, 3) at the nodes of each chord."""
     count = stations.shape[1]
     turn, shift = np.zeros_like(stations), np.zeros_like(stations)
@@ -156,7 +183,9 @@ def moved(line: Centreline, points: Floats, stations: Floats, length: Floats, be
             shift[:, j + 1] += np.cross(more, (1.0 - share) * (ahead - here))
     after = np.clip(np.searchsorted(line.arc, line.along, side="left"), 1, count - 1)
     low = line.arc[after - 1]
-    between = np.clip((line.along - low) / np.maximum(line.arc[after] - low, 1e-12), 0.0, 1.0)[:, None]
+    between = np.clip((line.along - low) / np.maximum(line.arc[after] - low, 1e-12), 0.0, 1.0)[
+        :, None
+    ]
 
     def at(values: Floats) -> Floats:
         return np.asarray(values[:, after - 1] * (1.0 - between) + values[:, after] * between)

@@ -1,12 +1,14 @@
-"""Make a model from an imported sweep: another simulator's commands and shapes, or those of a motion capture.
+"""Make a model from an imported sweep: another simulator's commands and shapes, or those of a
+motion capture.
 
-A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads bend the sweep's own
-centreline (`bending.py`). The model's own error is measured by leaving out: of a table every other node, of a scattered
-sweep neighbourhoods of rows. It says how well the sweep is interpolated, not how well its simulator knows the robot.
+A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads
+bend the sweep's own centreline (`bending.py`). The model's own error is measured by leaving out: of
+a table every other node, of a scattered sweep neighbourhoods of rows. It says how well the sweep is
+interpolated, not how well its simulator knows the robot.
 
-A table with half the nodes is `e` off at those left out; the full one is taken to be e/2^p off, p the order that the
-errors of half and quarter grid show, between 1 (kinks) and 3 (smooth, rust/shape/cubic.rs), or 1.5 where a quarter is
-too coarse.
+A table with half the nodes is `e` off at those left out; the full one is taken to be e/2^p off, p
+the order that the errors of half and quarter grid show, between 1 (kinks) and 3 (smooth,
+rust/shape/cubic.rs), or 1.5 where a quarter is too coarse.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep, is_shape_swe
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
-Errors = list[tuple[Floats, Floats]]  # coefficients left out (n, m), and what the modes do not hold (n, M)
+# coefficients left out (n, m), and what the modes do not hold (n, M)
+Errors = list[tuple[Floats, Floats]]
 
 MODES = 48  # at most
 HELD = 1e-4  # of the movement: so much may be outside the modes
@@ -50,7 +53,8 @@ PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
-    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or an imported one.
+    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or an
+    imported one.
 
     Raises:
         SoftmapError: a field is missing or wrong, with one line.
@@ -65,21 +69,25 @@ def model_from_file(path: str | Path, progress: Progress | None = None) -> Model
     try:
         return model_from_shapes(sweep, {"sweep": file.name, "sha256": digest}, report)
     except np.linalg.LinAlgError as fault:
-        raise SweepError(f"{file.name}: its numbers make no model ({brief(fault)}); make the sweep again") from None
+        raise SweepError(
+            f"{file.name}: its numbers make no model ({brief(fault)}); make the sweep again"
+        ) from None
 
 
 def _as_from_its_finger(path: Path, report: Progress) -> Model:
     sweep = Sweep.load(path)
     if not np.array_equal(sweep.gravity, sweep.finger.gravity) or np.any(sweep.tip_force):
         raise SweepError(
-            f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of {sweep.tip_force.tolist()} "
-            f"N, its finger hangs under {list(sweep.finger.gravity)} without; "
-            f"make it with `softmap model sweep finger.toml`"
+            f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of "
+            f"{sweep.tip_force.tolist()} N, its finger hangs under {list(sweep.finger.gravity)} "
+            "without; make it with `softmap model sweep finger.toml`"
         )
     return from_sweep(sweep.finger, simulator_of(sweep.finger), sweep, report)
 
 
-def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progress: Progress = PROGRESS) -> Model:
+def model_from_shapes(
+    sweep: ShapeSweep, source: Document | None = None, progress: Progress = PROGRESS
+) -> Model:
     """Return the model of a checked sweep; `source` joins `made_from`.
 
     Raises:
@@ -97,7 +105,9 @@ def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progres
         how = {"kernel": f"r^{fit.power}", "smoothing": fit.smoothing, "nodes": len(fit.nodes)}
         notes += _gaps(fit.reach)
     else:
-        prior |= {f"axis{c}": axis for c, axis in enumerate(sweep.axes)} | {"coefficients": values.astype(np.float32)}
+        prior |= {f"axis{c}": axis for c, axis in enumerate(sweep.axes)} | {
+            "coefficients": values.astype(np.float32)
+        }
         left, rows, order = _left_out_of_grid(sweep.axes, values)
         how = {"grid": [len(axis) for axis in sweep.axes], "order": order}
     shape = family_from(prior)
@@ -128,12 +138,19 @@ def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progres
     stored = _fields(sweep, line, shape, stiffness)
     progress("fields", 1.0)
     made_from = {
-        "softmap-edge": __version__, **(source or {}), "commands": len(flat), "modes": len(prior["modes"]), **how,
-        "held_out": "interpolation of the sweep, by leaving out", "notes": notes,
+        "softmap-edge": __version__,
+        **(source or {}),
+        "commands": len(flat),
+        "modes": len(prior["modes"]),
+        **how,
+        "held_out": "interpolation of the sweep, by leaving out",
+        "notes": notes,
         "gravity": "as given" if sweep.gravity is not None else "not given, taken as hanging",
-        "length_mm": round(line.length, 4), "lean_deg": round(line.lean_deg, 3), "bow_mm": round(line.bow_mm, 4),
+        "length_mm": round(line.length, 4),
+        "lean_deg": round(line.lean_deg, 3),
+        "bow_mm": round(line.bow_mm, 4),
         "compliance": _described(stiffness),
-    }  # fmt: skip
+    }
     return replace(
         model.with_structure(fields=fields_from(stored), stiffness_known=stiffness.known),
         form_error=form_error,
@@ -160,8 +177,9 @@ def _gaps(reach: float) -> list[str]:
     if reach <= WIDE:
         return []
     return [
-        f"the commands leave gaps: one between two of them lies {100 * reach:.0f} % of half the range from the "
-        "nearest; the model is a guess there, and its stated error may be too small"
+        f"the commands leave gaps: one between two of them lies {100 * reach:.0f} % of half the "
+        "range from the nearest; the model is a guess there, and its stated error may be too "
+        "small"
     ]
 
 
@@ -172,22 +190,25 @@ def _home(shape: _core.Shape, command: Floats) -> Floats:
 
 
 def _stands_on_its_base(line: Centreline, vertices: Floats) -> None:
-    """Refuse a sweep whose points near the base move more than those far from it: its frame is another one."""
+    """Refuse a sweep whose points near the base move more than those far from it: its frame is
+    another one.
+    """
     moved = np.sqrt(np.mean(np.sum((vertices - vertices.mean(axis=0)) ** 2, axis=2), axis=0))
     low, high = np.quantile(line.along, [0.2, 0.8])
     near, far = float(moved[line.along <= low].mean()), float(moved[line.along >= high].mean())
     if near > far:
         raise SweepError(
-            f"the points nearest to the base at {np.round(line.base, 3).tolist()} move by {near:.3g} mm RMS, those "
-            "farthest "
-            f"from it by {far:.3g} mm; the origin of the base frame belongs at the clamped end: move the points, or "
-            "give `base`"
+            f"the points nearest to the base at {np.round(line.base, 3).tolist()} move by "
+            f"{near:.3g} mm RMS, those farthest from it by {far:.3g} mm; the origin of the base "
+            "frame belongs at the clamped end: move the points, or give `base`"
         )
 
 
-def _left_out_of_grid(axes: tuple[Floats, ...], values: Floats) -> tuple[Floats, NDArray[np.intp], float]:
-    """Return the errors (n, m) of the full grid at nodes that a grid of half as many leaves out, those nodes, the
-    order.
+def _left_out_of_grid(
+    axes: tuple[Floats, ...], values: Floats
+) -> tuple[Floats, NDArray[np.intp], float]:
+    """Return the errors (n, m) of the full grid at nodes that a grid of half as many leaves out,
+    those nodes, the order.
     """
     shape = [len(axis) for axis in axes]
     half, nodes = _coarser(axes, values, 2)
@@ -199,9 +220,11 @@ def _left_out_of_grid(axes: tuple[Floats, ...], values: Floats) -> tuple[Floats,
     return half / 2.0**order, nodes, round(order, 2)
 
 
-def _coarser(axes: tuple[Floats, ...], values: Floats, stride: int) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the errors at the nodes that a grid of every `stride`-th node, and the last, leaves out; and those
-    nodes.
+def _coarser(
+    axes: tuple[Floats, ...], values: Floats, stride: int
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the errors at the nodes that a grid of every `stride`-th node, and the last, leaves
+    out; and those nodes.
     """
     kept = [np.unique(np.r_[np.arange(0, len(axis), stride), len(axis) - 1]) for axis in axes]
     grid = np.arange(len(values)).reshape([len(axis) for axis in axes])
@@ -209,14 +232,20 @@ def _coarser(axes: tuple[Floats, ...], values: Floats, stride: int) -> tuple[Flo
     outside = np.setdiff1d(grid.ravel(), inside)
     size = values.shape[1]
     coarse = _core.Table(
-        [axis[k] for axis, k in zip(axes, kept)], np.ascontiguousarray(values[inside]), np.zeros(size), np.eye(size)
+        [axis[k] for axis, k in zip(axes, kept)],
+        np.ascontiguousarray(values[inside]),
+        np.zeros(size),
+        np.eye(size),
     )
     commands = tensor_grid(axes)[outside]
     return coarse.evaluate(np.ascontiguousarray(commands)) - values[outside], outside
 
 
-def _error(model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floats) -> tuple[Floats, float]:
-    """Return the RMS error (V, 3) mm of each feature and of the vertices mm, from errors `left` (n, m) of the weights.
+def _error(
+    model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floats
+) -> tuple[Floats, float]:
+    """Return the RMS error (V, 3) mm of each feature and of the vertices mm, from errors `left` (n,
+    m) of the weights.
 
     What the modes do not hold of the shapes `flat` (n, M) counts too.
     """
@@ -224,24 +253,34 @@ def _error(model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floa
     squares, vertex = np.zeros((len(model.structure.feature_map.weights), 3)), 0.0
     for k in range(0, len(flat), 64):
         rows = slice(k, k + 64)
-        error = (left[rows] @ modes + mean + values[rows] @ modes - flat[rows]).reshape(len(flat[rows]), -1, 3)
+        error = (left[rows] @ modes + mean + values[rows] @ modes - flat[rows]).reshape(
+            len(flat[rows]), -1, 3
+        )
         squares += np.sum(model.structure.feature_map(error) ** 2, axis=0)
         vertex += float(np.sum(error**2)) / error.shape[1]
     return np.sqrt(squares / len(flat)), float(np.sqrt(vertex / len(flat)))
 
 
-def _stiffness(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, own_error: float) -> Stiffness:
+def _stiffness(
+    sweep: ShapeSweep, line: Centreline, shape: _core.Shape, own_error: float
+) -> Stiffness:
     if sweep.load is None:
         return Stiffness.nominal(line)
     assert sweep.loaded_command is not None and sweep.loaded_vertices is not None
     assert sweep.gravity is not None and sweep.mass is not None
-    unloaded = shape.evaluate(np.ascontiguousarray(sweep.loaded_command)).reshape(sweep.loaded_vertices.shape)
+    unloaded = shape.evaluate(np.ascontiguousarray(sweep.loaded_command)).reshape(
+        sweep.loaded_vertices.shape
+    )
     force = sweep.load[:, None] * 1e-3 * _core.STANDARD_GRAVITY * sweep.gravity
     return weigh(line, unloaded, sweep.loaded_vertices, force, sweep.mass, own_error)
 
 
-def _fields(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: Stiffness) -> Arrays:
-    """Return the arrays of the load fields: on a coarser grid, or over some of the scattered commands."""
+def _fields(
+    sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: Stiffness
+) -> Arrays:
+    """Return the arrays of the load fields: on a coarser grid, or over some of the scattered
+    commands.
+    """
     points = sweep.vertices.shape[1]
     if sweep.axes is not None:
         steps = FIELD_STEPS
@@ -260,13 +299,16 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: 
     found = {name: field.reshape(len(commands), -1) for name, field in both.items()}
     basis = leading(np.concatenate(list(found.values())), min(FIELD_MODES, 3 * points))
     arrays["modes"] = basis.astype(np.float32)
-    values = {name: field @ np.linalg.pinv(arrays["modes"].astype(float)) for name, field in found.items()}
+    values = {
+        name: field @ np.linalg.pinv(arrays["modes"].astype(float)) for name, field in found.items()
+    }
     if sweep.axes is None:
         together = fit_scattered(commands, np.concatenate(list(values.values()), axis=1))
         parts = np.split(together.coefficients, len(values), axis=1)
         values = dict(zip(values, parts))
         arrays |= {name: array for name, array in together.arrays.items() if name != "coefficients"}
-    kind = np.float32 if sweep.axes is not None else np.float64  # weights of radial basis functions cancel
+    # weights of radial basis functions cancel
+    kind = np.float32 if sweep.axes is not None else np.float64
     return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
 
 

@@ -1,16 +1,20 @@
-"""Fit radial basis functions with a linear tail to shapes at scattered commands; smoothing and error by leaving out.
+"""Fit radial basis functions with a linear tail to shapes at scattered commands; smoothing and
+error by leaving out.
 
     a(u) = Σ_i w_i φ(|q − q_i|) + b + t·q,   φ(r) = r or r³,   q = u/scale
-    minimise |a(u_k) − a_k|² + λ wᵀ(±φ)w   with  Σ w_i = 0, Σ w_i q_i = 0          (G. Wahba, Spline Models, 1990)
+    minimise |a(u_k) − a_k|² + λ wᵀ(±φ)w   with  Σ w_i = 0, Σ w_i q_i = 0
+        (G. Wahba, Spline Models, 1990)
 
-Every command is a node up to `NODES`; beyond, nodes lie apart and all rows are fitted by least squares. Kernel and λ
-are those with the lowest leave-out error. A row is left out together with all within `reach` of it: as far as a command
-between two rows, drawn at random, is from its nearest row. Where rows follow one another along a path, as in a
-recording, neighbours would vouch for one another: then the middles of contiguous tenths are tested, the full tenth
-left out. Closed form: with the smoother H, left out e_G = (1 − H_GG)⁻¹ r_G. Kernel and λ are chosen on the same rows,
-so the error is slightly low; rows at the border are left out by extrapolation, so they choose but do not count.
-Measured: fitted to the first 60 % of a recording of data/trunk (six motors), stated 5.5 mm, 6.1 on its last 30 %.
-Evaluation: rust/shape/scattered.rs. Pinned by tests/sweep/test_scattered.py.
+Every command is a node up to `NODES`; beyond, nodes lie apart and all rows are fitted by least
+squares. Kernel and λ are those with the lowest leave-out error. A row is left out together with all
+within `reach` of it: as far as a command between two rows, drawn at random, is from its nearest
+row. Where rows follow one another along a path, as in a recording, neighbours would vouch for one
+another: then the middles of contiguous tenths are tested, the full tenth left out. Closed form:
+with the smoother H, left out e_G = (1 − H_GG)⁻¹ r_G. Kernel and λ are chosen on the same rows, so
+the error is slightly low; rows at the border are left out by extrapolation, so they choose but do
+not count. Measured: fitted to the first 60 % of a recording of data/trunk (six motors), stated 5.5
+mm, 6.1 on its last 30 %. Evaluation: rust/shape/scattered.rs. Pinned by
+tests/sweep/test_scattered.py.
 """
 
 from __future__ import annotations
@@ -28,7 +32,8 @@ Floats = NDArray[np.float64]
 NODES = 600  # more cost time at every prediction
 ROWS = 2500  # commands at most that a fit looks at, spread evenly over the file
 TESTS = 300  # rows that are left out one by one
-FOLLOWING = 0.5  # of the rows: when so many are nearest to the row before or after them, they are a path
+# of the rows: when so many are nearest to the row before or after them, they are a path
+FOLLOWING = 0.5
 BLOCKS = 20  # tested along a path, each with half a block on either side left out too
 NARROW = 1e-6  # half of what a command goes over that never moves
 POWERS = (1, 3)
@@ -44,8 +49,8 @@ ENOUGH_INNER = 0.25  # of the rows
 class ScatteredFit:
     """A fit: what `_core.Scattered` takes, and its test.
 
-    `left_out` (k, m) are the residuals of rows (k,) `tested`, in the order given; `reach` is the gap between rows as a
-    share of half the range.
+    `left_out` (k, m) are the residuals of rows (k,) `tested`, in the order given; `reach` is the
+    gap between rows as a share of half the range.
     """
 
     nodes: Floats  # (n, C)
@@ -66,7 +71,11 @@ class ScatteredFit:
 
 def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> ScatteredFit:
     """Fit `values` (S, m) at commands (S, C), no command given twice, at most `most` nodes."""
-    rows = np.arange(len(commands)) if len(commands) <= ROWS else np.linspace(0, len(commands) - 1, ROWS).astype(int)
+    rows = (
+        np.arange(len(commands))
+        if len(commands) <= ROWS
+        else np.linspace(0, len(commands) - 1, ROWS).astype(int)
+    )
     scale = half_range(commands)
     q, values = commands[rows] / scale, values[rows]
     reach = gap(q)
@@ -85,20 +94,33 @@ def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> Scatte
             if best is None or error < best[0]:
                 solved = system.solve(values, share)
                 where = rows[tested[inner]]
-                fit = ScatteredFit(commands[rows[nodes]], scale, power, solved, share, left_out[inner], where, reach)
+                fit = ScatteredFit(
+                    commands[rows[nodes]],
+                    scale,
+                    power,
+                    solved,
+                    share,
+                    left_out[inner],
+                    where,
+                    reach,
+                )
                 best = error, fit
     assert best is not None
     return best[1]
 
 
 def half_range(commands: Floats) -> Floats:
-    """Return half of what each command (S, C) goes over; 1 for one that never moves and has no information."""
+    """Return half of what each command (S, C) goes over; 1 for one that never moves and has no
+    information.
+    """
     half = 0.5 * np.ptp(commands, axis=0)
     return np.where(half > NARROW, half, 1.0)
 
 
 def gap(q: Floats) -> float:
-    """Return how far a command between two of the rows (S, C), drawn at random, is from the nearest row (median)."""
+    """Return how far a command between two of the rows (S, C), drawn at random, is from the nearest
+    row (median).
+    """
     rng = np.random.default_rng(PAIRS_SEED)
     pairs = rng.integers(len(q), size=(PAIRS, 2))
     between = 0.5 * (q[pairs[:, 0]] + q[pairs[:, 1]])[pairs[:, 0] != pairs[:, 1]]
@@ -114,7 +136,10 @@ def _groups(q: Floats, reach: float) -> list[tuple[int, NDArray[np.intp]]]:
     if rows >= 10 * BLOCKS and np.mean(following) > FOLLOWING:
         edges = np.linspace(0, rows, BLOCKS + 1).astype(int)
         half = rows // (2 * BLOCKS)
-        parts = [(np.arange(a, b), np.r_[max(0, a - half) : a, b : min(rows, b + half)]) for a, b in pairwise(edges)]
+        parts = [
+            (np.arange(a, b), np.r_[max(0, a - half) : a, b : min(rows, b + half)])
+            for a, b in pairwise(edges)
+        ]
         return [(len(middle), np.concatenate([middle, around])) for middle, around in parts]
     tested = np.unique(np.linspace(0, rows - 1, min(TESTS, rows)).astype(int))
     return [(1, _near(q, int(k), reach, max(1, int(LARGEST_GROUP * rows)))) for k in tested]
@@ -129,15 +154,22 @@ def _near(q: Floats, row: int, reach: float, largest: int) -> NDArray[np.intp]:
 
 
 class _System:
-    """The penalised least squares of one kernel, diagonalised so that any smoothing costs one product."""
+    """The penalised least squares of one kernel, diagonalised so that any smoothing costs one
+    product.
+    """
 
     def __init__(self, q: Floats, nodes: NDArray[np.intp], tail: Floats, power: int) -> None:
-        sign = -1.0 if power == 1 else 1.0  # the kernel that is positive where the tail is annihilated
+        # the kernel that is positive where the tail is annihilated
+        sign = -1.0 if power == 1 else 1.0
         kernel = sign * distances(q, q[nodes]) ** power  # (S, n)
         full = np.linalg.qr(tail[nodes], mode="complete")[0]
         null = full[:, tail.shape[1] :]  # (n, r) weights that annihilate the tail
         strength, vectors = np.linalg.eigh(null.T @ kernel[nodes] @ null)
-        keep = strength > 1e-13 * max(float(strength[-1]), 1e-300) if len(strength) else np.zeros(0, bool)
+        keep = (
+            strength > 1e-13 * max(float(strength[-1]), 1e-300)
+            if len(strength)
+            else np.zeros(0, bool)
+        )
         self.weights = null @ (vectors[:, keep] / np.sqrt(strength[keep]))  # (n, r)
         design = kernel @ self.weights
         self.sign, self.kernel, self.tail = sign, kernel, tail
@@ -150,8 +182,12 @@ class _System:
         level = share * float(self.s[0]) ** 2 if len(self.s) else 1.0
         return np.asarray(level / (self.s**2 + max(level, 1e-300)))
 
-    def left_out(self, values: Floats, share: float, groups: list[tuple[int, NDArray[np.intp]]]) -> Floats:
-        """Return the residuals (k, m) of the tested rows of each group by the fit without the group."""
+    def left_out(
+        self, values: Floats, share: float, groups: list[tuple[int, NDArray[np.intp]]]
+    ) -> Floats:
+        """Return the residuals (k, m) of the tested rows of each group by the fit without the
+        group.
+        """
         lost = self._kept(share)
         inside = self.u.T @ values
         outside = values - self.linear @ (self.linear.T @ values)
@@ -161,13 +197,19 @@ class _System:
         for count, group in groups:
             u, line = self.u[group], self.linear[group]
             apart = np.eye(len(group)) - line @ line.T - u @ u.T + (u * lost) @ u.T
-            found.append(np.linalg.solve(apart + TINY * np.eye(len(group)), residual[group])[:count])
+            found.append(
+                np.linalg.solve(apart + TINY * np.eye(len(group)), residual[group])[:count]
+            )
         return np.concatenate(found)
 
     def solve(self, values: Floats, share: float) -> Floats:
-        """Return the coefficients (n + 1 + C, m): weights of the nodes, then constant and slopes."""
+        """Return the coefficients (n + 1 + C, m): weights of the nodes, then constant and
+        slopes.
+        """
         level = share * float(self.s[0]) ** 2 if len(self.s) else 1.0
-        inner = self.vt.T @ ((self.s / (self.s**2 + max(level, 1e-300)))[:, None] * (self.u.T @ values))
+        inner = self.vt.T @ (
+            (self.s / (self.s**2 + max(level, 1e-300)))[:, None] * (self.u.T @ values)
+        )
         weights = self.weights @ inner
         tail = np.linalg.lstsq(self.tail, values - self.kernel @ weights, rcond=None)[0]
         return np.vstack([self.sign * weights, tail])

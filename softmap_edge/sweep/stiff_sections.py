@@ -1,16 +1,17 @@
-"""Say how a body of an imported sweep bends when a stretch of it is stiffer: by the bend that its own line shows.
+"""Say how a body of an imported sweep bends when a stretch of it is stiffer: by the bend that its
+own line shows.
 
-A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends less, all others
-more, each as it bends already. With κ(s) the curvature of the line less that at rest, in frames carried along it
-without twist, and a(s) the change of the logarithm of the modulus,
+A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends
+less, all others more, each as it bends already. With κ(s) the curvature of the line less that at
+rest, in frames carried along it without twist, and a(s) the change of the logarithm of the modulus,
 
     δκ(s) = −(a(s) − lock ā) κ(s),   ā = K·∫a κ ds / K·K,   K = ∫κ ds      (rad/mm)
 
-moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. What gravity bends counts as bent
-by tendons. On the bank's tapered rod this explains 76 to 97 % of the squared shift hanging, 63 to 96 % at a lean
-(tests/sweep/test_stretches.py). A curvature at rest has no such field: tendons made for the bent body do not feel it,
-those made for the straight one take half of it away, and shapes do not say which they are; sides and twist are not in
-a line.
+moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. What gravity
+bends counts as bent by tendons. On the bank's tapered rod this explains 76 to 97 % of the squared
+shift hanging, 63 to 96 % at a lean (tests/sweep/test_stretches.py). A curvature at rest has no such
+field: tendons made for the bent body do not feel it, those made for the straight one take half of
+it away, and shapes do not say which they are; sides and twist are not in a line.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ NAMES = tuple(name for name in _core.FIELDS if name.removeprefix("stiff_").isdig
 STRAIGHT = 1e-6  # rad²: a body that is bent less in all is not bent
 
 
-def stretch_fields(line: Centreline, points: Floats, rest: Floats, lock: float) -> dict[str, Floats]:
-    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm per unit of the logarithm of the modulus.
+def stretch_fields(
+    line: Centreline, points: Floats, rest: Floats, lock: float
+) -> dict[str, Floats]:
+    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm per unit of the logarithm
+    of the modulus.
 
     Args: `rest` (N, 3) mm; `lock` 1 where tendons keep their length, 0 where they slide.
     Returns: by field, `stiff_0` … from the base to the tip.
@@ -39,7 +43,8 @@ def stretch_fields(line: Centreline, points: Floats, rest: Floats, lock: float) 
     length = np.linalg.norm(chord, axis=2)
     frames, curvature = _curvature(stations)
     curvature = curvature - _curvature(line.stations(rest[None]))[1]
-    # At the start, the middle and the end of each chord, as `moved` integrates them by Simpson's rule.
+    # At the start, the middle and the end of each chord, as `moved` integrates them by Simpson's
+    # rule.
     nodes = [curvature[:, :-1], 0.5 * (curvature[:, :-1] + curvature[:, 1:]), curvature[:, 1:]]
     weights = [part * np.diff(line.arc) for part in (1 / 6, 4 / 6, 1 / 6)]
     total_bend = sum(np.einsum("j,kjb->kb", w, node) for w, node in zip(weights, nodes))
@@ -48,7 +53,9 @@ def stretch_fields(line: Centreline, points: Floats, rest: Floats, lock: float) 
     for k, name in enumerate(NAMES):
         away = [arc / line.length * (len(NAMES) - 1) - k for arc in arcs]
         hats = [np.where(np.abs(a) < 1.0, np.cos(0.5 * np.pi * a) ** 2, 0.0) for a in away]
-        part = sum(np.einsum("j,kjb->kb", w * hat, node) for w, hat, node in zip(weights, hats, nodes))
+        part = sum(
+            np.einsum("j,kjb->kb", w * hat, node) for w, hat, node in zip(weights, hats, nodes)
+        )
         mean = lock * np.sum(total_bend * part, axis=1)[:, None, None] / size[:, None, None]
         bends = [-(hat[:, None] - mean) * node for hat, node in zip(hats, nodes)]
         bending = [np.einsum("kjab,kjb->kja", frames, bend) for bend in bends]
@@ -57,7 +64,9 @@ def stretch_fields(line: Centreline, points: Floats, rest: Floats, lock: float) 
 
 
 def _curvature(stations: Floats) -> tuple[Floats, Floats]:
-    """Return the frames (n, J, 3, 3) of the chords, and in them the curvature (n, J + 1, 3) rad/mm at the stations."""
+    """Return the frames (n, J, 3, 3) of the chords, and in them the curvature (n, J + 1, 3) rad/mm
+    at the stations.
+    """
     chord = np.diff(stations, axis=1)
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-12)
     tangent = chord / length[..., None]

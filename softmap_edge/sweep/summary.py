@@ -1,5 +1,5 @@
-"""What a sweep holds and what a model of it cannot represent: the content of `softmap check` and `softmap
-show`.
+"""What a sweep holds and what a model of it cannot represent: the content of `softmap check` and
+`softmap show`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep
 
 
 def summary(sweep: ShapeSweep) -> Document:
-    """Return what a sweep holds, with units in the keys, and what a model made of it cannot represent."""
+    """Return what a sweep holds, with units in the keys, and what a model made of it cannot
+    represent.
+    """
     home = sweep.vertices[int(np.argmin(np.sum(sweep.command**2, axis=1)))]
     line = find_centreline(home, sweep.base)
     body = line.body()
@@ -23,7 +25,11 @@ def summary(sweep: ShapeSweep) -> Document:
         if sweep.load is not None or "grams" in "".join(sweep.notes)
         else ["no known load: a load is named, its weight in grams is not"]
     )
-    missing += [] if sweep.gravity is not None else ["no gravity: taken as hanging (along +z of the base frame)"]
+    missing += (
+        []
+        if sweep.gravity is not None
+        else ["no gravity: taken as hanging (along +z of the base frame)"]
+    )
     return {
         "robot": sweep.robot,
         "channels": sweep.command.shape[1],
@@ -46,7 +52,9 @@ def summary(sweep: ShapeSweep) -> Document:
 
 
 def read_summary(path: Path) -> Document:
-    """Read a sweep file, imported or made by `softmap model sweep`, and return its summary; raise SoftmapError."""
+    """Read a sweep file, imported or made by `softmap model sweep`, and return its summary; raise
+    SoftmapError.
+    """
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))
     from softmap_edge.fem.simulator import Sweep
@@ -62,7 +70,10 @@ def read_summary(path: Path) -> Document:
             gravity=own.gravity,
             base=np.zeros(3),
             axes=own.axes,
-            notes=("made by `softmap model sweep`: a model of it knows its finger, loads in grams included",),
+            notes=(
+                "made by `softmap model sweep`: a model of it knows its finger, loads in grams "
+                "included",
+            ),
         )
     )
 
@@ -71,17 +82,24 @@ def sentences(document: Document) -> list[str]:
     """Return a summary in plain words, one line each."""
     d = document
     form = "scattered" if d["grid"] is None else "a grid of " + " × ".join(map(str, d["grid"]))
-    lines = [f"robot     {d['robot']}", f"commands  {d['commands']} of {d['channels']} channels, {form}"]
+    lines = [
+        f"robot     {d['robot']}",
+        f"commands  {d['commands']} of {d['channels']} channels, {form}",
+    ]
     for c, (low, high) in enumerate(d["command_range"]):
         lines.append(f"          channel {c}: {low:g} to {high:g} {d['command_unit']}")
     mesh = f"{d['triangles']} triangles" if d["triangles"] else "no mesh"
     parts = f"{d['sections']} sections" if d["sections"] else "each a feature of its own"
-    lines.append(f"points    {d['points']}, {mesh}, {parts}; they move by up to {d['moved_mm']:g} mm")
     lines.append(
-        f"body      {d['length_mm']:g} mm from the base, leans {d['lean_deg']:g}° from z, bows by {d['bow_mm']:g} mm "
-        "at rest"
+        f"points    {d['points']}, {mesh}, {parts}; they move by up to {d['moved_mm']:g} mm"
+    )
+    lines.append(
+        f"body      {d['length_mm']:g} mm from the base, leans {d['lean_deg']:g}° from z, bows by "
+        f"{d['bow_mm']:g} mm at rest"
     )
     load = d["known_load_g"]
-    lines.append(f"load      {'none is known' if load is None else ', '.join(f'{g:g} g' for g in load[:6])}")
+    lines.append(
+        f"load      {'none is known' if load is None else ', '.join(f'{g:g} g' for g in load[:6])}"
+    )
     lines += [f"note      {text}" for text in d["notes"]]
     return lines + [f"missing   {text}" for text in d["missing"]]

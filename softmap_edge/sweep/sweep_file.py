@@ -1,20 +1,24 @@
-"""Read an imported sweep: commands and the shapes that another simulator, or a motion capture, found for them.
+"""Read an imported sweep: commands and the shapes that another simulator, or a motion capture,
+found for them.
 
 An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field with an example.
 
     command          (S, C)     required; mm of tendon, + pulls, or in `command_unit`
-    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; in every row the same
+    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; in
+                                every row the same
     triangles        (F, 3)     of the vertices, whole numbers from 0
     robot            text       a name
     command_unit     text       mm (default), rad, deg, ticks …
-    gravity          (3,)       unit vector in the base frame under which the shapes were found; hanging by default
+    gravity          (3,)       unit vector in the base frame under which the shapes were found;
+                                hanging by default
     base             (3,)       mm, centre of the clamped base; the origin by default
     load             (L,)       g, a known weight at the tip, and with it
     loaded_command   (L, C)     the commands at which it hung,
     loaded_vertices  (L, N, 3)  the shapes that it gave,
     mass             number     g, the body's own mass beyond the clamp
 
-Every field is checked; the first that is wrong is named with what was expected. Other fields are ignored with a note.
+Every field is checked; the first that is wrong is named with what was expected. Other fields are
+ignored with a note.
 """
 
 from __future__ import annotations
@@ -42,16 +46,24 @@ SHORTEST_LEVER = 0.01  # of the length: hardly a tendon runs nearer to the middl
 _PLACE = 1e4  # mm
 MOST_GRAMS = 1e5
 _NUMBERS = {
-    "command": ("S", "C"), "vertices": ("S", "N", "3"), "gravity": ("3",), "base": ("3",), "load": ("L",),
-    "loaded_command": ("L", "C"), "loaded_vertices": ("L", "N", "3"), "mass": (),
-}  # fmt: skip
+    "command": ("S", "C"),
+    "vertices": ("S", "N", "3"),
+    "gravity": ("3",),
+    "base": ("3",),
+    "load": ("L",),
+    "loaded_command": ("L", "C"),
+    "loaded_vertices": ("L", "N", "3"),
+    "mass": (),
+}
 _KNOWN_LOAD = ("load", "loaded_command", "loaded_vertices", "mass")
 _TEXTS = ("robot", "command_unit", "schema")
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeSweep:
-    """A checked sweep: every command once; `notes` report what was done to it and what it leaves open."""
+    """A checked sweep: every command once; `notes` report what was done to it and what it leaves
+    open.
+    """
 
     command: Floats  # (S, C)
     vertices: Floats  # (S, N, 3) mm
@@ -65,7 +77,8 @@ class ShapeSweep:
     loaded_vertices: Floats | None = None  # (L, N, 3) mm
     mass: float | None = None  # g
     notes: tuple[str, ...] = ()
-    axes: tuple[Floats, ...] | None = field(default=None)  # of the grid on which the commands lie, rows in its order
+    # of the grid on which the commands lie, rows in its order
+    axes: tuple[Floats, ...] | None = field(default=None)
 
     @classmethod
     def load_file(cls, path: str | Path) -> ShapeSweep:
@@ -94,36 +107,46 @@ def _checked(content: Mapping[str, NDArray[np.generic]]) -> ShapeSweep:
         raise SweepError(f"schema {schema!r:.80}, expected {SCHEMA} or none")
     numbers = {name: _numbers(content, name) for name in _NUMBERS if name in content}
     if "t_seen" in content and "vertices" not in content:
-        raise SweepError("it is a run; a model is learned from runs with `softmap learn`, and built from a sweep")
+        raise SweepError(
+            "it is a run; a model is learned from runs with `softmap learn`, and built from a sweep"
+        )
     for name in ("command", "vertices"):
         if name not in numbers:
-            raise SweepError(f"`{name}` is missing; a sweep holds command (S, C) and vertices (S, N, 3) in mm")
+            raise SweepError(
+                f"`{name}` is missing; a sweep holds command (S, C) and vertices (S, N, 3) in mm"
+            )
     _shapes(numbers)
     command, vertices = numbers["command"], numbers["vertices"]
     given = [name for name in _KNOWN_LOAD if name in numbers]
     if given and len(given) < len(_KNOWN_LOAD):
         missing = [name for name in _KNOWN_LOAD if name not in numbers]
         raise SweepError(
-            f"`{given[0]}` without `{missing[0]}`; a known load is load (L,) g, loaded_command (L, C), "
-            "loaded_vertices (L, N, 3) mm and mass, the body's own in g: give all four or none"
+            f"`{given[0]}` without `{missing[0]}`; a known load is load (L,) g, loaded_command "
+            "(L, C), loaded_vertices (L, N, 3) mm and mass, the body's own in g: give all four "
+            "or none"
         )
     _ranges(numbers, _text(content, "command_unit", "mm"))
     notes = [
-        f"{name} is not known here and ignored" for name in content if name not in (*_NUMBERS, *_TEXTS, "triangles")
+        f"{name} is not known here and ignored"
+        for name in content
+        if name not in (*_NUMBERS, *_TEXTS, "triangles")
     ]
     _varied(command)
     command, vertices = _once(command, vertices, notes)
     _enough(command, vertices)
     axes = grid_axes(command)
     if axes is not None:
-        order = np.lexsort(tuple(np.searchsorted(a - _gap(a), command[:, c]) for c, a in enumerate(axes))[::-1])
+        order = np.lexsort(
+            tuple(np.searchsorted(a - _gap(a), command[:, c]) for c, a in enumerate(axes))[::-1]
+        )
         command, vertices = command[order], vertices[order]
     if "command_unit" not in content:
         _lever(command, vertices)
     gravity = numbers.get("gravity")
     if gravity is None and given:
         raise SweepError(
-            "a known load pulls along `gravity`, which is missing; give it as a unit vector in the base frame"
+            "a known load pulls along `gravity`, which is missing; give it as a unit vector in "
+            "the base frame"
         )
     return ShapeSweep(
         command=command,
@@ -149,7 +172,8 @@ def _text(content: Mapping[str, NDArray[np.generic]], name: str, otherwise: str)
     text = str(value.reshape(-1)[0]) if value.dtype.kind == "U" and value.size == 1 else ""
     if not 0 < len(text) <= 100 or not text.isprintable():
         raise SweepError(
-            f"`{name}` is {value.dtype} of shape {value.shape}, expected one printable text of 1 to 100 letters"
+            f"`{name}` is {value.dtype} of shape {value.shape}, expected one printable text of 1 "
+            "to 100 letters"
         )
     return text
 
@@ -160,14 +184,18 @@ def _numbers(content: Mapping[str, NDArray[np.generic]], name: str) -> Floats:
     if value.dtype.kind not in "iuf":
         raise SweepError(f"`{name}` holds {value.dtype}, expected real numbers")
     if value.ndim != len(axes):
-        hint = "; one channel is a column, shape (S, 1)" if name == "command" and value.ndim == 1 else ""
+        hint = (
+            "; one channel is a column, shape (S, 1)"
+            if name == "command" and value.ndim == 1
+            else ""
+        )
         raise SweepError(f"`{name}` has shape {value.shape}, expected ({', '.join(axes)}){hint}")
     bad = ~np.isfinite(value)
     if bad.any():
         where = [int(i) for i in np.argwhere(bad)[0]]
         raise SweepError(
-            f"`{name}` holds {int(bad.sum())} values that are not finite, the first at {where}; leave out the rows of "
-            "commands that failed"
+            f"`{name}` holds {int(bad.sum())} values that are not finite, the first at {where}; "
+            "leave out the rows of commands that failed"
         )
     return np.asarray(value, np.float64)
 
@@ -179,14 +207,16 @@ def _shapes(numbers: Mapping[str, Floats]) -> None:
             known, by = sizes.setdefault(axis, (length, name))
             if known != length:
                 hint = f" as in `{by}`" if by else ": x, y, z"
-                raise SweepError(f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{hint}")
+                raise SweepError(
+                    f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{hint}"
+                )
     rows, points, channels = sizes["S"][0], sizes["N"][0], sizes["C"][0]
     if channels == 0:
         raise SweepError("`command` has no columns (C = 0); a sweep moves at least one tendon")
     if channels > MOST_CHANNELS or not 1 <= points <= MOST_POINTS:
         raise SweepError(
-            f"{channels} channels and {points} points, allowed are 1 to {MOST_CHANNELS} and 1 to {MOST_POINTS}; a few "
-            "hundred points describe a finger: keep every n-th"
+            f"{channels} channels and {points} points, allowed are 1 to {MOST_CHANNELS} and 1 to "
+            f"{MOST_POINTS}; a few hundred points describe a finger: keep every n-th"
         )
     if rows < 2:
         raise SweepError(f"{rows} command{'s' * (rows != 1)}; a sweep holds many, a shape for each")
@@ -196,39 +226,47 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
     for name in ("vertices", "loaded_vertices", "base"):
         if name in numbers and numbers[name].size and float(np.abs(numbers[name]).max()) > _PLACE:
             raise SweepError(
-                f"`{name}` reaches {float(np.abs(numbers[name]).max()):.4g} mm, at most {_PLACE:g} is plausible"
+                f"`{name}` reaches {float(np.abs(numbers[name]).max()):.4g} mm, at most "
+                f"{_PLACE:g} is plausible"
             )
     places = numbers["vertices"].reshape(-1, 3)
     if numbers["vertices"].shape[1] == 1:  # one point is as large as it is far from the base
         places = np.vstack([places, numbers.get("base", np.zeros(3))])
     extent = float(np.ptp(places, axis=0).max())
     if 0.0 < extent < 1.0:
-        raise SweepError(f"all `vertices` lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
+        raise SweepError(
+            f"all `vertices` lie within {extent:.3g} mm, which looks like metres; multiply by 1000"
+        )
     most = float(np.abs(numbers["command"]).max(initial=0.0))
     if most > (1000.0 if unit == "mm" else 1e9):
         raise SweepError(
-            f"`command` reaches {most:.4g} {unit}; at most 1000 mm of tendon is plausible: name the unit in "
-            "`command_unit`"
+            f"`command` reaches {most:.4g} {unit}; at most 1000 mm of tendon is plausible: name "
+            "the unit in `command_unit`"
         )
     if "loaded_command" in numbers and numbers["loaded_command"].size:
         slack = BEYOND * np.ptp(numbers["command"], axis=0)
         low, high = numbers["command"].min(axis=0) - slack, numbers["command"].max(axis=0) + slack
-        outside = np.any((numbers["loaded_command"] < low) | (numbers["loaded_command"] > high), axis=1)
+        outside = np.any(
+            (numbers["loaded_command"] < low) | (numbers["loaded_command"] > high), axis=1
+        )
         if outside.any():
             raise SweepError(
-                f"`loaded_command` row {int(np.argmax(outside))} lies outside the commands of the sweep; hang the "
-                "load on where the unloaded shape is known"
+                f"`loaded_command` row {int(np.argmax(outside))} lies outside the commands of the "
+                "sweep; hang the load on where the unloaded shape is known"
             )
     for name in ("load", "mass"):
         value = numbers.get(name, np.ones(1))
         if value.size and not (float(value.min()) > 0.0 and float(value.max()) <= MOST_GRAMS):
             raise SweepError(
-                f"`{name}` holds {float(value.min()):.4g} to {float(value.max()):.4g} g, expected more than 0 and at "
-                f"most {MOST_GRAMS:g}"
+                f"`{name}` holds {float(value.min()):.4g} to {float(value.max()):.4g} g, expected "
+                f"more than 0 and at most {MOST_GRAMS:g}"
             )
     if "load" in numbers and not numbers["load"].size:
-        raise SweepError("`load` is empty; give at least one shape under a known load, or leave its fields out")
-    length = math.hypot(*numbers["gravity"]) if "gravity" in numbers else 1.0  # of any number, without a warning
+        raise SweepError(
+            "`load` is empty; give at least one shape under a known load, or leave its fields out"
+        )
+    # of any number, without a warning
+    length = math.hypot(*numbers["gravity"]) if "gravity" in numbers else 1.0
     if abs(length - 1.0) > 1e-3:
         raise SweepError(f"`gravity` has length {length:.4g}, expected a unit vector")
 
@@ -236,7 +274,9 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
 def _once(command: Floats, vertices: Floats, notes: list[str]) -> tuple[Floats, Floats]:
     """Average the shapes of commands that are given more than once, unless they differ too much."""
     step = SAME * np.maximum(np.ptp(command, axis=0), 1e-12)
-    kinds, first, which = np.unique(np.round(command / step), axis=0, return_index=True, return_inverse=True)
+    kinds, first, which = np.unique(
+        np.round(command / step), axis=0, return_index=True, return_inverse=True
+    )
     if len(kinds) == len(command):
         return command, vertices
     which = which.reshape(-1)
@@ -250,12 +290,13 @@ def _once(command: Floats, vertices: Floats, notes: list[str]) -> tuple[Floats, 
     if apart[worst] > SAME_SHAPE * moved:
         rows = np.flatnonzero(which == which[worst])[:2].tolist()
         raise SweepError(
-            f"rows {rows[0]} and {rows[1]} are the same command, but their shapes lie {2 * apart[worst]:.3g} mm apart "
-            "(RMS; "
-            f"the sweep moves by {moved:.3g} mm); a sweep has one shape a command: leave out rows that had not settled"
+            f"rows {rows[0]} and {rows[1]} are the same command, but their shapes lie "
+            f"{2 * apart[worst]:.3g} mm apart (RMS; the sweep moves by {moved:.3g} mm); a sweep "
+            "has one shape a command: leave out rows that had not settled"
         )
     notes.append(
-        f"{len(command) - len(kinds)} rows repeat a command and were averaged (up to {float(apart.max()):.2g} mm apart)"
+        f"{len(command) - len(kinds)} rows repeat a command and were averaged (up to "
+        f"{float(apart.max()):.2g} mm apart)"
     )
     order = np.argsort(first, kind="stable")
     return command[np.sort(first)], mean[order]
@@ -265,13 +306,16 @@ def _varied(command: Floats) -> None:
     """Refuse channels that do not move."""
     spread = np.ptp(command, axis=0)
     if not spread.any():
-        raise SweepError("there is one command only, in every row; a sweep holds many, a shape for each")
+        raise SweepError(
+            "there is one command only, in every row; a sweep holds many, a shape for each"
+        )
     for c, column in enumerate(command.T):
         levels = len(np.unique(np.round(column / (SAME * spread[c])))) if spread[c] > 0.0 else 1
         if levels < 3:
             raise SweepError(
-                f"channel {c} takes {levels} value{'s' * (levels != 1)} ({column.min():.4g} to {column.max():.4g}); at "
-                "least 3 are needed, 9 or more are better; leave out a channel that never moves"
+                f"channel {c} takes {levels} value{'s' * (levels != 1)} ({column.min():.4g} to "
+                f"{column.max():.4g}); at least 3 are needed, 9 or more are better; leave out a "
+                "channel that never moves"
             )
 
 
@@ -280,20 +324,25 @@ def _enough(command: Floats, vertices: Floats) -> None:
     spread = np.ptp(command, axis=0)
     if rows < 2 * (channels + 1) + 1:
         raise SweepError(
-            f"{rows} different commands of {channels} channels are too few, at least {2 * (channels + 1) + 1} are "
-            "needed"
+            f"{rows} different commands of {channels} channels are too few, at least "
+            f"{2 * (channels + 1) + 1} are needed"
         )
     scaled = (command - command.mean(axis=0)) / spread
     if np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-3 * np.sqrt(rows):
         raise SweepError(
-            "some channels always move together, so their effects cannot be distinguished; move each on its own"
+            "some channels always move together, so their effects cannot be distinguished; move "
+            "each on its own"
         )
     if float(np.ptp(vertices, axis=0).max()) < 1e-3:
-        raise SweepError("the vertices are the same for every command; give the shape of each command")
+        raise SweepError(
+            "the vertices are the same for every command; give the shape of each command"
+        )
 
 
 def _lever(command: Floats, vertices: Floats) -> None:
-    """Refuse commands without a unit that move the body as radians or metres would, not mm of tendon."""
+    """Refuse commands without a unit that move the body as radians or metres would, not mm of
+    tendon.
+    """
     home = int(np.argmin(np.sum(command**2, axis=1)))
     size = float(np.linalg.norm(np.ptp(vertices[home], axis=0)))
     travel = np.linalg.norm(vertices - vertices[home], axis=2).max(axis=1)
@@ -303,13 +352,15 @@ def _lever(command: Floats, vertices: Floats) -> None:
     lever = size * pulled[row] / (2.0 * max(float(travel[row]), 1e-300))
     if size > 1.0 and lever < SHORTEST_LEVER * size:
         looks = (
-            "metres: multiply them by 1000" if lever < 0.05 * SHORTEST_LEVER * size else "radians: give command_unit"
+            "metres: multiply them by 1000"
+            if lever < 0.05 * SHORTEST_LEVER * size
+            else "radians: give command_unit"
         )
         raise SweepError(
-            f"row {row} of `command` is {pulled[row]:.3g} from home and moves a body of {size:.3g} mm by "
-            f"{travel[row]:.3g} mm, "
-            f"as if tendons ran {lever:.2g} mm away from its middle; the commands look like {looks} (or, if they are "
-            "mm, say command_unit = 'mm')"
+            f"row {row} of `command` is {pulled[row]:.3g} from home and moves a body of "
+            f"{size:.3g} mm by {travel[row]:.3g} mm, as if tendons ran {lever:.2g} mm away from "
+            f"its middle; the commands look like {looks} (or, if they are mm, say command_unit = "
+            "'mm')"
         )
 
 
@@ -318,17 +369,20 @@ def _triangles(content: Mapping[str, NDArray[np.generic]], points: int) -> NDArr
         return np.zeros((0, 3), np.int32)
     value = content["triangles"]
     if value.dtype.kind not in "iu" or value.ndim != 2 or value.shape[1] != 3:
-        raise SweepError(f"`triangles` is {value.dtype} of shape {value.shape}, expected whole numbers (F, 3)")
+        raise SweepError(
+            f"`triangles` is {value.dtype} of shape {value.shape}, expected whole numbers (F, 3)"
+        )
     if value.size and not 0 <= int(value.min()) <= int(value.max()) < points:
         raise SweepError(
-            f"`triangles` runs from {value.min()} to {value.max()}, expected 0 to {points - 1}, the vertices"
+            f"`triangles` runs from {value.min()} to {value.max()}, expected 0 to {points - 1}, "
+            "the vertices"
         )
     return value.astype(np.int32)
 
 
 def grid_axes(command: Floats) -> tuple[Floats, ...] | None:
-    """Return the axes of the tensor grid on which commands (S, C), C ≤ 3, lie in whatever order; None if they do
-    not.
+    """Return the axes of the tensor grid on which commands (S, C), C ≤ 3, lie in whatever order;
+    None if they do not.
     """
     if command.shape[1] > 3:
         return None
@@ -336,7 +390,9 @@ def grid_axes(command: Floats) -> tuple[Floats, ...] | None:
     for column in command.T:
         levels = np.sort(column)
         new = np.r_[True, np.diff(levels) > SAME * np.ptp(levels)]
-        axes.append(np.array([float(part.mean()) for part in np.split(levels, np.flatnonzero(new)[1:])]))
+        axes.append(
+            np.array([float(part.mean()) for part in np.split(levels, np.flatnonzero(new)[1:])])
+        )
         if np.prod([float(len(axis)) for axis in axes]) > len(command):
             return None
     if int(np.prod([len(axis) for axis in axes])) != len(command):

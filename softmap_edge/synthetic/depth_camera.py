@@ -1,7 +1,9 @@
-"""Depth cameras for hidden truths: clouds of the sides of a surface that are seen, with noise, outliers and gaps.
+"""Depth cameras for hidden truths: clouds of the sides of a surface that are seen, with noise,
+outliers and gaps.
 
-Points are drawn evenly over the surface, or more densely towards its end; a point is seen by a camera if the surface
-turns to it there and nothing stands between (rays, `_core.Surface`). Units: mm. Randomness only from the generator.
+Points are drawn evenly over the surface, or more densely towards its end; a point is seen by a
+camera if the surface turns to it there and nothing stands between (rays, `_core.Surface`). Units:
+mm. Randomness only from the generator.
 """
 
 from __future__ import annotations
@@ -22,11 +24,12 @@ DRAWN = 6  # points drawn for each one required; half of them and more are not s
 
 @dataclass(frozen=True)
 class DepthCameras:
-    """Cameras around a finger: `views` directions (deg about its axis; none: it is seen from everywhere).
+    """Cameras around a finger: `views` directions (deg about its axis; none: it is seen from
+    everywhere).
 
-    `sigma_mm` a coordinate; `outliers` the share of points that are anywhere near; `uneven` how many times denser
-    points lie at the end than at the base; `hole_mm` the radius of a patch that is not seen, about a point drawn for
-    each frame.
+    `sigma_mm` a coordinate; `outliers` the share of points that are anywhere near; `uneven` how
+    many times denser points lie at the end than at the base; `hole_mm` the radius of a patch that
+    is not seen, about a point drawn for each frame.
     """
 
     views: tuple[float, ...] = (0.0, 90.0)
@@ -36,7 +39,9 @@ class DepthCameras:
     uneven: float = 1.0
     hole_mm: float = 0.0
 
-    def look(self, vertices: Floats, triangles: NDArray[np.int32], rng: np.random.Generator) -> Floats:
+    def look(
+        self, vertices: Floats, triangles: NDArray[np.int32], rng: np.random.Generator
+    ) -> Floats:
         """Return what the cameras see of a surface: a cloud (M, 3) mm, M ≤ `points`."""
         seen = self._seen(vertices, triangles, rng)[: self.points]
         if self.hole_mm:
@@ -48,12 +53,16 @@ class DepthCameras:
         cloud[wrong] = rng.uniform(low, high, (len(wrong), 3))
         return cloud
 
-    def _seen(self, vertices: Floats, triangles: NDArray[np.int32], rng: np.random.Generator) -> Floats:
+    def _seen(
+        self, vertices: Floats, triangles: NDArray[np.int32], rng: np.random.Generator
+    ) -> Floats:
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normals, axis=1)
         normals /= area[:, None]
-        height = (corners.mean(axis=1)[:, 2] - vertices[:, 2].min()) / max(float(np.ptp(vertices[:, 2])), 1e-9)
+        height = (corners.mean(axis=1)[:, 2] - vertices[:, 2].min()) / max(
+            float(np.ptp(vertices[:, 2])), 1e-9
+        )
         weight = area * (1.0 + (self.uneven - 1.0) * height)
         count = self.points * (DRAWN if self.views else 1)
         where = rng.choice(len(triangles), count, p=weight / weight.sum())
@@ -62,9 +71,16 @@ class DepthCameras:
         points, out = np.einsum("nc,ncd->nd", share, corners[where]), normals[where]
         if not self.views:
             return np.asarray(points)
-        surface, turns = _core.Surface(vertices, np.asarray(triangles).tolist()), np.radians(self.views)
-        eyes = np.stack([FAR * np.cos(turns), FAR * np.sin(turns), np.full(len(turns), HIGH)], axis=1)
-        return np.asarray(points[np.any([surface.seen(eye.tolist(), points, out) for eye in eyes], axis=0)])
+        surface, turns = (
+            _core.Surface(vertices, np.asarray(triangles).tolist()),
+            np.radians(self.views),
+        )
+        eyes = np.stack(
+            [FAR * np.cos(turns), FAR * np.sin(turns), np.full(len(turns), HIGH)], axis=1
+        )
+        return np.asarray(
+            points[np.any([surface.seen(eye.tolist(), points, out) for eye in eyes], axis=0)]
+        )
 
 
 FULL = DepthCameras(views=(), sigma_mm=0.3)

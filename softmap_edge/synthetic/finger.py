@@ -2,17 +2,19 @@
 
 For the demo and all hidden-effect tests.
 
-**This module never calls the effect library**, nor the linear fields, nor a model's prior. The body is solved by the
-finite elements on another mesh with a modulus up to 10 % off; weights are solved there too; all other effects are the
-separately written laws of `robot/emulated/laws.py`. What is seen are the template's material points, embedded in that
-solid.
+**This module never calls the effect library**, nor the linear fields, nor a model's prior. The body
+is solved by the finite elements on another mesh with a modulus up to 10 % off; weights are solved
+there too; all other effects are the separately written laws of `robot/emulated/laws.py`. What is
+seen are the template's material points, embedded in that solid.
 
-    command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera noise─> run
+    command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera
+    noise─> run
 
-Every frame is solved: tendons that change between slack and taut put kinks into the shapes, which no table of a sweep
-holds (one of 15 × 15 commands was 0.8 mm off next to them). Only the search for the strength of an effect interpolates.
-It is scaled until the section centroids move by a drawn 1.2-3.6 mm RMS on the standard protocol.
-Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the same numbers.
+Every frame is solved: tendons that change between slack and taut put kinks into the shapes, which
+no table of a sweep holds (one of 15 × 15 commands was 0.8 mm off next to them). Only the search for
+the strength of an effect interpolates. It is scaled until the section centroids move by a drawn
+1.2-3.6 mm RMS on the standard protocol. Units: mm, s, N, g. Randomness only from the seeds; the
+same arguments give the same numbers.
 """
 
 from __future__ import annotations
@@ -40,11 +42,13 @@ Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Body = Callable[[Finger, float, Vector, Vector, Floats], Floats]
 
-BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
+# modulus of the second finger against the first: its batch of silicone, by seed
+BATCHES = (0.9, 0.95, 1.05, 1.1)
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
 STEPS = 9  # commands a channel of the sweep that finds the strength of an effect,
 WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
-WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)  # hears the share of each solve
+# hears the share of each solve
+WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)
 EVERY = 3  # every third frame shows how far an effect moves the finger
 REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
@@ -52,9 +56,11 @@ TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted 
 
 @dataclass(frozen=True)
 class Camera:
-    """Noise of what is seen: independent for each vertex, and a rigid jitter of the frame that drifts slowly.
+    """Noise of what is seen: independent for each vertex, and a rigid jitter of the frame that
+    drifts slowly.
 
-    `vertex_mm` a coordinate, `shift_mm` and `turn_deg` a component (Ornstein-Uhlenbeck, memory `memory_s`), one σ each.
+    `vertex_mm` a coordinate, `shift_mm` and `turn_deg` a component (Ornstein-Uhlenbeck, memory
+    `memory_s`), one σ each.
     """
 
     vertex_mm: float = 0.25
@@ -70,7 +76,11 @@ class Camera:
             keep = np.exp(-(t[k] - t[k - 1]) / self.memory_s) if k else 1.0
             state = keep * state + np.sqrt(1.0 - keep * keep) * rng.normal(size=6)
             jitter[k] = state
-        seen = points + self.vertex_mm * rng.normal(size=points.shape) + self.shift_mm * jitter[:, None, :3]
+        seen = (
+            points
+            + self.vertex_mm * rng.normal(size=points.shape)
+            + self.shift_mm * jitter[:, None, :3]
+        )
         for k in range(t.size):
             seen[k] = seen[k] @ rotation(tuple(self.turn_deg * jitter[k, 3:])).T
         return seen
@@ -78,7 +88,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """One hidden effect: the name the library has for it, its own law, and how far it moves the finger (RMS mm)."""
+    """One hidden effect: the name the library has for it, its own law, and how far it moves the
+    finger (RMS mm).
+    """
 
     law: Law
     displacement_mm: float
@@ -90,12 +102,18 @@ class HiddenEffect:
 
     def to_dict(self) -> Document:
         """Return `{name, params, displacement_mm}`."""
-        return {"name": self.name, "params": self.law.params(), "displacement_mm": round(self.displacement_mm, 4)}
+        return {
+            "name": self.name,
+            "params": self.law.params(),
+            "displacement_mm": round(self.displacement_mm, 4),
+        }
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A second finger: its batch of silicone (by `seed`), its hidden effects in the order in which they act."""
+    """A second finger: its batch of silicone (by `seed`), its hidden effects in the order in which
+    they act.
+    """
 
     seed: int
     hidden: tuple[HiddenEffect, ...] = ()
@@ -116,18 +134,26 @@ class Truth:
         u = protocol.command
         for effect in self.hidden:
             u = effect.law.command(protocol.t, u)
-        return np.stack([np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1)
+        return np.stack(
+            [np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1
+        )
 
     def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
-        """Return the true points (K, N, 3) mm of each `every`-th frame, as a camera without noise would see them."""
+        """Return the true points (K, N, 3) mm of each `every`-th frame, as a camera without noise
+        would see them.
+        """
         return self.shapes_by(_solved, protocol, every)
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
         """Return the points about, interpolated in a sweep of `steps` commands a channel."""
-        return self.shapes_by(lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps), protocol)
+        return self.shapes_by(
+            lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps), protocol
+        )
 
     def shapes_by(self, body: Body, protocol: Protocol, every: int = 1) -> Floats:
-        """Return the points (K, N, 3) mm of a `body`, given finger, modulus, gravity g, tip force N and u (n, C)."""
+        """Return the points (K, N, 3) mm of a `body`, given finger, modulus, gravity g, tip force N
+        and u (n, C).
+        """
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
         for frames, gravity, force in self._weights(protocol):
@@ -155,7 +181,9 @@ class Truth:
         )
 
     def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:
-        """Return, for each orientation and declared load, its frames and the true gravity (g) and tip force (N)."""
+        """Return, for each orientation and declared load, its frames and the true gravity (g) and
+        tip force (N).
+        """
         at = np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1
         hung = np.zeros(len(protocol.t)) if protocol.load is None else protocol.load
         declared = np.column_stack([protocol.gravity, hung])[at]
@@ -165,16 +193,20 @@ class Truth:
             gravity, force = direction, row[3] * NEWTON_PER_GRAM * direction
             for effect in self.hidden:
                 gravity, force = effect.law.gravity(gravity), force + effect.law.force(direction)
-            parts.append((np.flatnonzero((declared == row).all(axis=1)), _vector(gravity), _vector(force)))
+            parts.append(
+                (np.flatnonzero((declared == row).all(axis=1)), _vector(gravity), _vector(force))
+            )
         return parts
 
 
-def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: Finger | None = None) -> Truth:
+def hide(
+    names: Sequence[str], seed: int, camera: Camera | None = None, finger: Finger | None = None
+) -> Truth:
     """Make a second finger that hides the effects `names`, strengths drawn from `seed`.
 
-    Args: `names` out of `LAWS` (none: nothing is hidden) and `NAMED`; `seed` ≥ 0 draws batch, characters and strengths;
-    `finger` is the first one, usually the built-in.
-    Returns the truth; each effect of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
+    Args: `names` out of `LAWS` (none: nothing is hidden) and `NAMED`; `seed` ≥ 0 draws batch,
+    characters and strengths; `finger` is the first one, usually the built-in. Returns the truth;
+    each effect of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
     Raises SoftmapError for an unknown or repeated name.
     """
     check_hidden(names, seed)
@@ -186,32 +218,48 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: 
 def surprise(seed: int) -> list[str]:
     """Draw one or two effects to hide."""
     rng = np.random.default_rng([seed, 77])
-    return [str(name) for name in rng.choice(list(LAWS), size=int(rng.choice([1, 2], p=[0.65, 0.35])), replace=False)]
+    return [
+        str(name)
+        for name in rng.choice(
+            list(LAWS), size=int(rng.choice([1, 2], p=[0.65, 0.35])), replace=False
+        )
+    ]
 
 
 @lru_cache(maxsize=4)
 def template(finger: Finger | None = None) -> Floats:
-    """Return the material points (N, 3) mm that are seen: the vertices of the first finger's template."""
+    """Return the material points (N, 3) mm that are seen: the vertices of the first finger's
+    template.
+    """
     return np.asarray(Simulator(finger or _builtin()).template.vertices, dtype=np.float64)
 
 
 def centroids(points: Floats, finger: Finger | None = None) -> Floats:
-    """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at rest."""
+    """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at
+    rest.
+    """
     section = sections_of(template(finger))
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
 
 
 def _named(name: str, plain: Truth) -> HiddenEffect:
-    """Take a law as it is; how far it moves the finger is what it does in a sweep of the plain one."""
+    """Take a law as it is; how far it moves the finger is what it does in a sweep of the plain
+    one.
+    """
     protocol = standard_protocol(len(plain.finger.pairs))
     law = NAMED[name].draw(np.random.default_rng(plain.seed), len(plain.finger.pairs))
-    both = (replace(plain, hidden=hidden).rough(protocol, STEPS) for hidden in ((), (HiddenEffect(law, 0.0),)))
+    both = (
+        replace(plain, hidden=hidden).rough(protocol, STEPS)
+        for hidden in ((), (HiddenEffect(law, 0.0),))
+    )
     before, after = (centroids(points, plain.finger) for points in both)
     return HiddenEffect(law, _rms(after - before))
 
 
 def _drawn(name: str, plain: Truth) -> HiddenEffect:
-    """Draw a law and scale it until it moves the section centroids of a finger by the drawn target."""
+    """Draw a law and scale it until it moves the section centroids of a finger by the drawn
+    target.
+    """
     seed, channels = plain.seed, len(plain.finger.pairs)
     rng = np.random.default_rng([seed, list(LAWS).index(name)])
     law = LAWS[name].draw(rng, channels)
@@ -226,18 +274,21 @@ def _drawn(name: str, plain: Truth) -> HiddenEffect:
         return _rms(centroids(one, plain.finger) - centroids(other, plain.finger))
 
     strength, steps = 1.0, WEIGHT_STEPS if is_weight else STEPS
-    for _ in range(2 if is_weight else 8):  # a weight costs a sweep each time, and moves the body nearly in proportion
+    # a weight costs a sweep each time, and moves the body nearly in proportion
+    for _ in range(2 if is_weight else 8):
         truth = there(strength)
         distance = apart(truth.rough(protocol, steps), plain.rough(protocol, steps))
-        strength = float(np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT)))
+        strength = float(
+            np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT))
+        )
         if abs(distance - target) < 0.02 * target:
             break
     truth, thin = there(strength), slice(None, None, EVERY)
     distance = apart(truth.shapes(protocol)[thin], plain.shapes(protocol, EVERY))
     if not 1.0 <= distance <= 4.0:
         raise SoftmapError(
-            f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "
-            "strength, outside 1-4 mm; take another seed"
+            f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at "
+            f"{strength:.2f} of its usual strength, outside 1-4 mm; take another seed"
         )
     return HiddenEffect(law.scaled(strength), distance)
 
@@ -264,24 +315,31 @@ def _simulator(finger: Finger, modulus: float) -> Simulator:
 
 
 def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
-    """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3) mm."""
+    """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3)
+    mm.
+    """
     places, which = different(u)
     return _path(finger, modulus, gravity, force, places.tobytes(), u.shape[1])[which]
 
 
 def different(u: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the different ones (n, C) of commands (K, C) mm, and which each is. Raises SoftmapError beyond REACH."""
+    """Return the different ones (n, C) of commands (K, C) mm, and which each is. Raises
+    SoftmapError beyond REACH.
+    """
     largest = float(np.max(np.abs(u), initial=0.0))
     if largest > REACH:
         raise SoftmapError(
-            f"commands of {largest:.1f} mm reach the body, the truth is solved to {REACH:g} mm; hide less or move less"
+            f"commands of {largest:.1f} mm reach the body, the truth is solved to {REACH:g} mm; "
+            "hide less or move less"
         )
     places, which = np.unique(np.round(u, 6), axis=0, return_inverse=True)
     return places, which.ravel()
 
 
 @lru_cache(maxsize=48)
-def _path(finger: Finger, modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
+def _path(
+    finger: Finger, modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int
+) -> Floats:
     places = np.frombuffer(commands).reshape(-1, channels)
     return toured(_simulator(finger, modulus), gravity, force, places)
 
@@ -295,15 +353,27 @@ def toured(simulator: Simulator, gravity: Vector, force: Vector, places: Floats)
     return points
 
 
-def _interpolated(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int) -> Floats:
-    return _sweep(finger, modulus, gravity, force, steps).evaluate(u).reshape(-1, *template(finger).shape)
+def _interpolated(
+    finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int
+) -> Floats:
+    return (
+        _sweep(finger, modulus, gravity, force, steps)
+        .evaluate(u)
+        .reshape(-1, *template(finger).shape)
+    )
 
 
 @lru_cache(maxsize=64)
-def _sweep(finger: Finger, modulus: float, gravity: Vector, force: Vector, steps: int) -> _core.Table:
-    """Sweep the second finger under these weights and interpolate with every mode that matters (to 0.1 µm)."""
+def _sweep(
+    finger: Finger, modulus: float, gravity: Vector, force: Vector, steps: int
+) -> _core.Table:
+    """Sweep the second finger under these weights and interpolate with every mode that matters (to
+    0.1 µm).
+    """
     axes = [np.linspace(-REACH, REACH, steps)] * len(finger.pairs)
-    sweep = _simulator(finger, modulus).sweep(axes, gravity=gravity, load=force, progress=WATCH.get())
+    sweep = _simulator(finger, modulus).sweep(
+        axes, gravity=gravity, load=force, progress=WATCH.get()
+    )
     values = np.asarray(sweep.vertices, dtype=np.float64).reshape(len(sweep.command), -1)
     mean = values.mean(axis=0)
     left, size, modes = np.linalg.svd(values - mean, full_matrices=False)

@@ -1,16 +1,19 @@
-"""The paper's Table II: letters S, H, O, E led by one solved sequence each, on a simulator and on a stand-in.
+"""The paper's Table II: letters S, H, O, E led by one solved sequence each, on a simulator and on a
+stand-in.
 
-    targets ──inverse kinematics of a model──> commands ──> simulator of the finger  (paper: simulation)
-                                                       └──> virtual finger           (paper: hardware)
+    targets ──inverse kinematics of a model──> commands ──> simulator of the finger
+        (paper: simulation)
+                                                       └──> virtual finger  (paper: hardware)
 
-The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has what the model lacks:
-other elements and material, turned tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a
-calibration, as for the alternative, the servos turn as commanded, by the map that they really have.
-A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is evaluated,
-so that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on
-the alternative's own points while it is solved. Errors are distances in mm in the plane of the figure, at the
-waypoints. The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
-tests/synthetic/test_table_two.py.
+The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has
+what the model lacks: other elements and material, turned tendons, friction, a lean. A bundle that
+was calibrated on it sends ticks; without a calibration, as for the alternative, the servos turn as
+commanded, by the map that they really have. A figure lies about the tip at rest: a model's own
+while it is solved, the executed finger's own while it is evaluated, so that where a finger merely
+hangs otherwise does not count. The tip is the middle of the vertices that move most, on the
+alternative's own points while it is solved. Errors are distances in mm in the plane of the figure,
+at the waypoints. The paper's figures are of another finger, simulator, letters and amplitude.
+Pinned by tests/synthetic/test_table_two.py.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ LETTERS = ("S", "H", "O", "E")
 PLANE = "xy"
 OURS, COMPENSATED, RIVAL = "ours", "ours, effects compensated", "rival"
 WHERE = ("simulator", "stand_in")
-# Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's own data.
+# Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's
+# own data.
 PUBLISHED_ERRORS = {
     ("S", OURS): ((1.124, 0.617, 1.95), (3.458, 2.976, 15.38)),
     ("H", OURS): ((1.214, 0.652, 2.55), (3.569, 2.343, 10.3)),
@@ -57,8 +61,10 @@ PUBLISHED_ERRORS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One letter led by one model: what it `expected` of itself, what happened on the `simulator` and the `stand_in`,
-    errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what was solved."""
+    """One letter led by one model: what it `expected` of itself, what happened on the `simulator`
+    and the `stand_in`, errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a
+    waypoint is from what was solved.
+    """
 
     figure: str
     model: str
@@ -69,18 +75,26 @@ class Row:
 
     def to_dict(self) -> Document:
         """Return means, standard deviations and the largest, with those of the paper."""
-        found: Document = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
+        found: Document = {
+            "figure": self.figure,
+            "model": self.model,
+            "unreachable_mm": self.unreachable,
+        }
         found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
         if published is None:
             return found | {"paper": None}
         figures = (dict(zip(("mean", "sd", "max"), of)) for of in published)
-        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), figures)) | {"on": "other data"}}
+        return found | {
+            "paper": dict(zip(("simulation_mm", "hardware_mm"), figures)) | {"on": "other data"}
+        }
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A model by its name in the table, its world (`gravity` (3,) g, None as it hangs), and the map of its servos."""
+    """A model by its name in the table, its world (`gravity` (3,) g, None as it hangs), and the map
+    of its servos.
+    """
 
     name: str
     model: Model
@@ -89,19 +103,22 @@ class Contender:
 
 
 def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
-    """Return the models that are compared: without effects, with them if there are some, and the alternative.
+    """Return the models that are compared: without effects, with them if there are some, and the
+    alternative.
 
-    What is learned on top of the effects goes with them; they are compensated in the orientation that the stand-in
-    declares.
+    What is learned on top of the effects goes with them; they are compensated in the orientation
+    that the stand-in declares.
 
     Raises:
         SoftmapError: a model of another finger.
     """
     for one in (model, rival):
-        if one is not None and (one.robot != finger.finger.name or one.channels != len(PUBLISHED.home)):
+        if one is not None and (
+            one.robot != finger.finger.name or one.channels != len(PUBLISHED.home)
+        ):
             raise SoftmapError(
-                f"the bundle is of '{one.robot}', {one.channels} commands; the table is of '{finger.finger.name}', "
-                f"{len(PUBLISHED.home)}: it is solved there"
+                f"the bundle is of '{one.robot}', {one.channels} commands; the table is of "
+                f"'{finger.finger.name}', {len(PUBLISHED.home)}: it is solved there"
             )
     map_, found = model.calibration, []
     plain = model.bare()
@@ -148,16 +165,27 @@ def table_two(
     for k, (figure, one) in enumerate(todo):
         if progress is not None:
             progress(f"{figure}, {one.name}", k / len(todo))
-        kinematics = Kinematics(replace(one.model, calibration=one.calibration), gravity=one.gravity, axes=PLANE)
+        kinematics = Kinematics(
+            replace(one.model, calibration=one.calibration), gravity=one.gravity, axes=PLANE
+        )
         planned = course(
-            kinematics, figure, amplitude=amplitude, duration=duration, rate=rate, slew=[SLEW] * 2,
-            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _servo_map(), method=method,
-        )  # fmt: skip
+            kinematics,
+            figure,
+            amplitude=amplitude,
+            duration=duration,
+            rate=rate,
+            slew=[SLEW] * 2,
+            acceleration=[ACCELERATION] * 2,
+            calibration=one.calibration or _servo_map(),
+            method=method,
+        )
         plan = planned.plan
         seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
         simulated = simulator.path(plan.commands[seen])
         stood = _stand_in(finger, planned, one.calibration, seen)
-        on_both = (_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood))
+        on_both = (
+            _off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood)
+        )
         one_error, other_error = on_both
         expected, farthest = plan.distance[planned.counts], plan.unreachable[planned.counts].max()
         rows.append(Row(figure, one.name, expected, one_error, other_error, float(farthest)))
@@ -166,22 +194,34 @@ def table_two(
 
 def _servo_map() -> Calibration:
     """Return the servos' own map, where the commands of a model are taken as they are."""
-    return Calibration.stated(PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map")
+    return Calibration.stated(
+        PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map"
+    )
 
 
 def _stand_in(
     finger: VirtualFinger, planned: Course, calibration: Calibration | None, seen: NDArray[np.int64]
 ) -> Floats:
-    """Return the true points (K, N, 3) mm of the virtual finger at waypoints `seen` (K,): servos turn whole ticks."""
+    """Return the true points (K, N, 3) mm of the virtual finger at waypoints `seen` (K,): servos
+    turn whole ticks.
+    """
     plan = planned.plan
-    ticks = PUBLISHED.to_ticks(plan.commands) if calibration is None else calibration.ticks(plan.commands)
+    ticks = (
+        PUBLISHED.to_ticks(plan.commands)
+        if calibration is None
+        else calibration.ticks(plan.commands)
+    )
     gravity = np.tile(HANGING, (len(plan.t), 1))
     block = np.full(len(seen), "figure")
-    return finger.shapes(Protocol("table", plan.t, finger.servos.to_mm(ticks), gravity, plan.t[seen], block))
+    return finger.shapes(
+        Protocol("table", plan.t, finger.servos.to_mm(ticks), gravity, plan.t[seen], block)
+    )
 
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
-    """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about where it rested."""
+    """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about
+    where it rested.
+    """
     target = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]
     return np.asarray(np.linalg.norm(((tip - tip[0]) - target)[1:, counts], axis=1))
@@ -193,7 +233,15 @@ def text_of(document: Document) -> str:
     def numbers(document: Document | None) -> str:
         return "–" if document is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**document)
 
-    head = ("", "", "the model itself", "simulator", "stand-in", "paper: simulation", "paper: hardware")
+    head = (
+        "",
+        "",
+        "the model itself",
+        "simulator",
+        "stand-in",
+        "paper: simulation",
+        "paper: hardware",
+    )
     lines = [head]
     for row in document["rows"]:
         paper = row["paper"] or {}
@@ -202,16 +250,21 @@ def text_of(document: Document) -> str:
         name = document["rival"] or RIVAL if row["model"] == RIVAL else row["model"]
         lines.append((row["figure"], name, *map(numbers, columns)))
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
+    text = [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines
+    ]
     effects = ", ".join(document["effects"]) or "none"
     text += [
-        f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
-        f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; "
-        f"effects of the bundle: {effects}.",
-        f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. The paper's columns "
-        "are of other data: its own finger, letters, sizes.",
+        f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} "
+        f"waypoints a letter, half a side {document['amplitude_mm']:g} mm; solved by method "
+        f"'{document['method']}'; effects of the bundle: {effects}.",
+        f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. "
+        "The paper's columns are of other data: its own finger, letters, sizes.",
     ]
     far = max(row["unreachable_mm"] for row in document["rows"])
     if far > 0.01:
-        text.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
+        text.append(
+            "Some waypoints are out of reach of a model, or missed by that method, by up to "
+            f"{far:.2f} mm."
+        )
     return "\n".join(text)

@@ -1,15 +1,21 @@
-"""The virtual finger: a stand-in for hardware, to try a complete pipeline on. It is simulated and is never called real.
+"""The virtual finger: a stand-in for hardware, to try a complete pipeline on. It is simulated and
+is never called real.
 
-    command ─whole ticks─> u ─friction, hidden effects─> tetrahedra, another material, turned tendons, a lean─> points
-                                                                                      points ─two noisy views─> clouds
+    command ─whole ticks─> u ─friction, hidden effects─> tetrahedra, another material, turned
+    tendons, a lean─> points
+                                                                                      points ─two
+                                                                                      noisy views─>
+                                                                                      clouds
 
-Compared with the model it is the same solid of other elements (`fem/cut.py`; a mesh of tetrahedra as it is), with a
-modulus drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis by a drawn 3 to 6 degrees, friction
-that remembers (`truth_laws.BoucWen`) and a mounting that leans by up to 20 degrees, which the run declares to 2. Hidden
-effects come on top as in `synthetic/finger.py`. **Never calls the effect library**, nor a model's prior or fields.
-The run holds what hardware gives: ticks commanded and read (`robot/emulated/published_map.py`, encoder noise of one
-tick), clouds, the declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the
-truth, kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/synthetic/test_virtual.py.
+Compared with the model it is the same solid of other elements (`fem/cut.py`; a mesh of tetrahedra
+as it is), with a modulus drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis
+by a drawn 3 to 6 degrees, friction that remembers (`truth_laws.BoucWen`) and a mounting that leans
+by up to 20 degrees, which the run declares to 2. Hidden effects come on top as in
+`synthetic/finger.py`. **Never calls the effect library**, nor a model's prior or fields. The run
+holds what hardware gives: ticks commanded and read (`robot/emulated/published_map.py`, encoder
+noise of one tick), clouds, the declared gravity and camera noise; no command in mm and no vertex.
+Those go into the arrays of the truth, kept apart. Every frame is solved. Randomness only from the
+seeds. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -46,7 +52,9 @@ PHASE = (3.0, 6.0)  # degrees by which the tendons are turned about the axis, ei
 LEAN, MEASURED = 20.0, 2.0  # degrees: the mounting leans by at most, and is known to
 MADE_BY = "virtual finger of softmap-edge: simulated, no hardware"
 FRICTION = (
-    0.4  # of what a demo hides: a lubricated tendon, so that what a static baseline can correct is the larger part
+    # of what a demo hides: a lubricated tendon, so that what a static baseline can correct is the
+    # larger part
+    0.4
 )
 ENCODER = 1.0  # ticks, standard deviation
 CAMERAS = replace(TWO, points=5000, hole_mm=8.0)
@@ -56,9 +64,9 @@ CAMERAS = replace(TWO, points=5000, hole_mm=8.0)
 class VirtualFinger:
     """The finger that stands in for hardware: the model's `finger`, and in what it differs from it.
 
-    modulus: a multiple of the finger's · phase_deg: of the tendons about z · lean_deg, declared_deg: (2,) how the
-    mounting leans about x and y of the base, and what the run says of it · friction in the tendons, None for none ·
-    hidden effects · cameras · servos.
+    modulus: a multiple of the finger's · phase_deg: of the tendons about z · lean_deg,
+    declared_deg: (2,) how the mounting leans about x and y of the base, and what the run says of it
+    · friction in the tendons, None for none · hidden effects · cameras · servos.
     """
 
     seed: int
@@ -101,7 +109,9 @@ class VirtualFinger:
         return Truth(self.seed, tuple(hidden), finger=self.finger)
 
     def shapes(self, protocol: Protocol) -> Floats:
-        """Return the true points (K, N, 3) mm of the template at each frame; commands as they are, in mm."""
+        """Return the true points (K, N, 3) mm of the template at each frame; commands as they are,
+        in mm.
+        """
 
         def solved(_: Finger, __: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
             places, which = different(u)
@@ -110,12 +120,13 @@ class VirtualFinger:
         return self.truth.shapes_by(solved, protocol)
 
     def measure(self, protocol: Protocol, noise_seed: int = 0) -> tuple[Run, Arrays]:
-        """Play a protocol in mm: the run that hardware would give, and apart from it the arrays of the truth.
+        """Play a protocol in mm: the run that hardware would give, and apart from it the arrays of
+        the truth.
 
-        `noise_seed` draws the noise of cameras and encoders. The truth: `vertices` (K, N, 3) mm, `command` (K, C) mm
-        that the servos turned to, `acting` (K, C) mm that reached the body, `gravity` (K, 3) g, `t_seen` (K,) s, the
-        template's `rest` (N, 3) mm and `triangles`, and what was drawn, as JSON. Raises SoftmapError for commands that
-        servos or body do not take.
+        `noise_seed` draws the noise of cameras and encoders. The truth: `vertices` (K, N, 3) mm,
+        `command` (K, C) mm that the servos turned to, `acting` (K, C) mm that reached the body,
+        `gravity` (K, 3) g, `t_seen` (K,) s, the template's `rest` (N, 3) mm and `triangles`, and
+        what was drawn, as JSON. Raises SoftmapError for commands that servos or body do not take.
         """
         rng = np.random.default_rng([self.seed, noise_seed, 91])
         ticks = self.servos.to_ticks(protocol.command)
@@ -169,13 +180,17 @@ class VirtualFinger:
 
 
 def virtual_finger(
-    seed: int, finger: Finger | None = None, hidden: Sequence[str] = (), cameras: DepthCameras = CAMERAS
+    seed: int,
+    finger: Finger | None = None,
+    hidden: Sequence[str] = (),
+    cameras: DepthCameras = CAMERAS,
 ) -> VirtualFinger:
     """Draw the virtual finger of a seed.
 
-    `finger` is that of the model, the built-in one without it; `hidden` are names of further effects (`truth.hide`, as
-    strong as there: finding how strong takes minutes). Raises SoftmapError for an unknown name, a negative seed, or a
-    finger whose commands are not those of two servos in mm.
+    `finger` is that of the model, the built-in one without it; `hidden` are names of further
+    effects (`truth.hide`, as strong as there: finding how strong takes minutes). Raises
+    SoftmapError for an unknown name, a negative seed, or a finger whose commands are not those of
+    two servos in mm.
     """
     check_hidden(hidden, seed)
     finger = finger or Finger.builtin()

@@ -1,12 +1,15 @@
-"""Command records to learn a robot from: a grid of held commands, others to validate, and moves with memory to test.
+"""Command records to learn a robot from: a grid of held commands, others to validate, and moves
+with memory to test.
 
-    grid        each command of a grid of 7 a channel, in a drawn order, reached from a drawn neighbour, held, seen once
+    grid        each command of a grid of 7 a channel, in a drawn order, reached from a drawn
+                neighbour, held, seen once
     validation  24 drawn commands between the nodes of the grid, reached and seen in the same way
-    paths       circles, spirals, smooth random moves and reversals: never part of what is learned from
+    paths  circles, spirals, smooth random moves and reversals: never part of what is learned from
 
-Friction remembers where a command was reached from: from one side only it would look like part of the shape. That the
-real finger was moved over "a representative grid of servo commands" is all that the paper says; 7 a channel, the holds
-and the neighbours are ours. Units and limits as in `run/protocol.py`; pinned by tests/synthetic/test_virtual.py.
+Friction remembers where a command was reached from: from one side only it would look like part of
+the shape. That the real finger was moved over "a representative grid of servo commands" is all that
+the paper says; 7 a channel, the holds and the neighbours are ours. Units and limits as in
+`run/protocol.py`; pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -41,11 +44,14 @@ RATE = 2.0  # frames a second of the paths
 REACH = 0.85  # of the limits that random moves take
 
 
-def virtual_protocol(kind: str, seed: int, limits: Limits, gravity: tuple[float, ...] = HANGING) -> Protocol:
+def virtual_protocol(
+    kind: str, seed: int, limits: Limits, gravity: tuple[float, ...] = HANGING
+) -> Protocol:
     """Make the commands of one kind out of `KINDS` within the limits of a robot.
 
-    `seed` draws orders, neighbours and paths; each kind draws its own. `gravity` (3,) g is the one orientation. Returns
-    the protocol. Raises SoftmapError for an unknown kind, a negative seed, or channels that make too many commands.
+    `seed` draws orders, neighbours and paths; each kind draws its own. `gravity` (3,) g is the one
+    orientation. Returns the protocol. Raises SoftmapError for an unknown kind, a negative seed, or
+    channels that make too many commands.
     """
     if kind not in KINDS:
         raise SoftmapError(f"no protocol '{kind}'; there are {', '.join(KINDS)}")
@@ -53,8 +59,9 @@ def virtual_protocol(kind: str, seed: int, limits: Limits, gravity: tuple[float,
         raise SoftmapError(f"seed {seed} is negative; give 0 or more")
     if NODES**limits.channels > MOST_HELD:
         raise SoftmapError(
-            f"a grid of {NODES} a channel has {NODES**limits.channels} commands for {limits.channels} channels, "
-            f"at most {MOST_HELD} are held; take a robot of fewer channels, or commands of your own"
+            f"a grid of {NODES} a channel has {NODES**limits.channels} commands for "
+            f"{limits.channels} channels, at most {MOST_HELD} are held; take a robot of fewer "
+            "channels, or commands of your own"
         )
     rng = np.random.default_rng([seed, 41, KINDS.index(kind)])
     tape = Tape(limits, rng, gravity)
@@ -62,7 +69,9 @@ def virtual_protocol(kind: str, seed: int, limits: Limits, gravity: tuple[float,
         _grid(tape)
     elif kind == "validation":
         for share in rng.uniform(-1.0, 1.0, (OTHERS, limits.channels)):
-            near = np.clip(share + rng.uniform(-1.0, 1.0, limits.channels) * 2.0 / (NODES - 1), -1.0, 1.0)
+            near = np.clip(
+                share + rng.uniform(-1.0, 1.0, limits.channels) * 2.0 / (NODES - 1), -1.0, 1.0
+            )
             _held(tape, near, share)
     else:
         _paths(tape)
@@ -81,7 +90,9 @@ def _grid(tape: Tape) -> None:
 
 
 def _held(tape: Tape, near: Floats, share: Floats) -> None:
-    """Go to `near`, from there to `share` (C,) of the reach, hold it, and look once before the end."""
+    """Go to `near`, from there to `share` (C,) of the reach, hold it, and look once before the
+    end.
+    """
     tape.to(tape.limits.at(near), 2 * tape.slow, 0.0, "")
     tape.to(tape.limits.at(share), tape.slow, 0.0, "")
     tape.seen.append((tape.now + LOOK, "held"))

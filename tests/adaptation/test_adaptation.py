@@ -1,4 +1,6 @@
-"""Physics first, a residual on the rest: from ticks and clouds of the virtual finger to a bundle, in one call."""
+"""Physics first, a residual on the rest: from ticks and clouds of the virtual finger to a bundle,
+in one call.
+"""
 
 import json
 from dataclasses import replace
@@ -28,7 +30,9 @@ def thinned(protocol, every):
 
 
 def measured(finger):
-    """Return a grid of held commands, moves, and paths for validation, with the true vertices of each."""
+    """Return a grid of held commands, moves, and paths for validation, with the true vertices of
+    each.
+    """
     limits = Limits.of(MODEL.command_range)
     grid, paths = (virtual_protocol(kind, 0, limits) for kind in ("grid", "paths"))
     protocols = grid, thinned(standard_protocol(2), 2), thinned(paths, 5)
@@ -49,16 +53,21 @@ def adapted(recorded):
 def test_physics_first_and_a_residual_on_the_rest_beat_either_alone(adapted):
     stood, residual, physics, both = (adapted.error[way] for way in WAYS)
     assert max(physics, residual) < 0.85 * stood and both < 0.5 * min(physics, residual)
-    # Friction has memory: no function of the command corrects it. Turned tendons of 0.5 mm are an ordinary imperfection
-    # of a finger that moves by 10 mm; no diagnosis names it, and the residual learns it.
+    # Friction has memory: no function of the command corrects it. Turned tendons of 0.5 mm are an
+    # ordinary imperfection of a finger that moves by 10 mm; no diagnosis names it, and the residual
+    # learns it.
     assert residual > 0.6 * stood and both < 0.35 * stood
     assert set(adapted.model.chain_names) & {"hysteresis", "friction", "backlash"}
 
 
 def test_turned_tendons_beyond_ordinary_imperfections_are_physics():
-    """Turned by 8 degrees, not 3, they move the finger by 1.1 mm, three times as far as all else that is static."""
+    """Turned by 8 degrees, not 3, they move the finger by 1.1 mm, three times as far as all else
+    that is static.
+    """
     turn = -8.0
-    (grid, _), (moves, _), (paths, _) = measured(replace(virtual_finger(1, cameras=CAMERAS), phase_deg=turn))
+    (grid, _), (moves, _), (paths, _) = measured(
+        replace(virtual_finger(1, cameras=CAMERAS), phase_deg=turn)
+    )
     found = adapt(MODEL, [grid, moves], held_out=paths)
     stood, residual, physics, both = (found.error[way] for way in WAYS)
     assert both < physics < residual < stood
@@ -80,14 +89,21 @@ def test_the_true_vertices_are_nearer_by_more_than_four_fifths_of_what_can_go(ad
     assert before > 3 * own
     alone = learn_residual(adapted.before, adapted.runs)[0].predict(run) - truth["vertices"]
     stood, physics, after, alone = (np.linalg.norm(m, axis=2).mean() for m in (*missed, alone))
-    assert after < 0.5 * min(physics, alone) and alone <= (1.0 - 0.33) * stood, (stood, alone, physics, after)
+    assert after < 0.5 * min(physics, alone) and alone <= (1.0 - 0.33) * stood, (
+        stood,
+        alone,
+        physics,
+        after,
+    )
     assert adapted.before.calibration is not None and not adapted.before.chain_names
 
 
 def test_on_paths_with_memory_a_residual_does_not_help():
     protocols = standard_protocol(2), virtual_protocol("paths", 3, Limits.of(MODEL.command_range))
     finger = hide(["backlash"], 1)
-    run, paths = (finger.measure(thinned(protocol, every)) for protocol, every in zip(protocols, (3, 9)))
+    run, paths = (
+        finger.measure(thinned(protocol, every)) for protocol, every in zip(protocols, (3, 9))
+    )
     found = adapt(MODEL, run, held_out=paths)
     stood, residual, physics, both = (found.error[way] for way in WAYS)
     assert residual > 0.9 * stood and physics < 0.3 * stood and both < 1.05 * physics, found.error
@@ -105,7 +121,9 @@ def test_the_document_holds_every_step(adapted):
     assert all(way in str(adapted) for way in WAYS)
 
 
-def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_run(adapted, tmp_path, capsys):
+def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_run(
+    adapted, tmp_path, capsys
+):
     for name, run in zip(("grid", "moves"), adapted.runs):  # registered already
         run.save(tmp_path / f"{name}.npz")
     call = [
@@ -133,18 +151,27 @@ def test_what_registration_filled_in_teaches_a_residual_but_judges_nothing(adapt
     _, report = learn_residual(adapted.before, run)
     assert report["frames"] == run.frames
     astray = np.where(run.visible[..., None], run.vertices, run.vertices + 5.0)
-    assert learn_residual(adapted.before, replace(run, vertices=astray))[1]["before_rms_mm"] == pytest.approx(
-        report["before_rms_mm"]
-    )
+    assert learn_residual(adapted.before, replace(run, vertices=astray))[1][
+        "before_rms_mm"
+    ] == pytest.approx(report["before_rms_mm"])
 
 
 def test_markers_get_their_physics_and_are_told_why_no_residual():
     truth, protocol = hide(["backlash"], 4), thinned(standard_protocol(2), 3)
     seen, some = truth.measure(protocol), np.arange(0, len(MODEL.rest), 60)
-    markers = replace(seen, vertices=None, markers=seen.vertices[:, some], marker_rest=MODEL.rest[some])
+    markers = replace(
+        seen, vertices=None, markers=seen.vertices[:, some], marker_rest=MODEL.rest[some]
+    )
     found = adapt(MODEL, markers)
-    assert found.model.chain_names == ("backlash",) and found.model.residual is None and found.fall > 0.7
-    assert "what lies between them is not seen" in str(found) and not found.to_dict()["residual"]["kept"]
+    assert (
+        found.model.chain_names == ("backlash",)
+        and found.model.residual is None
+        and found.fall > 0.7
+    )
+    assert (
+        "what lies between them is not seen" in str(found)
+        and not found.to_dict()["residual"]["kept"]
+    )
     with pytest.raises(SoftmapError, match="what lies between them"):
         adapt(MODEL, markers, physics=False)
 
@@ -158,6 +185,12 @@ def test_what_cannot_be_adapted_to_is_refused(adapted):
     few = ticks.at(np.arange(5))
     with pytest.raises(SoftmapError, match="held commands|frames"):
         adapt(MODEL, few)
-    nothing = Run(t=np.arange(3.0), ticks=np.zeros((3, 2), int), t_seen=np.zeros(0), points=np.zeros((0, 3)), start=[0])
+    nothing = Run(
+        t=np.arange(3.0),
+        ticks=np.zeros((3, 2), int),
+        t_seen=np.zeros(0),
+        points=np.zeros((0, 3)),
+        start=[0],
+    )
     with pytest.raises(SoftmapError, match="no seen frames|0 frames|K = 0"):
         adapt(MODEL, nothing)

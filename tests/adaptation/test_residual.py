@@ -1,4 +1,5 @@
-"""A residual is learned, carried and predicted with; a diagnosis takes it out, so that it hides no physics.
+"""A residual is learned, carried and predicted with; a diagnosis takes it out, so that it hides no
+physics.
 
 The commands of docs/do/residual.md run as they stand there, and print what stands there.
 """
@@ -14,7 +15,16 @@ from finger_runs import finger_run, named
 from page import blocks, run_commands
 from story_of_demo import FIRST, SECRETS
 
-from softmap_edge import _core, builtin_model, compare, diagnose, learn_residual, load_bundle, refit, save_bundle
+from softmap_edge import (
+    _core,
+    builtin_model,
+    compare,
+    diagnose,
+    learn_residual,
+    load_bundle,
+    refit,
+    save_bundle,
+)
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
@@ -46,7 +56,9 @@ def hanging(run):
 
 
 def warped(run, size):
-    """The run of a body that differs from the model by a smooth static field which is no effect's, mm at the tip."""
+    """The run of a body that differs from the model by a smooth static field which is no effect's,
+    mm at the tip.
+    """
     u = run.command_at(run.t_seen)
     field = np.stack([np.sin(u[:, 0] / 5), np.cos(u[:, 1] / 6) * u[:, 0] / 8, 0 * u[:, 0]], axis=1)
     height = (MODEL.rest[:, 2] / MODEL.rest[:, 2].max()) ** 2
@@ -81,7 +93,9 @@ def test_commands_beyond_those_that_taught_it_are_told(loaded, tmp_path, capsys)
     assert main(["model", "predict", "5,-5", "--bundle", str(tmp_path / "near")]) == 0
     assert "taught" not in capsys.readouterr().err
     # A bundle is somebody else's file: what it tells of itself may be anything.
-    odd = replace(near, made_from=dict(near.made_from) | {"residual": {"command_range": [["x"], None]}})
+    odd = replace(
+        near, made_from=dict(near.made_from) | {"residual": {"command_range": [["x"], None]}}
+    )
     save_bundle(odd, tmp_path / "odd")
     assert main(["model", "predict", "12,12", "--bundle", str(tmp_path / "odd")]) == 0
 
@@ -101,11 +115,17 @@ def test_every_prediction_has_it_and_the_clamp_stays(adapted, loaded):
     more = model.predict(loaded) - MODEL.predict(loaded)
     field = model.residual.evaluate(loaded.command_at(loaded.t_seen)).reshape(more.shape)
     np.testing.assert_allclose(more, field, atol=1e-9)
-    assert np.sqrt(np.mean(np.sum(field**2, axis=2))) == pytest.approx(adapted[1]["size_mm"], rel=1e-6)
+    assert np.sqrt(np.mean(np.sum(field**2, axis=2))) == pytest.approx(
+        adapted[1]["size_mm"], rel=1e-6
+    )
     clamp = MODEL.rest[:, 2] < 1e-6
     assert clamp.any() and np.all(field[:, clamp] == 0.0)
-    np.testing.assert_allclose(model.features(loaded), model.structure.feature_map(model.predict(loaded)), atol=1e-6)
-    markers = replace(loaded, vertices=None, markers=loaded.vertices[:, ::50], marker_rest=MODEL.rest[::50])
+    np.testing.assert_allclose(
+        model.features(loaded), model.structure.feature_map(model.predict(loaded)), atol=1e-6
+    )
+    markers = replace(
+        loaded, vertices=None, markers=loaded.vertices[:, ::50], marker_rest=MODEL.rest[::50]
+    )
     moved = model.predict(markers) - MODEL.predict(markers)
     assert np.sqrt(np.mean((moved - field[:, ::50]) ** 2)) < 0.05 < np.sqrt(np.mean(moved**2))
     assert compare(model, loaded).bundle["sha256"] != compare(MODEL, loaded).bundle["sha256"]
@@ -141,9 +161,17 @@ def test_a_bundle_carries_it(adapted, loaded, tmp_path):
 def test_it_belongs_to_its_effects(adapted, loaded):
     model, _ = adapted
     assert model.with_effects(["gain"], {"gain.factor[0]": 1.02}).residual is None
-    assert model.with_residual(None).residual is None and "residual" not in model.with_residual(None).arrays
-    with pytest.raises(SoftmapError, match="the residual maps 2 commands to 3 numbers, the prior 2 to"):
-        few = model.arrays["residual"] | {"mean": np.zeros(3), "modes": model.arrays["residual"]["modes"][:, :3]}
+    assert (
+        model.with_residual(None).residual is None
+        and "residual" not in model.with_residual(None).arrays
+    )
+    with pytest.raises(
+        SoftmapError, match="the residual maps 2 commands to 3 numbers, the prior 2 to"
+    ):
+        few = model.arrays["residual"] | {
+            "mean": np.zeros(3),
+            "modes": model.arrays["residual"]["modes"][:, :3],
+        }
         MODEL.with_residual(few)
     worn = MODEL.with_effects(["backlash"], {"backlash.gap": 0.5})
     changed, _ = refit(learn_residual(worn, loaded)[0], loaded)
@@ -175,7 +203,9 @@ def test_what_teaches_nothing_is_refused(loaded):
     still = replace(loaded, command=np.zeros_like(loaded.command))
     with pytest.raises(SoftmapError, match="1 different commands are too few"):
         learn_residual(MODEL, still)
-    markers = replace(loaded, vertices=None, markers=loaded.vertices[:, :4], marker_rest=MODEL.rest[:4])
+    markers = replace(
+        loaded, vertices=None, markers=loaded.vertices[:, :4], marker_rest=MODEL.rest[:4]
+    )
     with pytest.raises(SoftmapError, match="4 markers on a model of 548 points"):
         learn_residual(MODEL, markers)
     hidden = np.ones(loaded.vertices.shape[:2], bool)
@@ -212,7 +242,9 @@ def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
 
 
 def of_another_finger(hidden):
-    """A run of one orientation, solved by finite elements on another mesh, in another batch of silicone."""
+    """A run of one orientation, solved by finite elements on another mesh, in another batch of
+    silicone.
+    """
     truth = Truth(4, (HiddenEffect(SECRETS[hidden], 0.0),))
     return truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
 
@@ -223,7 +255,9 @@ def test_a_weight_of_another_finger_is_never_nothing(hidden):
     found = diagnose(learn_residual(MODEL, run)[0], run, effects=SOME)
     said = named(found) | {name for rival in found.alternatives for name in rival.effects}
     said |= {row.name for row in found.not_testable if "may be it" in row.why}
-    assert hidden in said and found.verdict in ("identified", "ambiguous", "cannot_tell"), found.sentence
+    assert hidden in said and found.verdict in ("identified", "ambiguous", "cannot_tell"), (
+        found.sentence
+    )
 
 
 def test_memory_is_found_through_a_residual():
@@ -235,7 +269,9 @@ def test_memory_is_found_through_a_residual():
     assert found.effects[0].params["hysteresis.reach"].value == pytest.approx(5.0, rel=0.05)
 
 
-@pytest.mark.parametrize(("size", "reason"), [(0.15, "may be its own error"), (0.7, "no single effect explains")])
+@pytest.mark.parametrize(
+    ("size", "reason"), [(0.15, "may be its own error"), (0.7, "no single effect explains")]
+)
 def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     run = warped(hanging(finger_run()), size)
     model, _ = learn_residual(MODEL, run)
@@ -247,11 +283,15 @@ def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
 
 def test_a_residual_of_another_run_is_told(adapted):
     found = diagnose(adapted[0], hanging(finger_run()))
-    assert found.verdict == "nothing" and "it does not lower the error of this run" in found.sentence
+    assert (
+        found.verdict == "nothing" and "it does not lower the error of this run" in found.sentence
+    )
 
 
 def test_a_reference_run_stands_for_the_residual_too(adapted, loaded):
-    found = diagnose(adapted[0], loaded, effects=["payload", "offset"], reference=hanging(finger_run()))
+    found = diagnose(
+        adapted[0], loaded, effects=["payload", "offset"], reference=hanging(finger_run())
+    )
     assert named(found) == {"payload"} and "was taken out" not in found.sentence
 
 
@@ -259,10 +299,21 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
     of_another_finger("payload").save(tmp_path / "hanging.npz")
     run_commands(PAGE, tmp_path)
     printed = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    wanted = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
+    wanted = [
+        line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()
+    ]
     assert len(wanted) == 4 and [line for line in wanted if line not in printed] == []
     assert load_bundle(tmp_path / "adapted").residual is not None
-    nothing_left = ["model", "adapt", "hanging.npz", "--residual-only", "--bundle", "found", "--out", "again"]
+    nothing_left = [
+        "model",
+        "adapt",
+        "hanging.npz",
+        "--residual-only",
+        "--bundle",
+        "found",
+        "--out",
+        "again",
+    ]
     monkeypatch.chdir(tmp_path)
     assert main(nothing_left) == 1
 
@@ -277,14 +328,39 @@ def test_adapt_and_what_becomes_of_the_residual(tmp_path, loaded, capsys):
     said = capsys.readouterr().out
     assert "residual of 0.3" in said and "blocks of the runs that were left out" in said
     assert (
-        main(["model", "adapt", run, "--residual-only", "--out", bundle]) == 2 and "--force" in capsys.readouterr().err
+        main(["model", "adapt", run, "--residual-only", "--out", bundle]) == 2
+        and "--force" in capsys.readouterr().err
     )
     assert main(["compare", run, "--bundle", bundle]) == 0
-    assert main(["diagnose", run, "--bundle", bundle, "--effects", "payload,gain,offset", "--out", out]) == 0
+    assert (
+        main(
+            ["diagnose", run, "--bundle", bundle, "--effects", "payload,gain,offset", "--out", out]
+        )
+        == 0
+    )
     capsys.readouterr()
-    assert main(["add", "payload", "--from", out, "--bundle", bundle, "--out", str(tmp_path / "c")]) == 0
+    assert (
+        main(["add", "payload", "--from", out, "--bundle", bundle, "--out", str(tmp_path / "c")])
+        == 0
+    )
     assert "is dropped; `softmap model adapt` learns it again" in capsys.readouterr().out
     assert load_bundle(tmp_path / "c").residual is None and load_bundle(bundle).residual is not None
-    assert main(["model", "remove", "residual", "--bundle", bundle, "--out", str(tmp_path / "bare")]) == 0
+    assert (
+        main(["model", "remove", "residual", "--bundle", bundle, "--out", str(tmp_path / "bare")])
+        == 0
+    )
     assert load_bundle(tmp_path / "bare").residual is None
-    assert main(["model", "remove", "residual", "--bundle", str(tmp_path / "bare"), "--out", str(tmp_path / "no")]) == 2
+    assert (
+        main(
+            [
+                "model",
+                "remove",
+                "residual",
+                "--bundle",
+                str(tmp_path / "bare"),
+                "--out",
+                str(tmp_path / "no"),
+            ]
+        )
+        == 2
+    )

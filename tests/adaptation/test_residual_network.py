@@ -1,4 +1,6 @@
-"""Residual networks learned from clouds of a finger that hides something, on top of the built-in model."""
+"""Residual networks learned from clouds of a finger that hides something, on top of the built-in
+model.
+"""
 
 import json
 from dataclasses import replace
@@ -31,7 +33,9 @@ CAMERAS = replace(TWO, points=1500)
 
 
 def recorded(rows, seed, dwell=1, **hidden):
-    """Commands drawn within the range, each seen `dwell` times as a cloud; `hidden` are parameters that are missing."""
+    """Commands drawn within the range, each seen `dwell` times as a cloud; `hidden` are parameters
+    that are missing.
+    """
     rng = np.random.default_rng(seed)
     low, high = MODEL.command_range.T
     t = np.arange(float(rows * dwell))
@@ -102,25 +106,54 @@ def test_a_base_that_stands_off_is_no_shape(taught, tmp_path, capsys, monkeypatc
     stood = in_frame(run, off_by, np.zeros(6))
     model, report = train_residual(MODEL, stood)
     found = align_clouds(stood, MODEL)
-    away = np.r_[np.degrees(rotation_vector(found.pose.rotation)), found.pose.shift] - [-1.2, 0.7, 0.0, -1.0, 0.8, 0.0]
+    away = np.r_[np.degrees(rotation_vector(found.pose.rotation)), found.pose.shift] - [
+        -1.2,
+        0.7,
+        0.0,
+        -1.0,
+        0.8,
+        0.0,
+    ]
     assert (np.abs(away) < 3.5 * found.sigma)[[0, 1, 3, 4]].all() and found.sigma[:2].max() < 0.25
     assert [base_stood_off(found.pose)] == report["warnings"]
     with monkeypatch.context() as patch:
         patch.setattr(recordings, "in_base", lambda run, model: (run, None))
         as_it_is, _ = train_residual(MODEL, stood)
     assert off(model, run, true) < 0.5 * off(as_it_is, run, true)
-    for seed in range(3, 8):  # a payload and commands that are off bend the finger near its base as well
+    # a payload and commands that are off bend the finger near its base as well
+    for seed in range(3, 8):
         assert in_base(recorded(48, seed, params=PHASE)[0], MODEL)[1] is None
     stood.save(tmp_path / "run.npz")
-    call = ["train", "residual", str(tmp_path / "run.npz"), "--epochs", "2", "--out", str(tmp_path / "out")]
+    call = [
+        "train",
+        "residual",
+        str(tmp_path / "run.npz"),
+        "--epochs",
+        "2",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main(call) == 0 and "softmap run align RUN --base clamped" in capsys.readouterr().out
     assert (
-        main(["run", "align", str(tmp_path / "run.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
+        main(
+            [
+                "run",
+                "align",
+                str(tmp_path / "run.npz"),
+                "--base",
+                "clamped",
+                "--out",
+                str(tmp_path / "base.npz"),
+            ]
+        )
+        == 0
     )
     assert "clouds near the base" in capsys.readouterr().out
     again = Run.load(tmp_path / "base.npz")
     assert np.linalg.norm(again.points - run.points, axis=1).mean() < 0.3
-    assert main(["run", "align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "home.npz")]) == 2
+    assert (
+        main(["run", "align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "home.npz")]) == 2
+    )
     assert "give --base clamped" in capsys.readouterr().err
 
 
@@ -135,15 +168,20 @@ def test_what_no_cloud_has_seen_teaches_nothing(taught):
 def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_overlooked(taught):
     run, _, lesson = taught
     hiding, _ = train_residual(MODEL, lesson)
-    # In its own run nothing was seen twice, and noise is only guessed: there it is told as what may hide.
+    # In its own run nothing was seen twice, and noise is only guessed: there it is told as what may
+    # hide.
     said = diagnose(hiding, register(MODEL, run).run(run)).to_dict()
     hidden = {h["name"] for h in said["not_testable"] if "residual" in h["why"]}
     named = {effect["name"] for effect in said["effects"]}
-    assert said["verdict"] not in ("nothing", "measurement_fault") and "payload" in hidden | named, said["sentence"]
+    assert (
+        said["verdict"] not in ("nothing", "measurement_fault") and "payload" in hidden | named
+    ), said["sentence"]
     other, _ = recorded(20, 3, dwell=4, params=PHASE)  # dwells tell noise from physics
     said = diagnose(hiding, register(MODEL, other).run(other)).to_dict()
     assert "was taken out" in said["sentence"]
-    names = {e["name"] for e in said["effects"]} | {n for r in said["alternatives"] for n in r["effects"]}
+    names = {e["name"] for e in said["effects"]} | {
+        n for r in said["alternatives"] for n in r["effects"]
+    }
     assert said["verdict"] not in ("nothing", "measurement_fault")
     assert "payload" in names, said["sentence"]
 
@@ -179,12 +217,16 @@ def test_what_a_prior_does_not_use_is_refused_before_the_work(argv, says, capsys
 
 
 def test_a_command_that_never_moves_tells_nothing_and_breaks_nothing(taught):
-    """Of a channel held at 3 mm, by a network and by radial functions; elsewhere it adds nothing of its own."""
+    """Of a channel held at 3 mm, by a network and by radial functions; elsewhere it adds nothing of
+    its own.
+    """
     rng = np.random.default_rng(4)
     t = np.arange(40.0)
     command = np.column_stack([rng.uniform(-8, 8, 40), np.full(40, 3.0)])
     run = Run(t=t, command=command, t_seen=t, robot=MODEL.robot)
-    run = replace(run, vertices=MODEL.with_effects(["payload"], {"payload.mass": 20.0}).predict(run))
+    run = replace(
+        run, vertices=MODEL.with_effects(["payload"], {"payload.mass": 20.0}).predict(run)
+    )
     for model in (
         train_residual(MODEL, run, recipe=choices.RESIDUAL.with_(epochs=20))[0],
         learn_residual(MODEL, run)[0],

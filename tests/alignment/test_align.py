@@ -27,7 +27,15 @@ def test_a_pose_is_found_to_round_off_and_undone():
     pose = kabsch(points, CAMERA(points), np.ones(7))
     np.testing.assert_allclose(pose.rotation, CAMERA.rotation, atol=1e-13)
     np.testing.assert_allclose(pose.inverse()(pose(points)), points, atol=1e-11)
-    vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [1, -2, 0.5], [0, np.pi - 1e-6, 0], [0.6 * np.pi, 0, 0.79 * np.pi]])
+    vectors = np.array(
+        [
+            [0, 0, 0],
+            [1e-9, 0, 0],
+            [1, -2, 0.5],
+            [0, np.pi - 1e-6, 0],
+            [0.6 * np.pi, 0, 0.79 * np.pi],
+        ]
+    )
     np.testing.assert_allclose(rotation_vector(rotation(vectors)), vectors, atol=1e-9)
 
 
@@ -41,7 +49,9 @@ def test_a_plane_of_points_is_never_mirrored_onto_its_target():
 
 
 def test_rejected_points_never_leave_a_line():
-    """Of three markers one sits half a millimetre off in every frame: without it nothing holds the turn."""
+    """Of three markers one sits half a millimetre off in every frame: without it nothing holds the
+    turn.
+    """
     places = np.array([[-12.0, 28.0, 4.0], [16.0, -22.0, 7.0], [-11.0, -21.0, 3.0]])
     target = np.tile(places, (20, 1))
     source = target + 0.02 * np.random.default_rng(0).normal(size=target.shape)
@@ -52,11 +62,17 @@ def test_rejected_points_never_leave_a_line():
 
 @pytest.mark.parametrize("way", ["home", "base"])
 def test_known_transforms_are_recovered_within_the_stated_uncertainty(way):
-    """48 runs: two sigma hold 95 % of the 288 numbers (90 % with what chance allows), and are not overstated."""
+    """48 runs: two sigma hold 95 % of the 288 numbers (90 % with what chance allows), and are not
+    overstated.
+    """
     scores = []
     for seed in range(48):
         run = marked(seed, hidden=0.2, wrong=0.05, visits=5, base=() if way == "home" else BASE)
-        found = align_home(run, builtin_model()) if way == "home" else align_base(run, dict(enumerate(BASE)))
+        found = (
+            align_home(run, builtin_model())
+            if way == "home"
+            else align_base(run, dict(enumerate(BASE)))
+        )
         scores.append(off(found) / found.sigma)
     scores = np.array(scores)
     assert np.mean(np.abs(scores) < 2.0) >= 0.9
@@ -66,11 +82,15 @@ def test_known_transforms_are_recovered_within_the_stated_uncertainty(way):
 
 @pytest.mark.parametrize("count", [3, 4])
 def test_places_measured_with_a_ruler_are_as_uncertain_as_the_ruler(count):
-    """Half a millimetre at each place is most of the error of three or four base markers, and hardly any is left."""
+    """Half a millimetre at each place is most of the error of three or four base markers, and
+    hardly any is left.
+    """
     scores = []
     for seed in range(24):
         told = BASE[:count] + 0.5 * np.random.default_rng(seed).normal(size=(count, 3))
-        found = align_base(marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(told)))
+        found = align_base(
+            marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(told))
+        )
         scores.append(off(found) / found.sigma)
     assert np.mean(np.abs(scores) < 2.0) >= 0.88
     assert 0.4 < np.sqrt(np.median(np.square(scores))) < 1.0  # 0.67 of a normal number
@@ -92,7 +112,15 @@ def test_a_marker_that_was_glued_elsewhere_is_left_aside():
     moved = np.array(run.markers)
     moved[:, 4] += [25.0, 0, 0]
     found = align_home(
-        Run(**{**run.arrays(), "markers": moved, "command_unit": "mm", "robot": builtin_model().robot}), builtin_model()
+        Run(
+            **{
+                **run.arrays(),
+                "markers": moved,
+                "command_unit": "mm",
+                "robot": builtin_model().robot,
+            }
+        ),
+        builtin_model(),
     )
     assert found.wrong_points == [4]
     assert np.abs(off(found)).max() < 0.3
@@ -108,23 +136,50 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
     straight, camera = filmed
     model = builtin_model()
     camera.save(tmp_path / "camera.npz")
-    assert main(["run", "align", str(tmp_path / "camera.npz"), "--out", str(tmp_path / "base.npz"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "run",
+                "align",
+                str(tmp_path / "camera.npz"),
+                "--out",
+                str(tmp_path / "base.npz"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.align/1" and document["method"] == "home frames"
     assert document["moved"] is None and document["groups"] >= 4
     aligned = Run.load(tmp_path / "base.npz")
     assert aligned.frame.shape == (3, 4)
-    np.testing.assert_allclose(aligned.frame_sigma, [*document["sigma"]["turn_deg"], *document["sigma"]["shift_mm"]])
+    np.testing.assert_allclose(
+        aligned.frame_sigma, [*document["sigma"]["turn_deg"], *document["sigma"]["shift_mm"]]
+    )
     errors = [compare(model, run).error["rms_mm"] for run in (straight, aligned, camera)]
     assert errors[1] == pytest.approx(errors[0], abs=0.05) and errors[2] > 100.0
     found = diagnose(model, aligned, effects=["mount", "backlash", "gain"])
     assert [e.name for e in found.effects] == ["backlash"] and found.faults == ()
-    assert main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "again.npz"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "run",
+                "align",
+                str(tmp_path / "base.npz"),
+                "--out",
+                str(tmp_path / "again.npz"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     turn = np.array(json.loads(capsys.readouterr().out)["transform"]["turn_deg"])
     assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds the whole way
     np.testing.assert_allclose(Run.load(tmp_path / "again.npz").frame, aligned.frame, atol=0.4)
     assert (
-        main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")]) == 2
+        main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")])
+        == 2
     )  # loses nothing
     assert "--force to replace it" in capsys.readouterr().err
     assert Run.load(tmp_path / "camera.npz").hash() == camera.hash()
@@ -132,10 +187,22 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
 
 def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys):
     straight, camera = filmed
-    camera = replace(camera, extra={"base_markers": CAMERA.inverse()(np.tile(BASE, (camera.frames, 1, 1)))})
+    camera = replace(
+        camera, extra={"base_markers": CAMERA.inverse()(np.tile(BASE, (camera.frames, 1, 1)))}
+    )
     camera.save(tmp_path / "camera.npz")
     assert (
-        main(["run", "align", str(tmp_path / "camera.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")])
+        main(
+            [
+                "run",
+                "align",
+                str(tmp_path / "camera.npz"),
+                "--base",
+                "clamped",
+                "--out",
+                str(tmp_path / "base.npz"),
+            ]
+        )
         == 0
     )
     camera.at(np.arange(5)).save(tmp_path / "short.npz")
@@ -150,7 +217,9 @@ def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys)
     ]
     assert main([*words, str(tmp_path / "base.npz")]) == 0
     seen = Run.load(tmp_path / "short_base.npz").vertices
-    np.testing.assert_allclose(Run.load(tmp_path / "short_base.npz").extra["base_markers"][4], BASE, atol=0.5)
+    np.testing.assert_allclose(
+        Run.load(tmp_path / "short_base.npz").extra["base_markers"][4], BASE, atol=0.5
+    )
     np.testing.assert_allclose(seen, Run.load(tmp_path / "base.npz").vertices[:5])
     assert np.sqrt(np.mean((seen - straight.vertices[:5]) ** 2)) < 0.1
     assert main([*words, str(tmp_path / "camera.npz")]) == 2
@@ -195,7 +264,9 @@ def drift(t):
 
 @pytest.mark.parametrize("rigid", [slip, drift])
 def test_a_base_that_moves_is_reported_and_held_still(rigid):
-    steady, moving = (marked(7, noise=0.05, play=0.0, base=BASE, turns=turns) for turns in (None, rigid))
+    steady, moving = (
+        marked(7, noise=0.05, play=0.0, base=BASE, turns=turns) for turns in (None, rigid)
+    )
     places = dict(enumerate(BASE))
     assert align_base(steady, places).moved is None
     found = align_base(moving, places, held=True)
@@ -204,7 +275,8 @@ def test_a_base_that_moves_is_reported_and_held_still(rigid):
     if rigid is slip:
         assert 13.0 < found.moved.from_s < 14.0 < found.moved.to_s < 15.0
         assert found.moved.shift_mm == pytest.approx(0.5, abs=0.15)
-    assert found.sigma[:2].max() > 5 * align_base(steady, places).sigma[:2].max()  # which base is meant is not known
+    # which base is meant is not known
+    assert found.sigma[:2].max() > 5 * align_base(steady, places).sigma[:2].max()
     model = builtin_model()
     fixed, held = (
         compare(model, without(a.apply(moving), list(places))).error["rms_mm"]
@@ -227,7 +299,9 @@ def test_the_base_of_a_real_beam_turns_within_a_run():
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # no analog data: true, and no matter here
             reader = c3d.Reader(file)
-            base = [i for i, label in enumerate(reader.point_labels) if label.strip().startswith("Base")]
+            base = [
+                i for i, label in enumerate(reader.point_labels) if label.strip().startswith("Base")
+            ]
             frames = np.array([points[:, :3] for _, points, _ in reader.read_frames()]) * 1000.0
             t = np.arange(len(frames)) / reader.point_rate
         run = Run(t=t, t_seen=t, markers=frames)
@@ -270,7 +344,10 @@ def test_base_markers_can_be_left_out_afterwards(tmp_path, capsys):
 def test_markers_that_an_import_keeps_beside_the_run_give_the_frame_too(tmp_path, capsys):
     """`base_markers`: with their places, or without, when only their motion is taken out."""
     both = marked(7, noise=0.05, play=0.0, base=BASE, turns=slip)
-    extra = {"base_markers": np.array(both.markers[:, :4]), "marker_labels": np.array([f"m{k}" for k in range(12)])}
+    extra = {
+        "base_markers": np.array(both.markers[:, :4]),
+        "marker_labels": np.array([f"m{k}" for k in range(12)]),
+    }
     run = changed(without(both, [0, 1, 2, 3]), extra=extra)
     run.save(tmp_path / "run.npz")
     words = [
@@ -301,12 +378,18 @@ def test_cameras_are_carried_along_with_what_they_see():
     """In its own frame a camera sees the same before and after."""
     points, t = np.random.default_rng(3).normal(0.0, 30.0, (4, 6, 3)), np.arange(4.0)
     looking = np.stack(
-        [np.column_stack([rotation(np.array(v)), [5.0, -9.0, 300.0]]) for v in ([0.3, 0, 1], [0, -2, 0.1])]
+        [
+            np.column_stack([rotation(np.array(v)), [5.0, -9.0, 300.0]])
+            for v in ([0.3, 0, 1], [0, -2, 0.1])
+        ]
     )
     run = Run(t=t, command=np.zeros((4, 2)), t_seen=t, markers=points, cameras=looking)
     moved = in_frame(run, CAMERA, np.ones(6))
     for before, after in zip(run.cameras, moved.cameras):
-        own = [RigidPose(c[:, :3], c[:, 3])(seen) for c, seen in ((before, run.markers), (after, moved.markers))]
+        own = [
+            RigidPose(c[:, :3], c[:, 3])(seen)
+            for c, seen in ((before, run.markers), (after, moved.markers))
+        ]
         np.testing.assert_allclose(own[1], own[0], atol=1e-10)
     assert np.abs(moved.cameras - run.cameras).max() > 1.0
     with pytest.raises(RunError, match="cameras: .* no rotations"):
@@ -317,4 +400,6 @@ def test_cameras_are_carried_along_with_what_they_see():
 
 def test_clamped_vertices_are_those_on_the_base(filmed):
     places = clamped_places(filmed[0], builtin_model())
-    assert len(places) >= 12 and all(place[2] == pytest.approx(0.0, abs=1e-6) for place in places.values())
+    assert len(places) >= 12 and all(
+        place[2] == pytest.approx(0.0, abs=1e-6) for place in places.values()
+    )

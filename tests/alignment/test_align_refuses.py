@@ -25,7 +25,12 @@ filmed = pytest.fixture(scope="module")(film)
             ["too few home frames", "1 visits", "2 are needed", "at the end"],
         ),
         (lambda run: run.at(np.arange(12)), ["too few home frames", "1 visits"]),
-        (lambda run: changed(run, markers=run.markers[:, np.random.default_rng(0).permutation(12)]), ["another order"]),
+        (
+            lambda run: changed(
+                run, markers=run.markers[:, np.random.default_rng(0).permutation(12)]
+            ),
+            ["another order"],
+        ),
     ],
 )
 def test_what_cannot_work_is_refused_with_its_number_and_remedy(spoil, words):
@@ -36,7 +41,9 @@ def test_what_cannot_work_is_refused_with_its_number_and_remedy(spoil, words):
         assert word in str(fault.value)
 
 
-@pytest.mark.parametrize(("factor", "words"), [(10.0, "centimetres"), (25.4, "inches"), (0.1, "tenths of a mm")])
+@pytest.mark.parametrize(
+    ("factor", "words"), [(10.0, "centimetres"), (25.4, "inches"), (0.1, "tenths of a mm")]
+)
 def test_vertices_in_other_units_are_refused(factor, words, filmed):
     with pytest.raises(AlignError, match="wrong units.*convert the points to mm") as fault:
         align_home(changed(filmed[1], vertices=filmed[1].vertices / factor), builtin_model())
@@ -66,7 +73,20 @@ def test_base_points_that_give_no_frame_are_refused_in_one_line(base, words, tmp
     import re
 
     marked().save(tmp_path / "run.npz")
-    assert main(["run", "align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out.npz"), "--base", *base]) == 2
+    assert (
+        main(
+            [
+                "run",
+                "align",
+                str(tmp_path / "run.npz"),
+                "--out",
+                str(tmp_path / "out.npz"),
+                "--base",
+                *base,
+            ]
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert re.search(words, error) and error.count("\n") == 1
     assert not (tmp_path / "out.npz").exists()

@@ -1,4 +1,6 @@
-"""Point clouds from files: every format as its writers write it, and what is no cloud is said in one line."""
+"""Point clouds from files: every format as its writers write it, and what is no cloud is said in
+one line.
+"""
 
 import json
 import struct
@@ -30,7 +32,8 @@ def camera_ply(path, points):
 
 
 @pytest.mark.parametrize(
-    "form", ["ascii.ply", "binary.ply", "camera.ply", "plain.csv", "named.csv", "blanks.csv", "points.npz"]
+    "form",
+    ["ascii.ply", "binary.ply", "camera.ply", "plain.csv", "named.csv", "blanks.csv", "points.npz"],
 )
 def test_a_cloud_is_read_as_its_writers_write_it(form, tmp_path):
     path = tmp_path / form
@@ -43,7 +46,13 @@ def test_a_cloud_is_read_as_its_writers_write_it(form, tmp_path):
     else:
         mark = " " if form == "blanks.csv" else ","
         colours = np.column_stack([POINTS, np.full(len(POINTS), 7.0)])
-        np.savetxt(path, colours, delimiter=mark, header="x,y,z,red" if form == "named.csv" else "", comments="")
+        np.savetxt(
+            path,
+            colours,
+            delimiter=mark,
+            header="x,y,z,red" if form == "named.csv" else "",
+            comments="",
+        )
         if form != "named.csv":
             path.write_text(path.read_text().lstrip("\n"))
     run = read_clouds([path, path])
@@ -53,7 +62,13 @@ def test_a_cloud_is_read_as_its_writers_write_it(form, tmp_path):
 
 
 def test_a_run_of_clouds_is_read_whole_and_points_that_are_not_finite_are_left_out(tmp_path):
-    run = Run(t=np.arange(3.0), command=np.zeros((3, 2)), t_seen=np.arange(2.0), points=POINTS, start=[0, 50, 200])
+    run = Run(
+        t=np.arange(3.0),
+        command=np.zeros((3, 2)),
+        t_seen=np.arange(2.0),
+        points=POINTS,
+        start=[0, 50, 200],
+    )
     run.save(tmp_path / "run.npz")
     again = read_clouds([tmp_path / "run.npz"])
     assert again.hash() == run.hash() and [len(c) for c in clouds_of(again)] == [50, 150]
@@ -132,17 +147,30 @@ def test_a_run_without_clouds_is_refused(tmp_path):
 
 
 def test_a_run_of_several_clouds_beside_other_files_is_refused(tmp_path):
-    run = Run(t=np.arange(3.0), command=np.zeros((3, 2)), t_seen=np.arange(2.0), points=POINTS, start=[0, 50, 200])
+    run = Run(
+        t=np.arange(3.0),
+        command=np.zeros((3, 2)),
+        t_seen=np.arange(2.0),
+        points=POINTS,
+        start=[0, 50, 200],
+    )
     run.save(tmp_path / "run.npz")
     np.savez(tmp_path / "one.npz", points=POINTS)
     np.savez(tmp_path / "timeless.npz", points=POINTS, start=[0, 50, 200])
     for files in (["one.npz", "run.npz"], ["run.npz", "one.npz"], ["run.npz", "run.npz"]):
-        with pytest.raises(RegistrationError, match=r"run\.npz: a run of 2 clouds.*give it alone, or one cloud a file"):
+        with pytest.raises(
+            RegistrationError,
+            match=r"run\.npz: a run of 2 clouds.*give it alone, or one cloud a file",
+        ):
             read_clouds([tmp_path / file for file in files])
-    with pytest.raises(RegistrationError, match=r"timeless\.npz: `start` of 2 clouds without `t_seen`"):
+    with pytest.raises(
+        RegistrationError, match=r"timeless\.npz: `start` of 2 clouds without `t_seen`"
+    ):
         read_clouds([tmp_path / "timeless.npz"])
     run.at([1]).save(tmp_path / "single.npz")
-    assert [len(c) for c in clouds_of(read_clouds([tmp_path / "one.npz", tmp_path / "single.npz"]))] == [200, 150]
+    assert [
+        len(c) for c in clouds_of(read_clouds([tmp_path / "one.npz", tmp_path / "single.npz"]))
+    ] == [200, 150]
 
 
 @pytest.mark.parametrize(
@@ -152,13 +180,25 @@ def test_a_run_of_several_clouds_beside_other_files_is_refused(tmp_path):
         ("# Z [mm],X [mm],Y [mm]", [2, 0, 1], ""),
         ('red,"z_mm","y_mm","x_mm"', [None, 2, 1, 0], ""),
         ("nx;X;Y;Z;vx", [None, 0, 1, 2, None], ""),
-        ("Points:0,Points:1,Points:2", [0, 1, 2], "names no x, y, z; Points:0, Points:1, Points:2 are taken"),
+        (
+            "Points:0,Points:1,Points:2",
+            [0, 1, 2],
+            "names no x, y, z; Points:0, Points:1, Points:2 are taken",
+        ),
         ("a,b,c,d", [0, 1, 2, None], "names no x, y, z; columns 1, 2, 3 are taken"),
     ],
 )
 def test_columns_are_those_that_the_header_names(header, order, note, tmp_path):
-    rows = np.column_stack([np.full(len(POINTS), 7.0) if k is None else POINTS[:, k] for k in order])
-    np.savetxt(tmp_path / "c.csv", rows, delimiter=";" if ";" in header else ",", header=header, comments="")
+    rows = np.column_stack(
+        [np.full(len(POINTS), 7.0) if k is None else POINTS[:, k] for k in order]
+    )
+    np.savetxt(
+        tmp_path / "c.csv",
+        rows,
+        delimiter=";" if ";" in header else ",",
+        header=header,
+        comments="",
+    )
     notes = []
     np.testing.assert_allclose(clouds_of(read_clouds([tmp_path / "c.csv"], notes))[0], POINTS)
     assert len(notes) == bool(note) and note in "".join(notes)
@@ -182,7 +222,10 @@ def test_points_that_are_left_out_are_told(tmp_path, capsys):
         np.savetxt(path, cloud, delimiter=",")
     assert main(["run", "register", *files, "--out", str(tmp_path / "run.npz")]) == 0
     said = capsys.readouterr().out
-    assert f"look at: 4.csv: 30 of {len(cloud)} points are not finite and are left out\n  and 2 more" in said
+    assert (
+        f"look at: 4.csv: 30 of {len(cloud)} points are not finite and are left out\n  and 2 more"
+        in said
+    )
     assert "5.csv" not in said
     assert main(["run", "register", *files, "--out", str(tmp_path / "again.npz"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["notes"]) == 7

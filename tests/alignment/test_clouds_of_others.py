@@ -1,4 +1,6 @@
-"""Clouds as others write them, and pixels without depth: each gives the points that a plain CSV gives."""
+"""Clouds as others write them, and pixels without depth: each gives the points that a plain CSV
+gives.
+"""
 
 import json
 import re
@@ -27,9 +29,12 @@ def test_each_file_of_the_case_registers_as_a_plain_csv_does(path, tmp_path, cap
     assert main(["run", "register", str(path), "--out", str(tmp_path / "run.npz"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert round(said["frames"][0]["residual_mm"], 2) == 0.17
-    assert bool(said["notes"]) == (path.name in ("paraview.csv", "savez.npz"))  # a guess is reported
+    # a guess is reported
+    assert bool(said["notes"]) == (path.name in ("paraview.csv", "savez.npz"))
     np.testing.assert_allclose(
-        clouds_of(read_clouds([path]))[0], clouds_of(read_clouds([CASES / "plain.xyz"]))[0], atol=1e-3
+        clouds_of(read_clouds([path]))[0],
+        clouds_of(read_clouds([CASES / "plain.xyz"]))[0],
+        atol=1e-3,
     )
 
 
@@ -42,7 +47,9 @@ def test_text_of_others(name, tmp_path):
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "latin-1"])
 def test_text_of_other_alphabets(encoding, tmp_path):
-    (tmp_path / "c.csv").write_bytes(("# 20 °C\nx,y,z\n" + rows(POINTS, split=",")).encode(encoding))
+    (tmp_path / "c.csv").write_bytes(
+        ("# 20 °C\nx,y,z\n" + rows(POINTS, split=",")).encode(encoding)
+    )
     np.testing.assert_allclose(clouds_of(read_clouds([tmp_path / "c.csv"]))[0], POINTS, atol=1e-6)
 
 
@@ -51,7 +58,10 @@ def test_the_guess_is_reported_also_where_the_cloud_is_refused(tmp_path, capsys)
     (tmp_path / "c.csv").write_text(rows(np.arange(240), far, split=","))
     notes = []
     read_clouds([tmp_path / "c.csv"], notes)
-    guess = "c.csv: its columns have no names; columns 2, 3, 4 are taken for x, y, z; column 1 counts rows"
+    guess = (
+        "c.csv: its columns have no names; columns 2, 3, 4 are taken for x, y, z; column 1 counts "
+        "rows"
+    )
     assert notes == [guess]
     assert main(["run", "register", str(tmp_path / "c.csv"), "--out", str(tmp_path / "r.npz")]) != 0
     assert guess in capsys.readouterr().err
@@ -80,7 +90,9 @@ def test_what_is_no_cloud_or_no_clear_one_is_refused(text, says, tmp_path):
 def test_ply_of_any_order(order, faces_first, tmp_path):
     ply(tmp_path / "c.ply", order, faces_first)
     notes = []
-    np.testing.assert_allclose(clouds_of(read_clouds([tmp_path / "c.ply"], notes))[0], POINTS, rtol=1e-6)
+    np.testing.assert_allclose(
+        clouds_of(read_clouds([tmp_path / "c.ply"], notes))[0], POINTS, rtol=1e-6
+    )
     assert not notes
 
 
@@ -90,7 +102,9 @@ def test_pcd_of_any_fields(kind, tmp_path):
     holed[::8] = np.nan
     pcd(tmp_path / "c.pcd", kind, holed)
     notes = []
-    np.testing.assert_allclose(clouds_of(read_clouds([tmp_path / "c.pcd"], notes))[0], POINTS[np.arange(240) % 8 > 0])
+    np.testing.assert_allclose(
+        clouds_of(read_clouds([tmp_path / "c.pcd"], notes))[0], POINTS[np.arange(240) % 8 > 0]
+    )
     assert notes == ["c.pcd: 30 of 240 points are not finite and are left out"]
 
 
@@ -106,12 +120,16 @@ def test_lzf_unpacks_what_was_packed():
 @pytest.mark.parametrize(
     "head",
     [
-        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary\n",
-        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA ascii\n",
-        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary_compressed\n",
-        "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
-        "ply\nformat binary_big_endian 1.0\nelement face {n}\nproperty list uchar int i\nelement vertex {n}\n"
-        "property float x\nproperty float y\nproperty float z\nend_header\n",
+        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA "
+        "binary\n",
+        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA "
+        "ascii\n",
+        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA "
+        "binary_compressed\n",
+        "ply\nformat ascii 1.0\nelement vertex {n}\nproperty float x\nproperty float y\nproperty "
+        "float z\nend_header\n",
+        "ply\nformat binary_big_endian 1.0\nelement face {n}\nproperty list uchar int i\nelement "
+        "vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
     ],
 )
 @pytest.mark.parametrize("count", [9_000_000, 10**12, 10**15])
@@ -157,7 +175,9 @@ def test_the_content_decides_and_not_the_ending(tmp_path):
     ply(tmp_path / "c.npz", "<", False)
     np.save(tmp_path / "c.npy", POINTS)
     (tmp_path / "c.npy").rename(tmp_path / "c.ply")
-    for cloud in clouds_of(read_clouds([tmp_path / "c.csv", tmp_path / "c.npz", tmp_path / "c.ply"])):
+    for cloud in clouds_of(
+        read_clouds([tmp_path / "c.csv", tmp_path / "c.npz", tmp_path / "c.ply"])
+    ):
         np.testing.assert_allclose(cloud, POINTS, rtol=1e-6)
 
 
@@ -170,10 +190,26 @@ def finger():
 @pytest.mark.parametrize(
     "place, share, says",
     [
-        ([0, 0, 0], 0.5, "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out"),
-        ([0, 0, 0], 0.9, "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out"),
-        ([-0.0, 0, -0.0], 0.02, "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out"),
-        ([12.5, -300.25, 41.0], 0.5, "{n} of {m} points are at (12.5, -300.25, 41), which repeats bit for bit"),
+        (
+            [0, 0, 0],
+            0.5,
+            "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out",
+        ),
+        (
+            [0, 0, 0],
+            0.9,
+            "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out",
+        ),
+        (
+            [-0.0, 0, -0.0],
+            0.02,
+            "{n} of {m} points are at exactly 0, 0, 0 (pixels without depth) and are left out",
+        ),
+        (
+            [12.5, -300.25, 41.0],
+            0.5,
+            "{n} of {m} points are at (12.5, -300.25, 41), which repeats bit for bit",
+        ),
         ([-1, -1, -1], 0.2, "{n} of {m} points are at (-1, -1, -1), which repeats bit for bit"),
         ([np.nan] * 3, 0.5, "{n} of {m} points are not finite and are left out"),
     ],
@@ -190,14 +226,18 @@ def test_pixels_without_depth_are_left_out_and_counted(place, share, says, tmp_p
 
 
 def test_what_was_measured_is_kept(tmp_path):
-    """One point at 0, 0, 0; every place twice; places in whole millimetres, of which many coincide."""
+    """One point at 0, 0, 0; every place twice; places in whole millimetres, of which many
+    coincide.
+    """
     once = np.vstack([POINTS, np.zeros((1, 3))])
     twice = np.vstack([POINTS, POINTS])
     whole = np.round(RNG.uniform(0.0, 8.0, (5000, 3)))
     for cloud in (once, twice, whole[whole.any(axis=1)]):
         np.save(tmp_path / "c.npy", cloud)
         notes = []
-        assert len(clouds_of(read_clouds([tmp_path / "c.npy"], notes))[0]) == len(cloud) and not notes
+        assert (
+            len(clouds_of(read_clouds([tmp_path / "c.npy"], notes))[0]) == len(cloud) and not notes
+        )
 
 
 def test_several_reasons_stand_in_one_line_and_a_cloud_of_nothing_is_refused(tmp_path):
@@ -206,23 +246,37 @@ def test_several_reasons_stand_in_one_line_and_a_cloud_of_nothing_is_refused(tmp
     notes = []
     read_clouds([tmp_path / "c.npy"], notes)
     (line,) = notes
-    assert line.startswith("c.npy: 45 of 285 points are left out: 2 not finite, 3 at exactly 0, 0, 0")
+    assert line.startswith(
+        "c.npy: 45 of 285 points are left out: 2 not finite, 3 at exactly 0, 0, 0"
+    )
     assert "40 at (7, 7, 7)" in line
     np.save(tmp_path / "c.npy", np.zeros((90, 3)))
-    with pytest.raises(RegistrationError, match=r"no point in it was seen .90 of 90 points are at exactly 0, 0, 0"):
+    with pytest.raises(
+        RegistrationError, match=r"no point in it was seen .90 of 90 points are at exactly 0, 0, 0"
+    ):
         read_clouds([tmp_path / "c.npy"])
 
 
 def test_a_run_of_clouds_leaves_them_out_too(tmp_path):
     points = np.vstack([POINTS, np.zeros((60, 3)), POINTS[:200]])
-    run = Run(t=np.arange(3.0), command=np.zeros((3, 2)), t_seen=np.arange(2.0), points=points, start=[0, 300, 500])
+    run = Run(
+        t=np.arange(3.0),
+        command=np.zeros((3, 2)),
+        t_seen=np.arange(2.0),
+        points=points,
+        start=[0, 300, 500],
+    )
     run.save(tmp_path / "run.npz")
     notes = []
     assert [len(c) for c in clouds_of(read_clouds([tmp_path / "run.npz"], notes))] == [240, 200]
-    assert notes[0].startswith("run.npz: 1 of 2 clouds, the first is cloud 0: 60 of 300 points are at exactly 0, 0, 0")
+    assert notes[0].startswith(
+        "run.npz: 1 of 2 clouds, the first is cloud 0: 60 of 300 points are at exactly 0, 0, 0"
+    )
 
 
-def test_pixels_without_depth_change_nothing_that_uses_the_clouds_of_a_run(tmp_path, monkeypatch, capsys):
+def test_pixels_without_depth_change_nothing_that_uses_the_clouds_of_a_run(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     write_clouds()
     run = Run.load("clouds.npz")
@@ -234,9 +288,20 @@ def test_pixels_without_depth_change_nothing_that_uses_the_clouds_of_a_run(tmp_p
     for name in ("clouds", "zeros"):
         assert main(["check", f"{name}.npz"]) == 0
         shown.append(capsys.readouterr().out)
-        assert main(["run", "align", f"{name}.npz", "--base", "clamped", "--out", f"{name}_aligned.npz"]) == 0
-        assert main(["run", "register", f"{name}_aligned.npz", "--out", f"{name}_registered.npz"]) in (0, 1)
+        assert (
+            main(
+                ["run", "align", f"{name}.npz", "--base", "clamped", "--out", f"{name}_aligned.npz"]
+            )
+            == 0
+        )
+        assert main(
+            ["run", "register", f"{name}_aligned.npz", "--out", f"{name}_registered.npz"]
+        ) in (0, 1)
     assert "pixels without depth" in " ".join(shown[1].split()) and "without depth" not in shown[0]
-    assert re.findall("seen.*\n.*base frame", shown[0]) == re.findall("seen.*\n.*base frame", shown[1]) != []
+    assert (
+        re.findall("seen.*\n.*base frame", shown[0])
+        == re.findall("seen.*\n.*base frame", shown[1])
+        != []
+    )
     one, other = (Run.load(f"{name}_registered.npz").vertices for name in ("clouds", "zeros"))
     np.testing.assert_array_equal(one, other)

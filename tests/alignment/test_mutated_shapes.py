@@ -1,7 +1,7 @@
 """Damaged clouds and meshes give an error of ours: no crash, no hang, no memory without bound.
 
-Each format is one line of FORMATS; `damage.py` says how files are spoiled and used. 50 of each here, 500 and 10 000 by
-`make prove`.
+Each format is one line of FORMATS; `damage.py` says how files are spoiled and used. 50 of each
+here, 500 and 10 000 by `make prove`.
 """
 
 import contextlib
@@ -11,7 +11,16 @@ import resource
 import damage
 import numpy as np
 import pytest
-from damage import Format, assert_10000, assert_some, run_all, spoil_bytes, spoil_npz_file, spoil_text, spoil_text_file
+from damage import (
+    Format,
+    assert_10000,
+    assert_some,
+    run_all,
+    spoil_bytes,
+    spoil_npz_file,
+    spoil_text,
+    spoil_text_file,
+)
 
 MOST = 1 << 30  # bytes that one file may take
 SLOWEST = 10.0  # s
@@ -23,7 +32,8 @@ def text_sample(name):
         from clouds_of_others import TEXTS
 
         lines = TEXTS[name].split("\n")
-        (folder / name).write_text("\n".join(lines[:24]) + "\n")  # damage meets the head as often as the rows
+        # damage meets the head as often as the rows
+        (folder / name).write_text("\n".join(lines[:24]) + "\n")
         return folder / name
 
     return sample
@@ -63,10 +73,24 @@ def npz_sample(folder):
 def spoil_head_or_rest(sample, folder, rng):
     """Injure the text of a header half of the time, else any bytes."""
     data = sample.read_bytes()
-    end = next(k for mark in (b"end_header\n", b"binary_compressed\n", b"binary\n", b"ascii\n", b"}", b"</Points>")
-               if (k := data.find(mark) + len(mark)) >= len(mark))  # fmt: skip
+    end = next(
+        k
+        for mark in (
+            b"end_header\n",
+            b"binary_compressed\n",
+            b"binary\n",
+            b"ascii\n",
+            b"}",
+            b"</Points>",
+        )
+        if (k := data.find(mark) + len(mark)) >= len(mark)
+    )
     head = rng.random() < 0.5
-    bad = spoil_text(data[:end].decode("latin-1"), rng) + data[end:] if head else spoil_bytes(data, rng)
+    bad = (
+        spoil_text(data[:end].decode("latin-1"), rng) + data[end:]
+        if head
+        else spoil_bytes(data, rng)
+    )
     (folder / sample.name).write_bytes(bad)
     return folder / sample.name
 
@@ -78,7 +102,9 @@ def use_cloud(path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     notes = []
     (cloud,) = clouds_of(read_clouds([path], notes))
-    assert cloud.shape[1] == 3 and np.isfinite(cloud).all() and all("\n" not in note for note in notes)
+    assert (
+        cloud.shape[1] == 3 and np.isfinite(cloud).all() and all("\n" not in note for note in notes)
+    )
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10 < MOST
 
 

@@ -1,4 +1,6 @@
-"""Registration on clouds of finite-element shapes that the model does not have: other mesh, softer, loaded, leaning."""
+"""Registration on clouds of finite-element shapes that the model does not have: other mesh, softer,
+loaded, leaning.
+"""
 
 import json
 from dataclasses import replace
@@ -30,7 +32,9 @@ CAMERAS = {"full": FULL, "two": TWO, "half": HALF, "hard": HARD}
 
 @pytest.fixture(scope="module")
 def shapes():
-    """Twelve shapes (K, N, 3) of another finger of the same drawing: another mesh, 10 % softer, 20 g, leaning."""
+    """Twelve shapes (K, N, 3) of another finger of the same drawing: another mesh, 10 % softer, 20
+    g, leaning.
+    """
     finger = Finger.builtin()
     other = finger.replace(solid=finger.solid.along(0.75), young_mpa=0.9 * finger.young_mpa)
     lean = np.array([0.4, 0.0, np.sqrt(0.84)])
@@ -41,12 +45,17 @@ def shapes():
 
 def clouds(shapes, cameras, seed=1, model=MODEL):
     rng = np.random.default_rng(seed)
-    turned = (replace(cameras, views=tuple(v + rng.uniform(0, 360) for v in cameras.views)) for _ in shapes)
+    turned = (
+        replace(cameras, views=tuple(v + rng.uniform(0, 360) for v in cameras.views))
+        for _ in shapes
+    )
     return [each.look(shape, model.triangles, rng) for each, shape in zip(turned, shapes)]
 
 
 def other_shapes(finger, count, seed=2):
-    """Shapes (K, N, 3) of the virtual finger: 10-node tetrahedra, another modulus, ν 0.45, turned tendons, a lean."""
+    """Shapes (K, N, 3) of the virtual finger: 10-node tetrahedra, another modulus, ν 0.45, turned
+    tendons, a lean.
+    """
     virtual = virtual_finger(seed, finger)
     x, y, z = rotation((*virtual.lean_deg, 0.0)) @ [0.0, 0.0, 1.0]
     commands = np.random.default_rng(seed).uniform(-11.0, 11.0, (count, 2))
@@ -67,8 +76,12 @@ def test_vertices_are_as_near_as_promised_and_what_is_not_is_flagged(level, shap
     assert not np.any((off > 3 * np.median(off)) & ~flagged)
     assert flagged.mean() <= 0.25, [row["warnings"] for row in found.frames]
     # Doing nothing but the start fails: the model lacks what bends these shapes.
-    model_alone = np.array([MODEL.prior.evaluate(np.array([row["start"]]))[0].reshape(-1, 3) for row in found.frames])
-    assert np.median(np.linalg.norm(model_alone - shapes, axis=2).mean(axis=1)) > 1.25 * np.median(off)
+    model_alone = np.array(
+        [MODEL.prior.evaluate(np.array([row["start"]]))[0].reshape(-1, 3) for row in found.frames]
+    )
+    assert np.median(np.linalg.norm(model_alone - shapes, axis=2).mean(axis=1)) > 1.25 * np.median(
+        off
+    )
 
 
 def keeps_its_promises(model, shapes):
@@ -79,7 +92,8 @@ def keeps_its_promises(model, shapes):
         found = register(model, seen)
         off = errors(found, shapes)
         assert np.median(off) <= promised, (level, off)
-        assert np.linalg.norm(found.vertices - shapes, axis=2)[:, free].mean() <= promised  # what is held flatters
+        # what is held flatters
+        assert np.linalg.norm(found.vertices - shapes, axis=2)[:, free].mean() <= promised
         flagged = np.array([bool(row["warnings"]) for row in found.frames])
         assert not np.any((off > 3 * np.median(off)) & ~flagged), (level, off)
         assert flagged.mean() <= 0.25, [row["warnings"] for row in found.frames]
@@ -98,10 +112,16 @@ def test_a_published_mesh_is_found_though_it_is_hollow():
     sweep = simulator.sweep([axis, axis])
     model = model_from_shapes(
         ShapeSweep(
-            sweep.command, sweep.vertices, simulator.template.triangles, finger.name, "mm", np.array(finger.gravity),
-            np.zeros(3), axes=sweep.axes,
+            sweep.command,
+            sweep.vertices,
+            simulator.template.triangles,
+            finger.name,
+            "mm",
+            np.array(finger.gravity),
+            np.zeros(3),
+            axes=sweep.axes,
         )
-    )  # fmt: skip
+    )
     keeps_its_promises(model, other_shapes(finger, 6))
 
 
@@ -109,7 +129,10 @@ def test_the_published_objective_pulls_the_unseen_side_through_the_body(shapes):
     seen = clouds(shapes[:4], HALF)
     assert np.median(errors(register(MODEL, seen, mode="paper"), shapes[:4])) > 2.0
     everywhere = clouds(shapes[:4], FULL)
-    robust, paper = (np.median(errors(register(MODEL, everywhere, mode=m), shapes[:4])) for m in ("robust", "paper"))
+    robust, paper = (
+        np.median(errors(register(MODEL, everywhere, mode=m), shapes[:4]))
+        for m in ("robust", "paper")
+    )
     assert robust < paper
 
 
@@ -171,10 +194,19 @@ def test_one_lost_frame_of_a_run_is_flagged_and_the_others_stand(shapes):
 def test_the_verb_makes_a_run_of_vertices(shapes, tmp_path, capsys):
     seen = clouds(shapes[:3], TWO)
     start = np.cumsum([0, *map(len, seen)])
-    Run(t=np.arange(4.0), command=np.zeros((4, 2)), t_seen=np.arange(3.0), points=np.vstack(seen), start=start).save(
-        tmp_path / "c.npz"
+    Run(
+        t=np.arange(4.0),
+        command=np.zeros((4, 2)),
+        t_seen=np.arange(3.0),
+        points=np.vstack(seen),
+        start=start,
+    ).save(tmp_path / "c.npz")
+    assert (
+        main(
+            ["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz"), "--json"]
+        )
+        == 0
     )
-    assert main(["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.registration/1" and len(document["frames"]) == 3
     run = Run.load(tmp_path / "v.npz")
@@ -182,8 +214,14 @@ def test_the_verb_makes_a_run_of_vertices(shapes, tmp_path, capsys):
     assert not run.extra[ROLL_SEEN] and run.points is None
     off = np.linalg.norm(run.vertices - shapes[:3], axis=2)
     # Standard deviations of a coordinate say how far seen vertices are off, within a factor.
-    assert 0.4 < np.sqrt(np.mean(off[run.visible] ** 2) / 3) / np.sqrt(np.mean(run.sigma[run.visible] ** 2)) < 1.6
-    assert main(["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz")]) == 2  # it stands there
+    assert (
+        0.4
+        < np.sqrt(np.mean(off[run.visible] ** 2) / 3)
+        / np.sqrt(np.mean(run.sigma[run.visible] ** 2))
+        < 1.6
+    )
+    # it stands there
+    assert main(["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz")]) == 2
     capsys.readouterr()
     for k, cloud in enumerate(seen):
         np.savetxt(tmp_path / f"{k}.csv", cloud, delimiter=",")

@@ -1,4 +1,6 @@
-"""docs/do/registration.md as its reader runs it: its commands, its file formats, its figures and what it prints."""
+"""docs/do/registration.md as its reader runs it: its commands, its file formats, its figures and
+what it prints.
+"""
 
 import io
 import json
@@ -57,7 +59,9 @@ def test_what_the_page_shows_is_what_is_said(reader):
         with pytest.raises(RegistrationError) as refused:
             register(builtin_model(), [wrong])
         said += f"\n{refused.value}"
-    shown = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
+    shown = [
+        line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()
+    ]
     assert len(shown) == 22
     there = worded(said)
     for line in shown:
@@ -67,7 +71,9 @@ def test_what_the_page_shows_is_what_is_said(reader):
 def test_files_of_three_kinds_are_read_alike(reader):
     folder, _ = reader
     three, run = Run.load(folder / "three.npz"), Run.load(folder / "grid.npz")
-    alone = register(builtin_model(), [run.points[a:b] for a, b in zip(run.start[:3], run.start[1:4])])
+    alone = register(
+        builtin_model(), [run.points[a:b] for a, b in zip(run.start[:3], run.start[1:4])]
+    )
     np.testing.assert_allclose(three.vertices, alone.vertices, atol=1e-3)
 
 
@@ -76,7 +82,8 @@ def test_the_vertices_are_as_near_as_the_page_says(reader):
     truth = np.load(folder / "grid_truth.npz")["vertices"]
     shapes, paper = (Run.load(folder / f"{name}.npz") for name in ("shapes", "paper"))
     robust, published = (
-        np.median(np.linalg.norm(run.vertices - truth, axis=2).mean(axis=1)) for run in (shapes, paper)
+        np.median(np.linalg.norm(run.vertices - truth, axis=2).mean(axis=1))
+        for run in (shapes, paper)
     )
     assert robust == pytest.approx(0.16, abs=0.03) and published == pytest.approx(12.0, abs=1.0)
     assert not shapes.extra["roll_seen"] and shapes.visible.mean() == pytest.approx(0.72, abs=0.02)
@@ -88,8 +95,12 @@ def test_the_calibration_is_as_near_as_the_page_says(reader):
     off = np.abs(found.A - PUBLISHED.slope)
     assert np.max(off / np.abs(PUBLISHED.slope)) < 0.008 and np.all(off < 3.0 * found.sigma_A)
     bent = calibrate(builtin_model(), Run.load(folder / "shapes.npz"), refine=False).calibration
-    assert np.max(np.abs(bent.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope)) == pytest.approx(0.07, abs=0.01)
-    assert json.loads(str(np.load(folder / "grid_truth.npz")["drawn"]))["phase_deg"] == pytest.approx(-3.4, abs=0.05)
+    assert np.max(np.abs(bent.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope)) == pytest.approx(
+        0.07, abs=0.01
+    )
+    assert json.loads(str(np.load(folder / "grid_truth.npz")["drawn"]))[
+        "phase_deg"
+    ] == pytest.approx(-3.4, abs=0.05)
     drawn = (folder / "calibration.svg").read_text(encoding="utf-8")
     assert "<svg" in drawn and len(drawn) > 20_000
     document = json.loads((folder / "d.json").read_text(encoding="utf-8"))
@@ -102,10 +113,17 @@ def test_a_base_that_stands_off_does_not_bend_the_map(reader):
     pose = RigidPose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))
     off = in_frame(run, pose, np.zeros(6))
     found, alone = calibrate(model, off), _calibrated(model, off, None, None, True)
-    told, bent = (np.abs(one.calibration.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope) for one in (found, alone))
+    told, bent = (
+        np.abs(one.calibration.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope)
+        for one in (found, alone)
+    )
     assert told.max() < 0.008 < 0.03 < bent.max(), (told, bent)
-    assert "the base is not at the origin" in found.warnings[0] and found.calibration.run == off.hash()
-    assert not any("the base is not at the origin" in text for text in calibrate(model, run).warnings)
+    assert (
+        "the base is not at the origin" in found.warnings[0] and found.calibration.run == off.hash()
+    )
+    assert not any(
+        "the base is not at the origin" in text for text in calibrate(model, run).warnings
+    )
     back = align_clouds(off, found.model)
     turn, shift = np.degrees(rotation_vector(back.pose.rotation)), back.pose.shift
     away = np.abs(np.r_[turn - [-1.0, 0.6, 0.0], shift - [-1.0, 0.7, 0.0]])[[0, 1, 3, 4]]

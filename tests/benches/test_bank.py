@@ -1,7 +1,8 @@
-"""The bank is what it says: laws that vanish at strength zero, cases that are pure, a judge, a slice that is run.
+"""The bank is what it says: laws that vanish at strength zero, cases that are pure, a judge, a
+slice that is run.
 
-`test_bank_rod.py` holds the rod itself. The fixed slice at the end is that of development seeds; the full bank is
-`make bank`.
+`test_bank_rod.py` holds the rod itself. The fixed slice at the end is that of development seeds;
+the full bank is `make bank`.
 """
 
 import ast
@@ -17,7 +18,17 @@ from benches.bank.__main__ import SHARES, SIZES, SLICES, main, tasks
 from benches.bank.bodies import body_of
 from benches.bank.body_rod import guessed, hanging, template
 from benches.bank.body_solid import interpolation_mm
-from benches.bank.case import GROSS, LAWS, SEEDS, at_rest, case, judge_protocol, protocol_of, seen, standard_protocol
+from benches.bank.case import (
+    GROSS,
+    LAWS,
+    SEEDS,
+    at_rest,
+    case,
+    judge_protocol,
+    protocol_of,
+    seen,
+    standard_protocol,
+)
 from benches.bank.clouds import registered, thinned
 from benches.bank.law import Record
 from benches.bank.laws_body import BoucWen, OgdenRoxburgh, Prony
@@ -36,7 +47,8 @@ BANK = Path(judge.__file__).parent
 T = np.arange(0.0, 30.0, 0.02)
 EVERY = {**LAWS, **UNKNOWN}
 PARTS = ("young", "rest", "guide", "cable", "slack", "torn")
-# mm that remain without strength: packets still come late by their jitter, the motor has its loop, horns their steps
+# mm that remain without strength: packets still come late by their jitter, the motor has its loop,
+# horns their steps
 LEFT = {"latency": 0.8, "rate_limit": 0.2, "saturation": 0.1, "offset": 0.004, "backlash": 0.1}
 
 
@@ -63,12 +75,20 @@ def test_a_law_of_no_strength_does_nothing_and_one_of_some_does(name):
         both = law.pull(plain, np.concatenate([law.drive(plain, u), -law.drive(plain, u)], axis=1))
         made, acting = law.design(design), law.loads(loads, poses)
         far = 0.0 if acting.plane is None else max(0.0, 45.0 - acting.plane[1])
-        return np.array([
-            np.abs(both - np.concatenate([u, -u], axis=1)).max(),
-            *(np.abs(np.asarray(getattr(made, part)) - getattr(design, part)).max() for part in PARTS),
-                np.abs(acting.gravity - loads.gravity).max(), np.abs(acting.tip - loads.tip).max(), far,
-            np.abs(law.seen(points, T[::100]) - points).max(), np.abs(law.clock(T) - T).max(),
-        ])  # fmt: skip
+        return np.array(
+            [
+                np.abs(both - np.concatenate([u, -u], axis=1)).max(),
+                *(
+                    np.abs(np.asarray(getattr(made, part)) - getattr(design, part)).max()
+                    for part in PARTS
+                ),
+                np.abs(acting.gravity - loads.gravity).max(),
+                np.abs(acting.tip - loads.tip).max(),
+                far,
+                np.abs(law.seen(points, T[::100]) - points).max(),
+                np.abs(law.clock(T) - T).max(),
+            ]
+        )
 
     some, none = acts(law.scaled(2.0)).max(), acts(law.scaled(1e-9)).max()
     assert none < LEFT.get(name, 1e-6) and some > 1.5 * LEFT.get(name, 2e-4)
@@ -89,7 +109,8 @@ def test_laws_are_what_their_formulas_say():
     gear = Gear((0.5, 0.2), 0.003).drive(record(ramp), ramp)
     assert gear[400] == pytest.approx(ramp[400] - [0.5, 0.2], abs=0.01)
     lag = Loop(0.1, 0.8).drive(record(ramp), ramp)
-    assert ramp[400] - lag[400] == pytest.approx(2 * 0.8 * 0.1 + 0.1 / 4, abs=2e-3)  # of a ramp: 2ζ/ω, and the drum
+    # of a ramp: 2ζ/ω, and the drum
+    assert ramp[400] - lag[400] == pytest.approx(2 * 0.8 * 0.1 + 0.1 / 4, abs=2e-3)
     assert lag[-1] == pytest.approx(ramp[-1], abs=1e-4)
     slow = Motor(2.0).drive(record(ramp), ramp)
     assert np.diff(slow, axis=0).max() <= 0.5 * 0.02 + 1e-9
@@ -97,12 +118,16 @@ def test_laws_are_what_their_formulas_say():
     crept = Prony((0.2, 0.1), 0.5, (0.3, 0.4, 0.3)).drive(record(held), held)
     assert crept[-1] == pytest.approx([4.8, 4.4], rel=2e-3)
     dahl = DahlElements((0.2, 0.1), 2.0).drive(record(ramp), ramp)
-    assert ramp[450] - dahl[450] == pytest.approx(np.array([0.2, 0.1]) * (9 + 2) * 3.5 / 6, rel=1e-2)
+    assert ramp[450] - dahl[450] == pytest.approx(
+        np.array([0.2, 0.1]) * (9 + 2) * 3.5 / 6, rel=1e-2
+    )
     wen = BoucWen((0.25, 0.1), 2.0, 1.0, 0.5).drive(record(ramp), ramp)
     assert ramp[450] - wen[450] == pytest.approx([0.5, 0.2], rel=2e-2)
     assert np.all(OgdenRoxburgh(0.3, 10.0, 0.3).drive(record(ramp), ramp) == ramp)  # virgin loading
     stopped = Stops((4.0, 6.0), 0.1).drive(record(ramp), ramp)
-    assert stopped[-1] == pytest.approx([8.0, 6.0], abs=1e-3) and stopped[300] == pytest.approx([6.0, 5.93], abs=0.01)
+    assert stopped[-1] == pytest.approx([8.0, 6.0], abs=1e-3) and stopped[300] == pytest.approx(
+        [6.0, 5.93], abs=0.01
+    )
     pull = np.concatenate([ramp, -ramp], axis=1)
     loss = pull - CableCreep((0.1,) * 4, 0.5).pull(record(ramp), pull)
     assert np.all(loss[:, 2:] == 0.0) and loss[-1, 0] == pytest.approx(1.0, rel=0.01)
@@ -112,16 +137,28 @@ def test_the_bank_never_calls_the_effect_library():
     for path in BANK.glob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         names = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-        assert not names & {"Chain", "rollout", "Predictor", "predict_features", "with_effects"}, path.name
+        assert not names & {"Chain", "rollout", "Predictor", "predict_features", "with_effects"}, (
+            path.name
+        )
         if path.name not in (
             "work.py",
             "judge_learned.py",
             "model_rod.py",
             "left_out.py",
         ):  # diagnose, or pass the model or its odds on
-            modules = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module}
+            modules = {
+                n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module
+            }
             modules -= {"softmap_edge.synthetic.depth_camera"}  # cameras
-            barred = ("diagnosis", "_core", "synthetic", "emulated", "noise", "checks", "comparison")
+            barred = (
+                "diagnosis",
+                "_core",
+                "synthetic",
+                "emulated",
+                "noise",
+                "checks",
+                "comparison",
+            )
             assert not [m for m in modules if any(word in m for word in barred)], path.name
 
 
@@ -133,7 +170,8 @@ def test_a_case_is_a_pure_function_of_its_name():
     assert other.hidden == one.hidden and other.laws != one.laws
     assert max(SIZES.values()) < abs(SEEDS["reporting"] - SEEDS["development"])
     twin = one.run(judge_protocol(0), ())
-    assert rms(twin.vertices - one.run(judge_protocol(0)).vertices) > 0.5  # the same noise, not the same finger
+    # the same noise, not the same finger
+    assert rms(twin.vertices - one.run(judge_protocol(0)).vertices) > 0.5
 
 
 @pytest.mark.parametrize(
@@ -144,25 +182,37 @@ def test_what_is_hidden_moves_the_finger_as_far_as_the_level_says(level, kind, n
     low, high = LEVELS[level].moves_mm
     plain = seen(mine.body, (), protocol, False, every=4)
     for law, told in zip(mine.laws, mine.moved_mm):
-        moved = rms(sections(seen(mine.body, (law,), protocol, False, every=4) - plain, mine.body.place))
+        moved = rms(
+            sections(seen(mine.body, (law,), protocol, False, every=4) - plain, mine.body.place)
+        )
         assert 0.7 * low < moved < 1.3 * high and moved == pytest.approx(told, rel=0.25)
-    small = rms(sections(seen(mine.body, mine.small, protocol, False, every=4) - plain, mine.body.place))
+    small = rms(
+        sections(seen(mine.body, mine.small, protocol, False, every=4) - plain, mine.body.place)
+    )
     assert 0.01 < small < 0.3 * low
 
 
 def test_errors_of_the_camera_hang_together_in_time_and_patches_are_hidden():
     t = np.arange(0.0, 60.0, 0.25)
     points = np.random.default_rng(0).normal(size=(1, 40, 3)) * 30.0
-    off, visible = looked(np.tile(points, (len(t), 1, 1)), t, LEVELS["real"], np.random.default_rng(1))
+    off, visible = looked(
+        np.tile(points, (len(t), 1, 1)), t, LEVELS["real"], np.random.default_rng(1)
+    )
     mean = (off - points).mean(axis=1)[:, 0]
-    assert np.corrcoef(mean[:-1], mean[1:])[0, 1] > 0.4 > abs(np.corrcoef(mean[:-40], mean[40:])[0, 1])
+    assert (
+        np.corrcoef(mean[:-1], mean[1:])[0, 1] > 0.4 > abs(np.corrcoef(mean[:-40], mean[40:])[0, 1])
+    )
     assert visible.mean() == pytest.approx(1 - round(0.08 * 40) / 40)
 
 
 @pytest.mark.long
 def test_clouds_give_vertices_whose_roll_is_unseen_near_the_true_ones():
     mine, protocol = case("development", "B", "clouds", "null", 0), thinned(standard_protocol(2))
-    assert 2 * protocol.frames - standard_protocol(2).frames in (0, 1) and not mine.marked and mine.seen_as == "clouds"
+    assert (
+        2 * protocol.frames - standard_protocol(2).frames in (0, 1)
+        and not mine.marked
+        and mine.seen_as == "clouds"
+    )
     few = replace(protocol, t_seen=protocol.t_seen[::20], block=protocol.block[::20])
     assert thinned(few).frames == few.frames  # few as they are
     true = mine.run(few)
@@ -186,34 +236,55 @@ def test_a_run_at_rest_shows_no_motion():
 
 
 def said(*effects, alternatives=(), verdict="identified", open_=(), settles=()):
-    entries = [{"name": e, "share": 1.0 - 0.1 * k, "probability": 0.9} for k, e in enumerate(effects)]
+    entries = [
+        {"name": e, "share": 1.0 - 0.1 * k, "probability": 0.9} for k, e in enumerate(effects)
+    ]
     return {
-        "verdict": verdict, "effects": entries, "faults": [],
+        "verdict": verdict,
+        "effects": entries,
+        "faults": [],
         "alternatives": [{"effects": list(r), "why": ""} for r in alternatives],
-        "not_testable": [{"name": n} for n in open_], "next": [{"block": "b", "settles": list(settles)}],
-    }  # fmt: skip
+        "not_testable": [{"name": n} for n in open_],
+        "next": [{"block": "b", "settles": list(settles)}],
+    }
 
 
 def judged(hidden, document, orientations=2, expressible=frozenset(LAWS), also=(), roll=True):
-    return judge.judged(hidden, document, judge.alike(_core.effects(), orientations, roll), set(expressible), also)
+    return judge.judged(
+        hidden, document, judge.alike(_core.effects(), orientations, roll), set(expressible), also
+    )
 
 
 def test_a_turned_frame_may_stand_for_turned_tendons_only_where_no_roll_is_seen():
     open_ = said("routing", alternatives=[["mount"]], verdict="ambiguous")
-    assert judged(["routing"], open_, roll=False)["first"] and not judged(["routing"], open_)["first"]
+    assert (
+        judged(["routing"], open_, roll=False)["first"] and not judged(["routing"], open_)["first"]
+    )
     assert not judged(["routing"], said("twist"), roll=False)["first"]
 
 
 def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
     both = said("gain", "lag")
-    assert judged(["lag"], both, also=["gain"])["exact"] and judged(["lag", "gain"], both, also=["gain"])["exact"]
+    assert (
+        judged(["lag"], both, also=["gain"])["exact"]
+        and judged(["lag", "gain"], both, also=["gain"])["exact"]
+    )
     assert not judged(["lag", "gain"], said("lag"), also=["gain"])["exact"]
     assert judged(["lag"], said("lag"))["first"]
     assert not judged(["lag"], said("lag", alternatives=[["creep"]], verdict="ambiguous"))["first"]
-    assert not judged(["lag"], said("gain", "lag"))["first"] and not judged(["lag"], said())["first"]
-    assert judged(["latency"], said("latency", alternatives=[["clock_shift"]], verdict="ambiguous"))["first"]
-    pair = said("payload", alternatives=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"])
-    assert judged(["payload"], pair, orientations=1)["first"] and not judged(["payload"], pair)["first"]
+    assert (
+        not judged(["lag"], said("gain", "lag"))["first"] and not judged(["lag"], said())["first"]
+    )
+    assert judged(
+        ["latency"], said("latency", alternatives=[["clock_shift"]], verdict="ambiguous")
+    )["first"]
+    pair = said(
+        "payload", alternatives=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"]
+    )
+    assert (
+        judged(["payload"], pair, orientations=1)["first"]
+        and not judged(["payload"], pair)["first"]
+    )
     assert judged(["gravity"], pair, orientations=1)["cannot"]
     assert not judged(["gravity"], said("payload"), orientations=1)["cannot"]
 
@@ -223,7 +294,9 @@ def test_sets_claims_and_what_the_library_lacks():
     assert not both["exact"] and [c["true"] for c in both["claims"]] == [True, True, False]
     assert judged(["lag", "gain"], said("gain", "lag"))["exact"]
     assert not judged(["lag", "gain"], said("gain"))["inside"]
-    assert judged(["lag", "gain"], said("gain", alternatives=[["gain", "lag"]], verdict="ambiguous"))["inside"]
+    assert judged(
+        ["lag", "gain"], said("gain", alternatives=[["gain", "lag"]], verdict="ambiguous")
+    )["inside"]
     assert not judged(["magnet"], said())["in_library"] and judged(["lag"], said())["in_library"]
     assert not judged(["lag"], said(), expressible={"gain"})["in_library"]
 
@@ -266,13 +339,23 @@ def test_the_full_bank_has_the_sizes_that_were_asked_for():
     every = [task for task in every if task not in clouds]
     for (slice_, level), sizes in SLICES.items():
         mine = [task[3] for task in tasks("reporting", 1.0, [*SIZES, "trap"], [(slice_, level)])]
-        assert {kind: mine.count(kind) for kind in sizes} == sizes and len(mine) == sum(sizes.values())
+        assert {kind: mine.count(kind) for kind in sizes} == sizes and len(mine) == sum(
+            sizes.values()
+        )
     for slices in (("shop",), ("odd",), ("learned",)):
         whole = {k: sum(s.get(k, 0) for p, s in SLICES.items() if p[0] in slices) for k in SIZES}
-        assert whole["null"] >= 100 and whole["single"] >= 150 and min(whole["pair"], whole["unknown"]) >= 60
+        assert (
+            whole["null"] >= 100
+            and whole["single"] >= 150
+            and min(whole["pair"], whole["unknown"]) >= 60
+        )
     count = {kind: sum(task[3] == kind for task in every) for kind in SIZES}
-    assert count == SIZES and count["null"] >= 300 and count["single"] >= 300 and count["pair"] >= 200
-    assert min(count[k] for k in ("unknown", "untestable", "rivals")) >= 100 and len(set(every)) == len(every)
+    assert (
+        count == SIZES and count["null"] >= 300 and count["single"] >= 300 and count["pair"] >= 200
+    )
+    assert min(count[k] for k in ("unknown", "untestable", "rivals")) >= 100 and len(
+        set(every)
+    ) == len(every)
 
 
 def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypatch):
@@ -282,7 +365,8 @@ def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypa
     assert "ZeroDivisionError" in work(job)["failed"] and "ZeroDivisionError" in make(job)["failed"]
     head = dict(zip(("seeds", "slice", "level", "kind", "number"), task))
     monkeypatch.setattr(
-        "benches.bank.make.made", lambda task, root: keep(task, root, {"hidden": [], "truth_seconds": 0}, {})
+        "benches.bank.make.made",
+        lambda task, root: keep(task, root, {"hidden": [], "truth_seconds": 0}, {}),
     )
     monkeypatch.setattr("benches.bank.work.judge_case", lambda case: 1 / 0)
     assert "ZeroDivisionError" in work(job)["failed"]
@@ -297,14 +381,22 @@ def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypa
 @pytest.mark.long
 def test_the_model_of_the_rod_is_as_good_as_it_says():
     body, protocol = body_of("A"), judge_protocol(3)
-    mine = next(one for n in range(40) if (one := case("development", "A", "easy", "null", n)).marked)
+    mine = next(
+        one for n in range(40) if (one := case("development", "A", "easy", "null", n)).marked
+    )
     assert mine.run(protocol, ()).markers is not None
     model = body.model()
     at = np.stack([np.interp(protocol.t_seen, protocol.t, c) for c in protocol.command.T], axis=1)
     gravity = protocol.gravity[np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1]
     clean = body.points((), np.concatenate([at, -at], axis=1), gravity, False)
     told = model.predict(
-        Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen, vertices=clean)
+        Run(
+            t=protocol.t,
+            command=protocol.command,
+            gravity=protocol.gravity,
+            t_seen=protocol.t_seen,
+            vertices=clean,
+        )
     )
     hangs = gravity[:, 2] > 0.99
     assert rms((told - clean)[hangs]) < 2.0 * model.vertex_error_mm < 0.3
@@ -322,18 +414,28 @@ def test_the_model_of_the_rod_knows_what_large_loads_do():
     run = Run(t=t, command=u, t_seen=t, vertices=moved)
     off = []
     for each in (model, model.with_structure(second=None)):
-        heavy, light = (each.with_effects(["payload"], {"payload.mass": g}).predict(run) for g in (30.0, 0.0))
+        heavy, light = (
+            each.with_effects(["payload"], {"payload.mass": g}).predict(run) for g in (30.0, 0.0)
+        )
         off.append(rms(heavy - light - moved) / rms(moved))
     assert off[0] < 0.08 < 0.12 < off[1], off
 
 
 def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
-    u, model, t = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), body_of("A").model(), np.arange(12.0)
+    u, model, t = (
+        np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)),
+        body_of("A").model(),
+        np.arange(12.0),
+    )
     loads = replace(hanging(u), gravity=np.tile([np.sin(0.6), 0.0, np.cos(0.6)], (12, 1)))
     design = finger(1)
     without = settle(design, loads, guessed(loads.pull)).points(design, *template())
     run = Run(t=t, command=u, t_seen=t, gravity=loads.gravity[0], vertices=without)
-    params = {"stiff_section.amount": -0.7, "stiff_section.centre": 2 / 6, "stiff_section.width": 1 / 3}
+    params = {
+        "stiff_section.amount": -0.7,
+        "stiff_section.centre": 2 / 6,
+        "stiff_section.width": 1 / 3,
+    }
     chain = _core.Chain(["stiff_section"], 2)
     values = np.array([[params[label] for label in chain.labels]])
     said = chain.coefficients(values, gravity=run.gravity[None], load=np.zeros(1), u=u[:1])[0, 0]
@@ -344,7 +446,12 @@ def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
     off = []
     for each in (model, model.with_structure(second=None)):
         off.append(
-            rms(each.with_effects(["stiff_section"], params).predict(run) - each.predict(run) - moved) / rms(moved)
+            rms(
+                each.with_effects(["stiff_section"], params).predict(run)
+                - each.predict(run)
+                - moved
+            )
+            / rms(moved)
         )
     assert off[0] < 0.2 < 0.4 < off[1], off
 
@@ -359,7 +466,11 @@ def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
 )
 def test_the_model_of_the_rod_knows_small_changes_of_its_design(params, field, amount):
     """At constant tension: cables that are turned are longer, which they answer once, not twice."""
-    u, model, t = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), body_of("A").model(), np.arange(12.0)
+    u, model, t = (
+        np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)),
+        body_of("A").model(),
+        np.arange(12.0),
+    )
     loads = hanging(u)
     without = settle(finger(1), loads, guessed(loads.pull)).points(finger(1), *template())
     design = changes()[field][0](finger(1), loads, amount)[0]
@@ -374,21 +485,47 @@ def test_the_sweep_of_the_solid_is_interpolated_within_its_stated_error():
     assert interpolation_mm() < 0.15
 
 
-FIXED = [("null", 0), ("null", 3), ("single", 0), ("single", 8), ("untestable", 0), ("rivals", 0), ("removed", 8)]
-# What the search found only since its first members may leave again (29), since eccentric pulleys are begun from
-# every start (23), since damage is of the body (18): pairs of the easy level that must be exact.
+FIXED = [
+    ("null", 0),
+    ("null", 3),
+    ("single", 0),
+    ("single", 8),
+    ("untestable", 0),
+    ("rivals", 0),
+    ("removed", 8),
+]
+# What the search found only since its first members may leave again (29), since eccentric pulleys
+# are begun from every start (23), since damage is of the body (18): pairs of the easy level that
+# must be exact.
 PAIRS = (29, 23, 18)
 
 
 @pytest.mark.long
 def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
     for kind, number in FIXED:
-        work((("development", "A", "real", kind, number), str(tmp_path / "cases"), str(tmp_path), "now"))
+        work(
+            (
+                ("development", "A", "real", kind, number),
+                str(tmp_path / "cases"),
+                str(tmp_path),
+                "now",
+            )
+        )
     for number in PAIRS:
-        work((("development", "A", "easy", "pair", number), str(tmp_path / "cases"), str(tmp_path), "now"))
+        work(
+            (
+                ("development", "A", "easy", "pair", number),
+                str(tmp_path / "cases"),
+                str(tmp_path),
+                "now",
+            )
+        )
     assert main(["--table", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
-    rows = {(r["kind"], r["number"]): r for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))}
+    rows = {
+        (r["kind"], r["number"]): r
+        for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))
+    }
     assert all(rows["pair", number]["exact"] for number in PAIRS), told
     assert not [r for r in rows.values() if "failed" in r], told
     assert not rows["null", 0]["named"] and not rows["null", 3]["named"], told

@@ -1,4 +1,6 @@
-"""The slice *learned*: recordings of one robot whose law was always present, in the frame of a motion capture."""
+"""The slice *learned*: recordings of one robot whose law was always present, in the frame of a
+motion capture.
+"""
 
 from dataclasses import replace
 
@@ -25,20 +27,32 @@ def test_a_capture_moves_and_turns_the_frame_and_nothing_else():
 
 def test_two_reference_runs_differ_in_size_and_speed_and_the_judge_is_another_kind():
     one, two = reference(0, 1.0, 1.0, 90.0), reference(1, 0.5, 2.0, 60.0)
-    fast = [np.abs(np.diff(p.command, axis=0)).max() / 0.02 / np.abs(p.command).max() for p in (one, two)]
-    assert np.abs(two.command).max() < 0.65 * np.abs(one.command).max() and fast[1] != pytest.approx(fast[0], rel=0.2)
+    fast = [
+        np.abs(np.diff(p.command, axis=0)).max() / 0.02 / np.abs(p.command).max()
+        for p in (one, two)
+    ]
+    assert np.abs(two.command).max() < 0.65 * np.abs(one.command).max() and fast[
+        1
+    ] != pytest.approx(fast[0], rel=0.2)
     assert np.abs(circles(0, 40.0).command).max() <= 11.0 and len(balls()[0]) == 5
     for protocol in (one, two):
-        assert np.abs(protocol.command[0]).max() < 1e-9 and 5.0 < protocol.frames / protocol.t[-1] < 8.0
+        assert (
+            np.abs(protocol.command[0]).max() < 1e-9
+            and 5.0 < protocol.frames / protocol.t[-1] < 8.0
+        )
 
 
 def test_the_law_was_there_in_every_recording_and_a_case_is_pure():
     mine, runs = learned_case("development", "two", "single", 0)
     again, same = learned_case("development", "two", "single", 0)
-    assert mine.to_dict() == again.to_dict() and all(runs[name].hash() == same[name].hash() for name in runs)
+    assert mine.to_dict() == again.to_dict() and all(
+        runs[name].hash() == same[name].hash() for name in runs
+    )
     assert list(runs) == ["taught", "taught_2", "first", "judge"] and mine.hidden == ("backlash",)
     for run in runs.values():
-        assert run.markers.shape[1] == 5 and run.marker_rest is None and np.ptp(run.temperature) == 0.0
+        assert (
+            run.markers.shape[1] == 5 and run.marker_rest is None and np.ptp(run.temperature) == 0.0
+        )
     protocol = circles(0, 40.0)
     plain = seen(mine.body, mine.small, protocol, True, every=4, room=mine.room)
     moved = np.linalg.norm(runs["judge"].markers[::4] - plain, axis=2)
@@ -50,15 +64,25 @@ def test_the_law_was_there_in_every_recording_and_a_case_is_pure():
 def test_a_learned_robot_is_judged_from_its_own_recordings(tmp_path):
     case = made(("development", "learned", "one", "null", 1), tmp_path)
     row = judge_learned(case)
-    assert row["hidden"] == [] and row["verdicts"] == ["nothing", "cannot_tell"] and row["false_identified"] is False
+    assert (
+        row["hidden"] == []
+        and row["verdicts"] == ["nothing", "cannot_tell"]
+        and row["false_identified"] is False
+    )
     assert 0.0 < row["error_mm"]["noise"] < row["error_mm"]["learned"] < 5.0 and row["chain"] == []
 
 
 @pytest.mark.parametrize("number", [12, 15, 19])
 def test_what_a_map_cannot_follow_is_no_new_static_effect(tmp_path, number):
-    """The cables of these fingers fall slack: a polynomial is off by 1.3 to 1.6 mm, on every run as much."""
+    """The cables of these fingers fall slack: a polynomial is off by 1.3 to 1.6 mm, on every run as
+    much.
+    """
     row = judge_learned(made(("development", "learned", "one", "null", number), tmp_path))
-    assert row["background_mm"] > 1.2 and row["named"] == [] and row["verdict"] in ("nothing", "cannot_tell")
+    assert (
+        row["background_mm"] > 1.2
+        and row["named"] == []
+        and row["verdict"] in ("nothing", "cannot_tell")
+    )
 
 
 def test_a_law_that_learning_left_open_is_not_identified():
@@ -66,14 +90,23 @@ def test_a_law_that_learning_left_open_is_not_identified():
     other = Alternative("hysteresis", "memory", 1.0)
     known = LearnedIn("backlash", "memory", "identified", 3.0, 1.0, (), (other,))
     unknown = LearnedIn("", "rate", "unknown", 3.0, 1.0)
-    sure, unsure = (together([one, unknown], document) for one in (known, replace(known, law="open")))
-    assert sure["verdict"] == "identified" and sure["alternatives"] == [] and sure["effects"][0]["probability"] == 1.0
+    sure, unsure = (
+        together([one, unknown], document) for one in (known, replace(known, law="open"))
+    )
+    assert (
+        sure["verdict"] == "identified"
+        and sure["alternatives"] == []
+        and sure["effects"][0]["probability"] == 1.0
+    )
     assert unsure["verdict"] == "ambiguous" and unsure["effects"][0]["probability"] == 0.5
     assert [one["effects"] for one in unsure["alternatives"]] == [["hysteresis"]]
     assert together([unknown], document) == document
 
 
 def test_a_cable_in_its_sheath_never_moves_on_while_its_servo_turns_back():
-    d = np.concatenate([np.linspace(0.0, 10.0, 500), np.linspace(10.0, 4.0, 300)])[:, None] * [1.0, 0.5]
+    d = np.concatenate([np.linspace(0.0, 10.0, 500), np.linspace(10.0, 4.0, 300)])[:, None] * [
+        1.0,
+        0.5,
+    ]
     out = SheathFriction((0.3, 0.1), 2.0).pull(None, d)
     assert np.diff(out[500:], axis=0).max() <= 1e-3 and np.abs(out - d).max() > 1.0

@@ -1,4 +1,6 @@
-"""The slice *odd*: many smooth maps that are not affine, laws that follow their formula, traps with a right answer."""
+"""The slice *odd*: many smooth maps that are not affine, laws that follow their formula, traps with
+a right answer.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,9 @@ GRAVITY = np.where((T < 30.0)[:, None], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8])
 
 
 def wave():
-    return np.stack([11.0 * np.sin(1.8 * T) * T / T[-1], 11.0 * np.sin(1.3 * T + 1.0) * T / T[-1]], axis=1)
+    return np.stack(
+        [11.0 * np.sin(1.8 * T) * T / T[-1], 11.0 * np.sin(1.3 * T + 1.0) * T / T[-1]], axis=1
+    )
 
 
 def record(u):
@@ -63,7 +67,9 @@ def test_a_cross_term_needs_both_channels(form):
 def test_what_offsets_and_gains_can_do_is_not_bent():
     u = wave()
     assert bent(u, 1.2 * u + 0.5) < 1e-9
-    assert bent(u, u + 0.1 * np.sign(u) * u**2) == pytest.approx(bent(u, u + 0.3 * np.sign(u) * u**2))
+    assert bent(u, u + 0.1 * np.sign(u) * u**2) == pytest.approx(
+        bent(u, u + 0.3 * np.sign(u) * u**2)
+    )
     assert bent(u, u + 0.01 * u**2) > 0.5
 
 
@@ -84,7 +90,9 @@ def test_laws_are_what_their_formulas_say():
     u = wave()
     plain = record(u)
     hum = Hum((0.0, 2.0), 0.5, 0.0).drive(plain, u) - u
-    assert np.abs(hum[:, 0]).max() == 0.0 and hum[:, 1] == pytest.approx(2.0 * np.sin(np.pi * T), abs=1e-9)
+    assert np.abs(hum[:, 0]).max() == 0.0 and hum[:, 1] == pytest.approx(
+        2.0 * np.sin(np.pi * T), abs=1e-9
+    )
     stuck = StickSlip((1.0, 1.0), 0.0).drive(plain, u)
     assert np.abs(stuck - u).max() <= 1.0 + 1e-9 and np.mean(np.diff(stuck[:, 0]) == 0.0) > 0.5
     slow = np.repeat(np.linspace(0.0, 10.0, len(T))[:, None], 2, axis=1)
@@ -92,7 +100,10 @@ def test_laws_are_what_their_formulas_say():
     assert late[-1] == pytest.approx([0.1 + 0.05 * 10.0 / T[-1]] * 2, rel=1e-2)
     assert played(slow, np.array([0.5, 0.0]))[-1] == pytest.approx([9.5, 10.0])
     cold = Record(T, u, np.full(len(T), 22.0), GRAVITY)
-    assert np.all(WarmCreep(0.4, 5.0).drive(cold, u) == u) and rms(WarmCreep(0.4, 5.0).drive(plain, u) - u) > 0.2
+    assert (
+        np.all(WarmCreep(0.4, 5.0).drive(cold, u) == u)
+        and rms(WarmCreep(0.4, 5.0).drive(plain, u) - u) > 0.2
+    )
     slipped = Clutch((4.0, 0.0)).drive(plain, u)
     assert np.abs(slipped[:, 0]).max() <= 8.0 + 1e-9 and np.all(slipped[:, 1] == u[:, 1])
     torn = Torn(0, 0.5, 12.0).pull(plain, np.concatenate([u, -u], axis=1))
@@ -101,7 +112,8 @@ def test_laws_are_what_their_formulas_say():
     assert np.all(gain[T < 30.0] == u[T < 30.0]) and gain[-1] == pytest.approx(1.2 * u[-1])
     for course in ("ramp", "step", "exponential"):
         assert profile(course, T)[0] == 0.0 and profile(course, T)[-1] > 0.98
-    assert np.all(BendingNoise((1.0, 1.0), 20.0, 3).drive(plain, u)[0] == u[0])  # it begins at the command
+    # it begins at the command
+    assert np.all(BendingNoise((1.0, 1.0), 20.0, 3).drive(plain, u)[0] == u[0])
 
 
 def test_traps_have_an_answer_and_a_temperature_goes_with_time_only_by_chance():
@@ -109,18 +121,32 @@ def test_traps_have_an_answer_and_a_temperature_goes_with_time_only_by_chance():
     assert heated.hidden == ("timely_gain",) and heated.answers[0].names == ()
     assert np.corrcoef(heated.room(T), T)[0, 1] == pytest.approx(1.0)
     still = odd_case("development", "real", "trap", 3)
-    assert still.hidden == ("still",) and "identified" not in still.answers[0].verdicts and still.moved_mm[0] > 5.0
+    assert (
+        still.hidden == ("still",)
+        and "identified" not in still.answers[0].verdicts
+        and still.moved_mm[0] > 5.0
+    )
     assert len(TRAPS) == 10
 
 
 def test_maps_bend_the_finger_by_what_offsets_and_gains_cannot_do():
     mine, protocol = odd_case("development", "maps", "unknown", 5), standard_protocol(2)
     plain = seen(mine.body, (), protocol, False, every=8, rough=True)
-    moved = rms(sections(seen(mine.body, mine.laws, protocol, False, every=8, rough=True) - plain, mine.body.place))
-    assert moved == pytest.approx(mine.moved_mm[0], rel=0.25) and moved * curved_share(mine.laws[0]) > 0.35
+    moved = rms(
+        sections(
+            seen(mine.body, mine.laws, protocol, False, every=8, rough=True) - plain,
+            mine.body.place,
+        )
+    )
+    assert (
+        moved == pytest.approx(mine.moved_mm[0], rel=0.25)
+        and moved * curved_share(mine.laws[0]) > 0.35
+    )
     assert mine.answers[0].families == ("static map",) and mine.answers[0].names == ()
     assert rises(mine.laws[0]) and not rises(SmoothMap("soft dead zone", (1.2, 0.1), 1.0, 0.0))
-    assert SmoothMap("soft dead zone", (0.6, 0.1), 1.0, 0.0).scaled(2.0).amount[0] == pytest.approx(0.85, abs=0.06)
+    assert SmoothMap("soft dead zone", (0.6, 0.1), 1.0, 0.0).scaled(2.0).amount[0] == pytest.approx(
+        0.85, abs=0.06
+    )
 
 
 def test_cases_are_pure_and_pairs_hide_a_known_law_beside_an_unknown_one():

@@ -1,4 +1,6 @@
-"""The slice *shop*: friction along the body is hysteretic in shape, and imperfections have their stated size."""
+"""The slice *shop*: friction along the body is hysteretic in shape, and imperfections have their
+stated size.
+"""
 
 from dataclasses import replace
 
@@ -23,13 +25,17 @@ T = np.arange(0.0, 30.0, 0.02)
 
 
 def to_and_fro():
-    """One channel up to 10 mm and back to 5 mm, and up again from -10 mm: seen at 5 mm both ways."""
+    """One channel up to 10 mm and back to 5 mm, and up again from -10 mm: seen at 5 mm both
+    ways.
+    """
     u = np.interp(T, [0.0, 10.0, 15.0, 30.0], [0.0, 10.0, 5.0, 5.0])
     return np.stack([u, 0.0 * u], axis=1)
 
 
 def past_of(u, taken):
-    return Past(T, np.concatenate([u, -u], axis=1), np.tile(HANGING, (len(T), 1)), np.asarray(taken, float))
+    return Past(
+        T, np.concatenate([u, -u], axis=1), np.tile(HANGING, (len(T), 1)), np.asarray(taken, float)
+    )
 
 
 def test_friction_gives_the_base_more_of_the_bend_while_loading_and_less_while_unloading():
@@ -42,16 +48,22 @@ def test_friction_gives_the_base_more_of_the_bend_while_loading_and_less_while_u
     plain = settle(design, loads, guessed(loads.pull))
     found = dragged(design, replace(loads, tension=share), plain)
     base, tip = (
-        np.linalg.norm(sections(found.points(design, *template()), template()[0])[:, k, :2], axis=1) for k in (2, -1)
+        np.linalg.norm(sections(found.points(design, *template()), template()[0])[:, k, :2], axis=1)
+        for k in (2, -1)
     )
-    assert tip[0] > 1.02 * tip[1] and (base / tip)[0] > 1.03 * (base / tip)[1], (base, tip)  # the tip leads
+    # the tip leads
+    assert tip[0] > 1.02 * tip[1] and (base / tip)[0] > 1.03 * (base / tip)[1], (base, tip)
 
 
 def test_rods_with_friction_are_in_balance_and_without_it_they_are_those_without():
     u = np.random.default_rng(0).uniform(-9.0, 9.0, (8, 2))
     loads, design = hanging(u), finger(1)
     plain = settle(design, loads, guessed(loads.pull))
-    even = dragged(design, replace(loads, tension=np.ones((8, 4, design.guide.shape[1] - 1))), guessed(loads.pull))
+    even = dragged(
+        design,
+        replace(loads, tension=np.ones((8, 4, design.guide.shape[1] - 1))),
+        guessed(loads.pull),
+    )
     assert np.abs(even.x - plain.x).max() < 1e-4
     share = np.exp(-np.linspace(0.0, 0.4, design.guide.shape[1] - 1)) * np.ones((8, 4, 1))
     held = replace(loads, tension=share)
@@ -61,22 +73,34 @@ def test_rods_with_friction_are_in_balance_and_without_it_they_are_those_without
     step = np.zeros_like(found.x)
     step[:, 1:] = np.random.default_rng(1).normal(size=step[:, 1:].shape) * 1e-6
     longer = [
-        np.linalg.norm(np.diff(guides(design, x, found.frame), axis=2), axis=3) for x in (found.x + step, found.x)
+        np.linalg.norm(np.diff(guides(design, x, found.frame), axis=2), axis=3)
+        for x in (found.x + step, found.x)
     ]
     work = np.sum(share * (longer[0] - longer[1]), axis=2)  # of a small step: Σ T_j dℓ_j
-    assert np.einsum("bnkc,bnk->bc", there.drawn[:, :, :3], step[:, 1:]) == pytest.approx(work, rel=1e-3, abs=1e-10)
+    assert np.einsum("bnkc,bnk->bc", there.drawn[:, :, :3], step[:, 1:]) == pytest.approx(
+        work, rel=1e-3, abs=1e-10
+    )
 
 
 def test_the_slides_of_the_finger_without_friction_are_near_those_with_it():
     protocol = standard_protocol(2)
     keep = protocol.t < 40.0
     u = protocol.command[keep]
-    past = Past(protocol.t[keep], np.concatenate([u, -u], axis=1), protocol.gravity[keep], np.arange(1.0, 39.0, 1.0))
+    past = Past(
+        protocol.t[keep],
+        np.concatenate([u, -u], axis=1),
+        protocol.gravity[keep],
+        np.arange(1.0, 39.0, 1.0),
+    )
     at = np.stack([np.interp(past.taken, past.t, column) for column in past.pull.T], axis=1)
     loads, design = Loads(at, np.tile(HANGING, (len(at), 1)), np.zeros((len(at), 3))), finger(1)
     plain = settle(design, loads, guessed(at))
     found = [
-        dragged(design, replace(loads, tension=along(np.full(4, 0.1), 0.01, 0.3, past, guessed, passes)), plain)
+        dragged(
+            design,
+            replace(loads, tension=along(np.full(4, 0.1), 0.01, 0.3, past, guessed, passes)),
+            plain,
+        )
         for passes in (0, 1)
     ]
     moved, more = rms(found[0].x - plain.x), rms(found[1].x - found[0].x)
@@ -90,14 +114,25 @@ def test_laws_of_the_shop_are_what_their_formulas_say():
     assert gear[450, 1] == ramp[450, 1] and 0.4 - 1e-9 <= ramp[450, 0] - gear[450, 0] <= 0.6 + 1e-9
     pull = np.concatenate([ramp, -ramp], axis=1)
     held = SheathFriction((0.1, 0.2, 0.1, 0.1), 2.0).pull(record, pull)
-    slid = [1.0 - (2.0 / 11.0) ** ((1.0 - mu) / (2.0 * mu)) for mu in (0.1, 0.2)]  # the limit grows with the pull
-    assert pull[450, :2] - held[450, :2] == pytest.approx([0.1 * 11 * slid[0], 0.2 * 11 * slid[1]], rel=1e-2)
+    # the limit grows with the pull
+    slid = [1.0 - (2.0 / 11.0) ** ((1.0 - mu) / (2.0 * mu)) for mu in (0.1, 0.2)]
+    assert pull[450, :2] - held[450, :2] == pytest.approx(
+        [0.1 * 11 * slid[0], 0.2 * 11 * slid[1]], rel=1e-2
+    )
     assert held[450, 2] - pull[450, 2] == pytest.approx(0.1 * 2.0, rel=1e-2)  # it is paid out
     drums = CableDrums((0.1, 0.0, 0.2, 0.0), 75.0).pull(record, pull)
-    assert drums[450] - pull[450] == pytest.approx([0.1 * 9.0, 0.0, -0.2 * 9.0, 0.0], rel=5e-3, abs=1e-9)
-    wound = Winding((0.3, 0.0), (0.0, 0.0), (0.0, 0.5), 4.0, (0.5, 0.0, 0.0, 0.0)).drive(record, ramp)
-    assert wound[0] == pytest.approx([0.0, 0.0]) and wound[450, 1] - 9.0 == pytest.approx(0.5 * 81 / 4)
-    rubber = Rubber((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)).design(finger(1))
+    assert drums[450] - pull[450] == pytest.approx(
+        [0.1 * 9.0, 0.0, -0.2 * 9.0, 0.0], rel=5e-3, abs=1e-9
+    )
+    wound = Winding((0.3, 0.0), (0.0, 0.0), (0.0, 0.5), 4.0, (0.5, 0.0, 0.0, 0.0)).drive(
+        record, ramp
+    )
+    assert wound[0] == pytest.approx([0.0, 0.0]) and wound[450, 1] - 9.0 == pytest.approx(
+        0.5 * 81 / 4
+    )
+    rubber = Rubber((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)).design(
+        finger(1)
+    )
     assert np.log(rubber.young / finger(1).young).max() == pytest.approx(0.1, rel=0.02)
 
 
@@ -133,7 +168,9 @@ def test_the_frame_of_a_slow_camera_remembers_longer():
     t, points = np.arange(0.0, 240.0, 0.5), np.zeros((480, 4, 3))
     kept = []
     for memory in (1.0, 8.0):
-        level = replace(LEVELS["easy"], shiver_mm=1.0, shiver_deg=0.0, point_mm=1e-6, memory_s=memory)
+        level = replace(
+            LEVELS["easy"], shiver_mm=1.0, shiver_deg=0.0, point_mm=1e-6, memory_s=memory
+        )
         x = looked(points, t, level, np.random.default_rng(2))[0][:, 0, 0]
         kept.append(np.corrcoef(x[:-4], x[4:])[0, 1])  # two seconds apart
     assert kept[0] < 0.4 < 0.6 < kept[1]

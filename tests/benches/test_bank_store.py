@@ -1,4 +1,6 @@
-"""Cases are made once: kept as files, found again by the digest of their code, scored from these files."""
+"""Cases are made once: kept as files, found again by the digest of their code, scored from these
+files.
+"""
 
 import json
 
@@ -25,10 +27,18 @@ def test_a_case_that_is_kept_is_the_one_that_was_made(kept_case):
     mine = case(*TASK)
     assert kept_case.run().hash() == mine.run(protocol_of("null", (), 0)).hash()
     truth = kept_case.truth
-    assert truth["hidden"] == [] and truth["verdicts"] == ["nothing", "cannot_tell"] and truth["runs"] == ["first"]
-    assert truth["background_mm"] == pytest.approx(mine.background_mm(), abs=1e-4) and truth["made_by"] == made_by()
+    assert (
+        truth["hidden"] == []
+        and truth["verdicts"] == ["nothing", "cannot_tell"]
+        and truth["runs"] == ["first"]
+    )
+    assert (
+        truth["background_mm"] == pytest.approx(mine.background_mm(), abs=1e-4)
+        and truth["made_by"] == made_by()
+    )
     assert kept_case.is_current and kept_case.folder.name == name_of(TASK) == truth["case"]
-    assert [path.name for path in kept_case.folder.parent.iterdir()] == [name_of(TASK)]  # no partial files
+    # no partial files
+    assert [path.name for path in kept_case.folder.parent.iterdir()] == [name_of(TASK)]
 
 
 def test_only_what_makes_a_case_makes_it_again(kept_case, monkeypatch, tmp_path):
@@ -51,7 +61,9 @@ def test_only_what_makes_a_case_makes_it_again(kept_case, monkeypatch, tmp_path)
     assert Kept(kept_case.folder).is_current
 
 
-def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(tmp_path, monkeypatch, capsys):
+def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(
+    tmp_path, monkeypatch, capsys
+):
     def one(task, root):
         run = Run(t=np.arange(3.0), command=np.zeros((3, 1)))
         return keep(task, root, {"hidden": [], "truth_seconds": 0.0}, {"first": run})
@@ -86,7 +98,18 @@ def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(tmp_
     monkeypatch.setattr("benches.bank.make.made", one)
     monkeypatch.setattr("benches.bank.work.judge_case", told)
     monkeypatch.setattr("benches.bank.judge.text", lambda rows: f"{len(rows)} rows")
-    some = ["--parts", "shop/floor", "--kinds", "null", "--out", str(tmp_path), "--share", "0.03", "--jobs", "1"]
+    some = [
+        "--parts",
+        "shop/floor",
+        "--kinds",
+        "null",
+        "--out",
+        str(tmp_path),
+        "--share",
+        "0.03",
+        "--jobs",
+        "1",
+    ]
 
     def said(*more):
         main([*some, *more])
@@ -99,13 +122,19 @@ def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(tmp_
     folder = tmp_path / "cases" / "development-shop-floor-null-0001"
     truth = json.loads((folder / "truth.json").read_text())
     (folder / "truth.json").write_text(json.dumps(truth | {"made_by": "an older bank"}))
-    assert "1 to score" in said("--judge")[1] and "0 to score" in said("--judge")[1]  # from the files
+    # from the files
+    assert "1 to score" in said("--judge")[1] and "0 to score" in said("--judge")[1]
     assert "3 cases, 1 to make" in said("--make")[1] and "1 to score" in said()[1]
 
 
 def test_what_is_right_for_a_run_follows_from_its_laws():
     known, unknown = Answer(("memory",), ("backlash",), (), ("identified",)), Answer(("time",))
     assert verdicts("null", ()) == ("nothing", "cannot_tell")
-    assert verdicts("single", (known,)) == ("identified",) and verdicts("unknown", (unknown,)) == LAW_OPEN
+    assert (
+        verdicts("single", (known,)) == ("identified",)
+        and verdicts("unknown", (unknown,)) == LAW_OPEN
+    )
     assert verdicts("pair", (known, known)) == ("identified", "ambiguous")
-    assert verdicts("pair", (known, unknown)) == LAW_OPEN and "identified" not in verdicts("removed", (known,))
+    assert verdicts("pair", (known, unknown)) == LAW_OPEN and "identified" not in verdicts(
+        "removed", (known,)
+    )

@@ -43,12 +43,19 @@ def page(folder, tmp_path_factory):
 
 
 def test_a_plate_at_the_tip_is_no_swapped_axis(folder):
-    """Its markers lie across the beam, up z from a clamp whose place the mapping gives; else nobody knows."""
+    """Its markers lie across the beam, up z from a clamp whose place the mapping gives; else nobody
+    knows.
+    """
     text = (ROOT / "examples/beam.toml").read_text(encoding="utf-8")
     log = [folder / "beam_gravity_V2_a.c3d"]
-    assert all("without commands" in doubt for doubt in import_logs(log, parse_mapping(text, ROOT)).doubts)
+    assert all(
+        "without commands" in doubt for doubt in import_logs(log, parse_mapping(text, ROOT)).doubts
+    )
     bare = re.sub(r"(?m)^origin_mm.*$", "", text)
-    assert any("at rest they run along" in doubt for doubt in import_logs(log, parse_mapping(bare, ROOT)).doubts)
+    assert any(
+        "at rest they run along" in doubt
+        for doubt in import_logs(log, parse_mapping(bare, ROOT)).doubts
+    )
 
 
 def test_own_weight_gives_the_modulus_and_predicts_the_repeat(table):
@@ -69,28 +76,42 @@ def test_the_numbers_of_the_page_come_from_the_recordings(table):
     for name, row in table.items():
         found = re.search(rf"^\| {LINES[name]} \|(.*)\|$", SHAPES, re.MULTILINE)
         drop, predicted, off, rotation, turned = (cell.strip(" %") for cell in found[1].split("|"))
-        assert [float(drop), float(predicted)] == pytest.approx([row.drop, row.drop_predicted], abs=0.03)
+        assert [float(drop), float(predicted)] == pytest.approx(
+            [row.drop, row.drop_predicted], abs=0.03
+        )
         assert float(off.replace("−", "-")) == pytest.approx(100 * row.off, abs=0.3)
-        assert [float(rotation), float(turned)] == pytest.approx([row.rotation, row.rotation_predicted], abs=0.1)
+        assert [float(rotation), float(turned)] == pytest.approx(
+            [row.rotation, row.rotation_predicted], abs=0.1
+        )
 
 
 def test_the_ringing_tells_a_weight_at_the_tip_from_a_softer_or_heavier_body(folder):
     runs = beam.read(folder)
-    rung = {ring.run: ring for ring in beam.rings(beam.fitted(runs), runs, beam.read(folder, whole=True))}
+    rung = {
+        ring.run: ring
+        for ring in beam.rings(beam.fitted(runs), runs, beam.read(folder, whole=True))
+    }
     for name, ring in rung.items():
-        line = re.search(rf"^\| {LINES[name].removesuffix(', fitted')} \|(.*)\|$", RINGING, re.MULTILINE)
+        line = re.search(
+            rf"^\| {LINES[name].removesuffix(', fitted')} \|(.*)\|$", RINGING, re.MULTILINE
+        )
         cells = line[1].split("|")
         assert float(cells[0]) == pytest.approx(ring.frequency_hz, abs=0.01)
         if name != beam.FITTED:
             assert float(cells[1]) == pytest.approx(ring.alike_hz, abs=0.02)
-            assert [float(v) for v in cells[2].split("±")] == pytest.approx([ring.grams, ring.sigma_g], abs=0.15)
+            assert [float(v) for v in cells[2].split("±")] == pytest.approx(
+                [ring.grams, ring.sigma_g], abs=0.15
+            )
         assert abs(ring.grams - beam.LOADS_G[name]) <= max(2.0 * ring.sigma_g, 0.5)
-    for name in ("load52_V2_a", "load101_V2_a"):  # 20 standard deviations of the frequency, and more
+    # 20 standard deviations of the frequency, and more
+    for name in ("load52_V2_a", "load101_V2_a"):
         assert rung[name].frequency_hz < 0.93 * rung[name].alike_hz
 
 
 @pytest.mark.parametrize(("name", "grams"), [("load52", 52.0), ("load101", 101.0)])
-def test_the_static_verdict_is_ambiguous_in_the_dead_loads_and_its_interval_holds_the_weight(page, name, grams):
+def test_the_static_verdict_is_ambiguous_in_the_dead_loads_and_its_interval_holds_the_weight(
+    page, name, grams
+):
     found = json.loads((page / f"{name}.json").read_text(encoding="utf-8"))
     payload = next(effect for effect in found["effects"] if effect["name"] == "payload")
     mass = payload["params"]["payload.mass"]

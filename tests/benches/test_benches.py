@@ -1,4 +1,6 @@
-"""The peers of the benchmarks do the same work as the core: a ratio of different work would say nothing."""
+"""The peers of the benchmarks do the same work as the core: a ratio of different work would say
+nothing.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,9 @@ def test_the_numpy_solid_takes_the_same_newton_step():
     finger = Finger.builtin()
     solid, mesh = Simulator(finger).solid, finger.solid.cells([95.0])
     peer = NumpySolid(mesh.nodes, mesh.cells, finger.young_mpa, finger.poisson, mesh.fixed)
-    bent = mesh.nodes + 0.02 * np.sin(mesh.nodes / 7.0) * (mesh.nodes[:, 2:] / mesh.nodes[:, 2].max())
+    bent = mesh.nodes + 0.02 * np.sin(mesh.nodes / 7.0) * (
+        mesh.nodes[:, 2:] / mesh.nodes[:, 2].max()
+    )
     ours, theirs = solid.newton_step(bent).ravel()[peer.free], peer.newton_step(bent)
     # Round-off of two factorisations of one matrix; the step itself is 0.02 mm.
     assert np.abs(ours).max() > 1e-3 and np.abs(ours - theirs).max() < 1e-10
@@ -29,7 +33,8 @@ def test_the_numpy_rollout_gives_the_same_records():
     u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0])
     chain = _core.Chain(EFFECTS, 2)
     start = np.asarray(chain.start)
-    params = np.stack([start, 1.1 * start, start * np.linspace(0.7, 1.3, len(start))])  # the last differs per channel
+    # the last differs per channel
+    params = np.stack([start, 1.1 * start, start * np.linspace(0.7, 1.3, len(start))])
     ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers(chain, params), u, t)
     assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9
 
@@ -40,14 +45,19 @@ def test_the_numpy_rod_bends_the_same_way():
     start[layout.places()["tilt"]] = 0.05, -0.03
     for slack in (0.0, 0.3, 1.0):
         start[0] = slack
-        ours, theirs = layout.compiled(start).evaluate(u), markers(start, layout.places(), layout.ends, u)
+        ours, theirs = (
+            layout.compiled(start).evaluate(u),
+            markers(start, layout.places(), layout.ends, u),
+        )
         # Equilibria within 1e-12 rad of 180 mm; the poses themselves differ by 100 mm.
         assert np.abs(ours - theirs).max() < 1e-6 and np.ptp(ours, axis=0).max() > 50
 
 
 def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the_machine():
     found = {(row["name"], row.get("peer_name")): row for row in geometry.rows(quick=True)}
-    assert len(found) == 5 and all(row["value"] > 0 and row["wanted"].startswith("wanted") for row in found.values())
+    assert len(found) == 5 and all(
+        row["value"] > 0 and row["wanted"].startswith("wanted") for row in found.values()
+    )
     (torch,) = (row for (_, peer), row in found.items() if peer and peer.startswith("torch"))
     assert torch["ratio"] > 5  # 50 is promised of a quiet machine (`make bench`)
     (laid,) = (row for (name, _), row in found.items() if name.startswith("registration"))
@@ -55,10 +65,17 @@ def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the
 
 
 def test_the_rows_of_the_network_keep_what_does_not_hang_on_the_machine(monkeypatch):
-    """Each row refuses to time what is not the same work; speeds are promised of a quiet machine (`make bench`)."""
+    """Each row refuses to time what is not the same work; speeds are promised of a quiet machine
+    (`make bench`).
+    """
     monkeypatch.setattr("benches.row.REPEATS", 3)
-    found = {(row["name"], row.get("peer_name")): row for row in [*network.rows(), *inverse.rows(waypoints=40)]}
-    assert len(found) == 9 and all(row["value"] == row["value"] and row["wanted"] for row in found.values())
+    found = {
+        (row["name"], row.get("peer_name")): row
+        for row in [*network.rows(), *inverse.rows(waypoints=40)]
+    }
+    assert len(found) == 9 and all(
+        row["value"] == row["value"] and row["wanted"] for row in found.values()
+    )
     (above,) = (row for (name, _), row in found.items() if "above that of the paper's way" in name)
     assert above["value"] <= 2e-5
     (paper,) = (row for (_, peer), row in found.items() if peer == "the paper's way")
@@ -75,7 +92,9 @@ def test_cut_triangles_keep_the_surface_and_their_sides():
         return 0.5 * np.cross(b - a, c - a)
 
     whole, quarters = normals(model.rest, np.asarray(model.triangles)), normals(vertices, triangles)
-    np.testing.assert_allclose(quarters.reshape(4, -1, 3), np.broadcast_to(whole / 4, (4, 1092, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        quarters.reshape(4, -1, 3), np.broadcast_to(whole / 4, (4, 1092, 3)), atol=1e-12
+    )
 
 
 def test_a_peer_that_did_other_work_is_not_timed():

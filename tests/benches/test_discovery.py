@@ -1,4 +1,6 @@
-"""The table of discovery on the built-in finger: its runs are pure, and each judge accepts right answers only."""
+"""The table of discovery on the built-in finger: its runs are pure, and each judge accepts right
+answers only.
+"""
 
 from dataclasses import replace
 
@@ -12,7 +14,11 @@ from softmap_edge import builtin_model, diagnose
 def test_there_are_as_many_cases_as_the_page_says():
     every = cases(list(GROUPS))
     assert len(every) == 156 and len(static_laws()) == 20
-    assert [sum(group == one for one, _ in every) for group in ("map", "play", "null")] == [48, 12, 24]
+    assert [sum(group == one for one, _ in every) for group in ("map", "play", "null")] == [
+        48,
+        12,
+        24,
+    ]
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -22,14 +28,21 @@ def test_a_run_is_a_pure_function_of_its_number(group):
 
 
 def test_judges_accept_right_answers_only():
-    """Play is right for play with its gaps, and wrong for nothing, for a map, and for a law that is in no library."""
+    """Play is right for play with its gaps, and wrong for nothing, for a map, and for a law that is
+    in no library.
+    """
     play = hidden("play", 0)
     found = diagnose(builtin_model(), play.run)
     assert play.wrong(found) is None
     effect = found.effects[0]
-    off = {name: replace(number, value=1.06 * number.value) for name, number in effect.params.items()}
+    off = {
+        name: replace(number, value=1.06 * number.value) for name, number in effect.params.items()
+    }
     assert "off by" in play.wrong(replace(found, effects=(replace(effect, params=off),)))
-    wrong = {group: hidden(group, 0).wrong(found) for group in ("map", "law", "unknown", "strange", "null")}
+    wrong = {
+        group: hidden(group, 0).wrong(found)
+        for group in ("map", "law", "unknown", "strange", "null")
+    }
     assert wrong == {
         "map": "a name is identified", "law": "another answer", "unknown": "a name is identified",
         "strange": "a name is identified", "null": "something is claimed",
@@ -40,8 +53,23 @@ def test_judges_accept_right_answers_only():
 
 
 def test_the_table_counts_and_lists_what_is_wrong():
-    row = {"group": "null", "number": 0, "hidden": "nothing", "verdict": "nothing", "wrong": None, "families": [],
-           "named": [], "alternatives": []}  # fmt: skip
-    bad = row | {"number": 1, "verdict": "identified", "wrong": "something is claimed", "named": ["gain"]}
+    row = {
+        "group": "null",
+        "number": 0,
+        "hidden": "nothing",
+        "verdict": "nothing",
+        "wrong": None,
+        "families": [],
+        "named": [],
+        "alternatives": [],
+    }
+    bad = row | {
+        "number": 1,
+        "verdict": "identified",
+        "wrong": "something is claimed",
+        "named": ["gain"],
+    }
     lines = text([row, bad]).splitlines()
-    assert lines[1].split()[:3] == ["null", "1", "2"] and np.all(["null 1: nothing" in lines[2], "gain" in lines[2]])
+    assert lines[1].split()[:3] == ["null", "1", "2"] and np.all(
+        ["null 1: nothing" in lines[2], "gain" in lines[2]]
+    )

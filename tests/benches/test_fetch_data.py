@@ -85,10 +85,14 @@ def test_another_file_than_the_published_one_is_refused(server, tmp_path):
 
 def test_the_table_of_sources_is_whole(capsys, tmp_path):
     module = fetcher()
-    assert {"trunk", "tdcr", "beam", "moe_finger", "hand"} == {source.name for source in module.SOURCES}
+    assert {"trunk", "tdcr", "beam", "moe_finger", "hand"} == {
+        source.name for source in module.SOURCES
+    }
     for source in module.SOURCES:
         assert len(source.commit) == 40 and source.licence
-        assert source.url(next(iter(source.files)), module.BASE_URL).startswith("https://raw.githubusercontent.com/")
+        assert source.url(next(iter(source.files)), module.BASE_URL).startswith(
+            "https://raw.githubusercontent.com/"
+        )
         assert all(len(sha256) == 64 for _, sha256 in source.files.values())
     assert module.main([str(tmp_path), "nonsense"]) == 2
     assert "trunk" in capsys.readouterr().err

@@ -1,4 +1,5 @@
-"""docs/do/mesh.md as written: a published mesh with hollow channels imports, sweeps without a failure, keeps promises.
+"""docs/do/mesh.md as written: a published mesh with hollow channels imports, sweeps without a
+failure, keeps promises.
 
 Without the mesh everything here is skipped and says so; `make data` brings it.
 """
@@ -36,14 +37,22 @@ def simulator(finger):
 
 
 def test_the_mesh_is_read_and_all_guides_are_bound(finger, simulator):
-    assert simulator.template.vertices.shape == (548, 3) and simulator.template.triangles.shape == (1108, 3)
+    assert simulator.template.vertices.shape == (548, 3) and simulator.template.triangles.shape == (
+        1108,
+        3,
+    )
     mesh = finger.solid.cells([])
-    assert mesh.cells.shape == (1594, 10) and len(mesh.nodes) == 3247 and mesh.height == pytest.approx(116.75)
+    assert (
+        mesh.cells.shape == (1594, 10)
+        and len(mesh.nodes) == 3247
+        and mesh.height == pytest.approx(116.75)
+    )
     corners = simulator.template.vertices[simulator.template.triangles]
     volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6e3
     assert volume == pytest.approx(41.46, abs=0.01)
     assert [len(tendon.points) for tendon in finger.tendons] == [21] * 4
-    # 58 of the 84 guides lie outside the solid, in its channels; moved out of them they are refused.
+    # 58 of the 84 guides lie outside the solid, in its channels; moved out of them they are
+    # refused.
     away = tuple((x + 8.0, y, z) for x, y, z in finger.tendons[0].points)
     with pytest.raises(FingerError, match="mm outside the solid; allowed are two rings, 3.0 mm"):
         Simulator(finger.replace(tendons=(Tendon(points=away), *finger.tendons[1:])))
@@ -65,8 +74,12 @@ def test_it_agrees_with_the_brick_finger_of_the_same_dimensions(simulator):
     """The built-in finger has no channels and ends its cone where the dome begins."""
     apart, moved, tip, way = moe.beside_bricks(simulator)
     assert (moved > 8.0).all() and (apart < AGREEMENT * moved).all(), (apart, moved)
-    rows = re.findall(r"^\| .* \| ([\d.]+) of ([\d.]+) \| ([\d.]+) of ([\d.]+) \|$", PAGE, re.MULTILINE)
-    assert np.array(rows, float) == pytest.approx(np.stack([apart, moved, tip, way], axis=1), abs=0.06)
+    rows = re.findall(
+        r"^\| .* \| ([\d.]+) of ([\d.]+) \| ([\d.]+) of ([\d.]+) \|$", PAGE, re.MULTILINE
+    )
+    assert np.array(rows, float) == pytest.approx(
+        np.stack([apart, moved, tip, way], axis=1), abs=0.06
+    )
 
 
 @pytest.mark.prove

@@ -1,4 +1,6 @@
-"""The benchmark on outside data is correct: derivatives, laws, errors and peers against exact answers."""
+"""The benchmark on outside data is correct: derivatives, laws, errors and peers against exact
+answers.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,18 @@ def lagged_run(seed: int, back: int, rows: int = 900) -> Run:
 
 def case_of(fit: Run, held: Run, **more: object) -> Case:
     given = dict(
-        name="test", about="A test.", values=along_x, fit=fit, held={"held": held}, model=lambda: learn_model(fit),
-        law=None, law_name="none", unit="NRMSE", expected="delay", lags=(0, 1, 2, 3, 4, 5, 6),
-    )  # fmt: skip
+        name="test",
+        about="A test.",
+        values=along_x,
+        fit=fit,
+        held={"held": held},
+        model=lambda: learn_model(fit),
+        law=None,
+        law_name="none",
+        unit="NRMSE",
+        expected="delay",
+        lags=(0, 1, 2, 3, 4, 5, 6),
+    )
     return Case(**(given | more))
 
 
@@ -42,7 +53,9 @@ def test_the_derivative_of_a_period_is_exact():
     w = 2 * np.pi * bouc_wen.RATE_HZ / bouc_wen.PERIOD * np.array([55, 1000])
     x = np.sin(w[0] * t) + 0.3 * np.cos(w[1] * t)
     truth = -(w[0] ** 2) * np.sin(w[0] * t) - 0.3 * w[1] ** 2 * np.cos(w[1] * t)
-    np.testing.assert_allclose(bouc_wen._derivative(x, True), truth, atol=1e-6 * np.abs(truth).max())
+    np.testing.assert_allclose(
+        bouc_wen._derivative(x, True), truth, atol=1e-6 * np.abs(truth).max()
+    )
     fine = bouc_wen._finer(x, True)
     s = np.arange(len(fine)) / (bouc_wen.FINER * bouc_wen.RATE_HZ)
     np.testing.assert_allclose(fine, np.sin(w[0] * s) + 0.3 * np.cos(w[1] * s), atol=1e-9)
@@ -60,7 +73,9 @@ def test_a_sweep_is_derived_within_its_ends():
 
 
 def test_play_and_stop_add_up_to_what_goes_in():
-    """A stop of slip g/2 is the input minus a play of gap g, from a common start: Brokate and Sprekels, 1996."""
+    """A stop of slip g/2 is the input minus a play of gap g, from a common start: Brokate and
+    Sprekels, 1996.
+    """
     x = 5.0 * np.sin(np.linspace(0.0, 20.0, 3000)) * np.linspace(0.2, 1.0, 3000)
     np.testing.assert_allclose(play(x, 3.0) + stop(x, 1.5) + x[0] - play(x, 3.0)[0], x, atol=1e-12)
 
@@ -70,7 +85,10 @@ def test_the_bouc_wen_element_keeps_its_closed_forms():
     np.testing.assert_allclose(bouc_wen.hysteresis(rise, 0.0, 0.0, 1.0), rise, atol=1e-9)
     # loading from rest with ν = 1: ζ = (1 − exp(−(γ + δ) y)) / (γ + δ)
     np.testing.assert_allclose(
-        bouc_wen.hysteresis(rise, 0.8, 0.3, 1.0), (1 - np.exp(-1.1 * rise)) / 1.1, rtol=1e-6, atol=1e-9
+        bouc_wen.hysteresis(rise, 0.8, 0.3, 1.0),
+        (1 - np.exp(-1.1 * rise)) / 1.1,
+        rtol=1e-6,
+        atol=1e-9,
     )
 
 
@@ -150,7 +168,9 @@ def test_a_law_of_the_library_is_told_from_the_others():
     u = 8.0 * np.sin(t) * (0.5 + 0.5 * np.sin(0.21 * t))
     run = Run.of_outputs((2.0 * play(u, 4.0))[:, None], "N", t=t, t_seen=t, command=u[:, None])
     case = case_of(run, run)
-    found = {name: figures["held"] for name, figures in library_laws(case, learn_model(run)).items()}
+    found = {
+        name: figures["held"] for name, figures in library_laws(case, learn_model(run)).items()
+    }
     assert min(found, key=lambda name: found[name]) == "backlash"
     assert found["backlash"] < 0.02 < 5 * found["backlash"] + 0.1 < found["no law"]
 
@@ -163,13 +183,35 @@ def test_our_answer_needs_no_diagnosis_where_there_is_none():
 
 def test_the_table_and_the_page_hold_every_figure():
     said = ("latency.delay 0.2", "ambiguous", "memory", "backlash 0.90 (gap 1.4 mm)")
-    ours, others = Answer(*said, {"held": 0.5}, {"held": 0.25}, 1.0), {name: {"held": 0.3} for name in PEERS}
-    row = Row("test", "NRMSE", "play", "play by hand", ours, others, {"held": 0.1}, {"no law": {"held": 0.4}})
+    ours, others = (
+        Answer(*said, {"held": 0.5}, {"held": 0.25}, 1.0),
+        {name: {"held": 0.3} for name in PEERS},
+    )
+    row = Row(
+        "test",
+        "NRMSE",
+        "play",
+        "play by hand",
+        ours,
+        others,
+        {"held": 0.1},
+        {"no law": {"held": 0.4}},
+    )
     (_, _, line) = lines([row])
-    assert line.count("0.300") == len(PEERS) and "0.500 | 0.250" in line and line.endswith("0.100 |")
-    assert "**ambiguous**: families: memory; backlash 0.90 (gap 1.4 mm) (learned: latency.delay 0.2)" in line
+    assert (
+        line.count("0.300") == len(PEERS) and "0.500 | 0.250" in line and line.endswith("0.100 |")
+    )
+    assert (
+        "**ambiguous**: families: memory; backlash 0.90 (gap 1.4 mm) (learned: latency.delay 0.2)"
+        in line
+    )
     text = page([row], {"test": case_of(lagged_run(1, 0), lagged_run(2, 0))}, {"Trunk": "absent"})
-    assert line in text and "A test." in text and "Skipped: Trunk (absent)" in text and "| no law | 0.400 |" in text
+    assert (
+        line in text
+        and "A test." in text
+        and "Skipped: Trunk (absent)" in text
+        and "| no law | 0.400 |" in text
+    )
     assert json.loads(document([row], {}))["rows"][0]["law"] == {"held": 0.1}
 
 

@@ -1,4 +1,6 @@
-"""Servo ticks in commands of a model: matched shapes, a map known as well as it says, what speaks against it."""
+"""Servo ticks in commands of a model: matched shapes, a map known as well as it says, what speaks
+against it.
+"""
 
 import json
 from dataclasses import replace
@@ -40,26 +42,38 @@ def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_ha
     off = np.abs(fine.command - u)
     assert np.sqrt(np.mean(off[fine.observed] ** 2)) < 0.05
     assert np.sqrt(np.mean((grid.command - u)[grid.observed] ** 2)) > 0.2
-    assert 0.05 < 1.0 - fine.observed.mean() < 0.3 and off[~fine.observed].max() > 1.0  # both tendons of a pair slack
-    spread = np.einsum("kc,kcd,kd->k", fine.command - u, np.linalg.inv(fine.covariance), fine.command - u)
+    # both tendons of a pair slack
+    assert 0.05 < 1.0 - fine.observed.mean() < 0.3 and off[~fine.observed].max() > 1.0
+    spread = np.einsum(
+        "kc,kcd,kd->k", fine.command - u, np.linalg.inv(fine.covariance), fine.command - u
+    )
     assert 0.5 < np.median(spread) / 1.386 < 2.0  # the median of chi² of two
 
 
 def test_what_only_roll_tells_does_not_move_a_match_that_is_seen_from_one_side():
     u, t = np.random.default_rng(1).uniform(5.0, 12.0, (20, 2)), np.arange(20.0)
     points = MODEL.prior.evaluate(u).reshape(20, -1, 3)
-    centre = np.stack([points[:, MODEL.sections == s].mean(axis=1) for s in np.unique(MODEL.sections)], axis=1)
+    centre = np.stack(
+        [points[:, MODEL.sections == s].mean(axis=1) for s in np.unique(MODEL.sections)], axis=1
+    )
     along = np.gradient(centre, axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     axis, radius = along[:, MODEL.sections], points - centre[:, MODEL.sections]
     angle = np.radians(5.0) * np.random.default_rng(2).normal(size=(20, 1, 1))
     turned = (
-        points + np.cross(axis, radius) * np.sin(angle) + np.cross(axis, np.cross(axis, radius)) * (1 - np.cos(angle))
+        points
+        + np.cross(axis, radius) * np.sin(angle)
+        + np.cross(axis, np.cross(axis, radius)) * (1 - np.cos(angle))
     )
     side = np.tile(MODEL.rest[:, 0] > -1.0, (20, 1))
-    run = Run(t=t, command=u, t_seen=t, vertices=turned, visible=side, extra={ROLL_SEEN: np.array(False)})
+    run = Run(
+        t=t, command=u, t_seen=t, vertices=turned, visible=side, extra={ROLL_SEEN: np.array(False)}
+    )
     blind, fooled = match(MODEL, run), match(MODEL, replace(run, extra={}))
-    errors = [np.sqrt(np.mean((m.command - u)[blind.observed & fooled.observed] ** 2)) for m in (blind, fooled)]
+    errors = [
+        np.sqrt(np.mean((m.command - u)[blind.observed & fooled.observed] ** 2))
+        for m in (blind, fooled)
+    ]
     assert errors[0] < 0.02 and errors[1] > 0.08, errors
 
 
@@ -77,18 +91,23 @@ def test_the_published_map_is_recovered_within_its_stated_uncertainty_with_a_ten
         assert np.abs(c.A - A).max() < 1e-4
     assert 0.7 < np.std(off) < 1.4
     assert np.max(np.abs(off)) < 4.5
-    assert np.median([np.abs(p).max() for p in plain]) > 1e-4  # least squares is led astray by the wrong ones
+    # least squares is led astray by the wrong ones
+    assert np.median([np.abs(p).max() for p in plain]) > 1e-4
 
 
 def test_a_command_that_is_seen_often_counts_once():
-    one, many = (calibrate(MODEL, record(scattered(2), 2, frames=f, wrong=0.0)).calibration for f in (1, 6))
+    one, many = (
+        calibrate(MODEL, record(scattered(2), 2, frames=f, wrong=0.0)).calibration for f in (1, 6)
+    )
     assert many.frames == 6 * one.frames
     np.testing.assert_allclose(many.sigma_b, one.sigma_b, rtol=0.4)  # not by a factor of 2.4
 
 
 def test_an_eccentric_pulley_is_told_with_its_period_and_its_size():
     hold = scattered(3, 50)
-    found = calibrate(MODEL, record(hold, 3, off=0.05, law=lambda r: r + 250.0 * np.sin(r * np.pi / 2048.0 + 0.5)))
+    found = calibrate(
+        MODEL, record(hold, 3, off=0.05, law=lambda r: r + 250.0 * np.sin(r * np.pi / 2048.0 + 0.5))
+    )
     assert found.departures[0].kind == "period" and found.departures[0].better > 0.5
     assert "once a turn (4096 ticks) of servo 0, 1" in found.warnings[0]
     assert calibrate(MODEL, record(hold, 3, off=0.05)).affine
@@ -102,12 +121,20 @@ def test_play_is_told_as_memory_and_as_large_as_it_is():
 
 
 def test_a_kink_at_home_is_told_where_it_is():
-    found = calibrate(MODEL, record(scattered(5, 50), 5, off=0.05, law=lambda r: r * (1.0 + 0.3 * (r > 0))), home=HOME)
-    assert found.departures[0].kind == "kink" and "all servos at home" in found.departures[0].sentence
+    found = calibrate(
+        MODEL,
+        record(scattered(5, 50), 5, off=0.05, law=lambda r: r * (1.0 + 0.3 * (r > 0))),
+        home=HOME,
+    )
+    assert (
+        found.departures[0].kind == "kink" and "all servos at home" in found.departures[0].sentence
+    )
 
 
 def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
-    """Tendons that are turned ask for commands across, which hang slack: matched commands jump over all of it."""
+    """Tendons that are turned ask for commands across, which hang slack: matched commands jump over
+    all of it.
+    """
     turned, play = np.radians(5.0), 0.6
     run = record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play)
     run = replace(run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, turned])).T)
@@ -119,14 +146,18 @@ def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
     assert np.abs(off).max() < 4.0 and np.abs(found.calibration.A - A).max() < 3e-5
     as_published = calibrate(MODEL, run, home=HOME, refine=False)
     assert np.abs(as_published.calibration.A - A).max() > 8e-5
-    straight = calibrate(MODEL, record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play), home=HOME)
+    straight = calibrate(
+        MODEL, record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play), home=HOME
+    )
     assert [one.kind for one in straight.departures] == ["memory"]
 
 
 def test_a_turn_of_two_degrees_is_told_and_none_where_there_is_none():
     for seed in range(100, 104):
         run = record(scattered(seed), seed)
-        turned = replace(run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, np.radians(2.0)])).T)
+        turned = replace(
+            run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, np.radians(2.0)])).T
+        )
         assert not calibrate(MODEL, run, home=HOME).departures
         found = calibrate(MODEL, turned, home=HOME)
         assert [one.kind for one in found.departures] == ["turn"]
@@ -142,8 +173,14 @@ def test_shapes_that_the_model_makes_at_no_command_are_counted():
     run = record(scattered(1), 1)
     pushed = run.vertices.copy()
     pushed[4:7, :, 0] += 15.0 * np.sin(2.0 * np.pi * MODEL.rest[:, 2] / np.ptp(MODEL.rest[:, 2]))
-    told = [note for note in calibrate(MODEL, replace(run, vertices=pushed)).warnings if "like none" in note]
-    assert len(told) == 1 and told[0].startswith("3 of 30 shapes (10 %)") and "contact" in told[0], told
+    told = [
+        note
+        for note in calibrate(MODEL, replace(run, vertices=pushed)).warnings
+        if "like none" in note
+    ]
+    assert (
+        len(told) == 1 and told[0].startswith("3 of 30 shapes (10 %)") and "contact" in told[0]
+    ), told
     assert not [note for note in calibrate(MODEL, run).warnings if "like none" in note]
 
 
@@ -170,8 +207,16 @@ def test_a_run_of_clouds_is_registered_first():
 @pytest.mark.parametrize(
     ("model", "run", "match"),
     [
-        (MODEL, record(scattered(0, 5), wrong=0.0), r"different held commands.*at least 6 are needed.*hold 12"),
-        (MODEL, record(np.rint(HOME + np.linspace(-3e3, 3e3, 15)[:, None] * [1, 0.5])), r"lie on a line: .* across"),
+        (
+            MODEL,
+            record(scattered(0, 5), wrong=0.0),
+            r"different held commands.*at least 6 are needed.*hold 12",
+        ),
+        (
+            MODEL,
+            record(np.rint(HOME + np.linspace(-3e3, 3e3, 15)[:, None] * [1, 0.5])),
+            r"lie on a line: .* across",
+        ),
         (MODEL.with_effects(["gain"], {}), record(scattered(0, 9)), "counted twice"),
         (MODEL, shapes(np.zeros((3, 2))), "no ticks"),
         (MODEL, replace(record(scattered(0, 9)), ticks=np.zeros((360, 3), int)), "3 servos"),
@@ -196,12 +241,24 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     run = record(scattered(7), 7)
     run.save(tmp_path / "run.npz")
     out, picture = tmp_path / "calibrated", tmp_path / "pairs.svg"
-    words = ["model", "calibrate", str(tmp_path / "run.npz"), "--out", str(out), "--home", *map(str, HOME)]
+    words = [
+        "model",
+        "calibrate",
+        str(tmp_path / "run.npz"),
+        "--out",
+        str(out),
+        "--home",
+        *map(str, HOME),
+    ]
     assert main([*words, "--window", "-7000", "7000", "--plot", str(picture), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.calibration/1" and document["affine"] is True
     assert document["run"] == run.hash() and document["tick_window"] == [-7000.0, 7000.0]
-    assert len(document["matched"]["ticks"]) == document["held_commands"] == len(document["matched"]["command"])
+    assert (
+        len(document["matched"]["ticks"])
+        == document["held_commands"]
+        == len(document["matched"]["command"])
+    )
     np.testing.assert_allclose(document["A"], A, atol=1e-4)
     assert load_bundle(out).calibration.to_dict()["A"] == document["A"]
     assert picture.read_text().startswith("<?xml") and picture.stat().st_size > 10_000
@@ -215,9 +272,12 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
 def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
     words = ["model", "calibrate", str(tmp_path / "run.npz"), "--out"]
     record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
-    assert main([*words, str(tmp_path / "play")]) == 0  # which no map has, so that it is no fault of this one
+    # which no map has, so that it is no fault of this one
+    assert main([*words, str(tmp_path / "play")]) == 0
     assert "memory" in capsys.readouterr().out
-    record(scattered(8, 45), 8, off=0.05, law=lambda r: r + 0.2 * np.abs(r)).save(tmp_path / "run.npz")
+    record(scattered(8, 45), 8, off=0.05, law=lambda r: r + 0.2 * np.abs(r)).save(
+        tmp_path / "run.npz"
+    )
     assert main([*words, str(tmp_path / "kink")]) == 1
     assert "a kink of all servos at home" in capsys.readouterr().out
 

@@ -1,4 +1,6 @@
-"""What a calibration is worth once it is found: kept in a bundle, refused if damaged, runs in ticks read through it."""
+"""What a calibration is worth once it is found: kept in a bundle, refused if damaged, runs in ticks
+read through it.
+"""
 
 import hashlib
 import json
@@ -24,13 +26,16 @@ def found():
 
 def published(window=None):
     error = {"command": 0.1, "shape_mm": 1.0, "matched_shape_mm": 0.9}
-    return Calibration(A, B, HOME, 0.01 * np.abs(A), np.full(2, 0.02), error, "0" * 64, 100, 30, window)
+    return Calibration(
+        A, B, HOME, 0.01 * np.abs(A), np.full(2, 0.02), error, "0" * 64, 100, 30, window
+    )
 
 
 def test_ticks_and_commands_are_each_others_inverse_and_the_window_holds_what_is_called_usable():
     c, u = published((-7000.0, 7000.0)), np.random.default_rng(0).uniform(-16.0, 16.0, (50, 2))
     np.testing.assert_allclose(c.commands(c.ticks(u)), u, atol=np.abs(A).sum(axis=1).max() / 2)
-    assert np.abs(c.ticks([[18.0, 18.0]]) - HOME).max() == pytest.approx(7794, abs=1.0)  # as known of the published one
+    # as known of the published one
+    assert np.abs(c.ticks([[18.0, 18.0]]) - HOME).max() == pytest.approx(7794, abs=1.0)
     reach = np.array([[-18.0, 18.0], [-18.0, 18.0]])
     usable = c.usable(reach)
     corners = np.stack(np.meshgrid(*usable), axis=-1).reshape(-1, 2)
@@ -44,9 +49,15 @@ def test_a_command_beyond_the_window_becomes_what_its_held_servos_do():
     made = Calibration.stated([[0.01, 0.002], [0.0, 0.01]], [1.0, 0.0], [2000.0, 2000.0], "told")
     low, high = [1500, 1500], [2500, 2600]
     for ticks in ([2500, 1500], [1900, 2600], [2000, 2000]):
-        np.testing.assert_allclose(made.within(made.commands(ticks), low, high), made.commands(ticks), atol=1e-12)
-    np.testing.assert_allclose(made.within(made.commands([9000, 2100]), low, high), made.commands([2500, 2100]))
-    np.testing.assert_allclose(made.within(made.commands([9000, -9000]), low, high), made.commands([2500, 1500]))
+        np.testing.assert_allclose(
+            made.within(made.commands(ticks), low, high), made.commands(ticks), atol=1e-12
+        )
+    np.testing.assert_allclose(
+        made.within(made.commands([9000, 2100]), low, high), made.commands([2500, 2100])
+    )
+    np.testing.assert_allclose(
+        made.within(made.commands([9000, -9000]), low, high), made.commands([2500, 1500])
+    )
 
 
 def test_a_window_holds_a_range_and_not_a_tick_less():
@@ -58,7 +69,9 @@ def test_a_window_holds_a_range_and_not_a_tick_less():
 
 def test_a_map_that_is_stated_claims_nothing_of_a_run():
     told = Calibration.stated(A, B, HOME, "made up", (-5.0, 5.0), "ticks")
-    np.testing.assert_array_equal(told.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None])
+    np.testing.assert_array_equal(
+        told.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None]
+    )
     assert not told.sigma_A.any() and not told.sigma_b.any() and not any(told.held_out.values())
     assert (told.run, told.frames, told.held, told.unit) == ("made up", 0, 0, "ticks")
     with pytest.raises(CalibrationError, match="expected"):
@@ -130,7 +143,9 @@ def test_a_calibration_that_was_tampered_with_is_refused(found, tmp_path, change
 
 @pytest.fixture(scope="module")
 def two():
-    """One recording twice, in ticks and in mm, of a finger with a gain; and the calibrated model."""
+    """One recording twice, in ticks and in mm, of a finger with a gain; and the calibrated
+    model.
+    """
     model = replace(MODEL, calibration=published())
     ticks = record(scattered(6, 24), 6, frames=3, wrong=0.0, off=0.0, law=lambda r: 1.15 * r)
     ticks = replace(ticks, present_ticks=ticks.ticks)
@@ -162,7 +177,9 @@ def test_encoders_in_ticks_drive_the_model_and_what_was_seen_stays_as_it_is(two)
     model, ticks, _ = two
     away = replace(ticks, present_ticks=ticks.ticks + 400)
     run = converted(model, away)
-    np.testing.assert_allclose(run.present - run.command, np.tile(A @ [400.0, 400.0], (len(run.t), 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        run.present - run.command, np.tile(A @ [400.0, 400.0], (len(run.t), 1)), atol=1e-9
+    )
     assert run.vertices is away.vertices and run.ticks is None and run.present_ticks is None
     np.testing.assert_array_equal(model.commands(away), run.present)
     np.testing.assert_array_equal(replace(model, input="goal").commands(away), run.command)

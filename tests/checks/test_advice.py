@@ -1,4 +1,6 @@
-"""`softmap check` says what a run can and cannot tell, each from a number, with a remedy; with a model, per effect."""
+"""`softmap check` says what a run can and cannot tell, each from a number, with a remedy; with a
+model, per effect.
+"""
 
 import json
 from dataclasses import replace
@@ -19,27 +21,37 @@ SIDEWAYS = (0.6, 0.0, 0.8)
 
 
 def full(**change):
-    """The standard protocol seen by twelve markers with noise: a run that can tell nearly everything."""
+    """The standard protocol seen by twelve markers with noise: a run that can tell nearly
+    everything.
+    """
     p = standard_protocol()
     rng = np.random.default_rng(0)
     rest = 40 * rng.normal(size=(12, 3)) + [0, 0, 60]
     fields = {
-        "t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": p.t_seen, "marker_rest": rest,
-        "temperature": 20 + 6 * (1 - np.abs(2 * p.t / p.t[-1] - 1)), "robot": "finger",
+        "t": p.t,
+        "command": p.command,
+        "gravity": p.gravity,
+        "t_seen": p.t_seen,
+        "marker_rest": rest,
+        "temperature": 20 + 6 * (1 - np.abs(2 * p.t / p.t[-1] - 1)),
+        "robot": "finger",
         "markers": rest + 0.1 * rng.normal(size=(p.frames, 12, 3)),
-    }  # fmt: skip
+    }
     return Run(**(fields | change))
 
 
 def answers(run):
-    return {word["about"]: word for key in ("can_tell", "cannot_tell") for word in summary(run)[key]}
+    return {
+        word["about"]: word for key in ("can_tell", "cannot_tell") for word in summary(run)[key]
+    }
 
 
 def test_a_full_protocol_can_tell_everything():
     found = summary(full())
     assert found["cannot_tell"] == [] and len(found["can_tell"]) == 9
     assert "2 orientations" in answers(full())["orientation"]["text"]
-    assert answers(full())["noise"]["text"].startswith("noise vs. effects: the noise is 0.17 mm")  # √3 · 0.1
+    # √3 · 0.1
+    assert answers(full())["noise"]["text"].startswith("noise vs. effects: the noise is 0.17 mm")
 
 
 def held(t):
@@ -91,7 +103,11 @@ def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words
         ({"gravity": np.array([0.0, 0, 1])}, "orientation", "in one orientation"),
         ({"temperature": None}, "temperature", "no temperature is logged"),
         ({"temperature": 21.0}, "temperature", "changes by 0.0 °C only"),
-        ({"temperature": np.linspace(20, 26, len(standard_protocol().t))}, "temperature", "vs. drift over time"),
+        (
+            {"temperature": np.linspace(20, 26, len(standard_protocol().t))},
+            "temperature",
+            "vs. drift over time",
+        ),
         ({"marker_rest": np.arange(12)[:, None] * [0.0, 0.1, 10]}, "markers", "lie on one line"),
     ],
 )
@@ -112,7 +128,9 @@ def smooth(t):
     """Six channels of slow random moves, as on a real trunk: each is fast and slow in turn."""
     rng = np.random.default_rng(3)
     waves = 2 * np.pi * t[:, None, None] * rng.uniform(0.1, 0.5, (6, 4))
-    return (np.array([50, 80, 30, 80, 30, 50]) * np.sin(waves + rng.uniform(0, 6, (6, 4))).mean(axis=2)).round(3)
+    return (
+        np.array([50, 80, 30, 80, 30, 50]) * np.sin(waves + rng.uniform(0, 6, (6, 4))).mean(axis=2)
+    ).round(3)
 
 
 def test_smooth_moves_of_many_channels_are_fast_and_slow():
@@ -123,18 +141,31 @@ def test_smooth_moves_of_many_channels_are_fast_and_slow():
 @pytest.mark.parametrize("fastest", [None, 6.0])
 def test_both_paces_of_the_standard_protocol_are_seen(fastest):
     model = builtin_model()
-    limits, both = Limits.of(model.command_range, model.command_unit, fastest), ((0.0, 0.0, 1.0), SIDEWAYS)
+    limits, both = (
+        Limits.of(model.command_range, model.command_unit, fastest),
+        ((0.0, 0.0, 1.0), SIDEWAYS),
+    )
     p = standard_protocol(seed=0, limits=limits, back=True, orientations=both)
     markers = np.repeat(full().marker_rest[None], p.frames, axis=0)
-    run = full(t=p.t, command=p.command, gravity=p.gravity, t_seen=p.t_seen, markers=markers, temperature=None)
+    run = full(
+        t=p.t,
+        command=p.command,
+        gravity=p.gravity,
+        t_seen=p.t_seen,
+        markers=markers,
+        temperature=None,
+    )
     assert answers(run)["speed"]["tells"], answers(run)["speed"]
-    assert not [note for note in summary(run)["warnings"] if "gap" in note]  # though the robot was turned
+    # though the robot was turned
+    assert not [note for note in summary(run)["warnings"] if "gap" in note]
     still = replace(run, gravity=np.array([0.0, 0.0, 1.0]))
     assert not fastest or any("t_seen has a gap" in note for note in summary(still)["warnings"])
 
 
 def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
-    run = full(extra={"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "wind": np.zeros(2)})
+    run = full(
+        extra={"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "wind": np.zeros(2)}
+    )
     found = summary(run)
     assert found["base_markers"] == 3 and found["unknown_fields"] == ["wind"]
     assert any("3 markers on the base" in line for line in sentences(found))
@@ -142,17 +173,27 @@ def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
 
 @pytest.mark.parametrize("name", sorted(OURS))
 def test_fields_that_our_own_verbs_write_are_no_unknown_ones(name):
-    held = {"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "roll_seen": np.array(False)}
+    held = {
+        "base_markers": np.zeros((standard_protocol().frames, 3, 3)),
+        "roll_seen": np.array(False),
+    }
     found = summary(full(extra={name: held.get(name, np.array(["a"] * 12)), "wind": np.zeros(2)}))
-    assert found["unknown_fields"] == ["wind"] and "kept      wind (not known" in "\n".join(sentences(found))
+    assert found["unknown_fields"] == ["wind"] and "kept      wind (not known" in "\n".join(
+        sentences(found)
+    )
 
 
 def test_check_and_diagnosis_agree_on_a_noise_that_is_declared_alone():
-    """A declared sigma is held against repeats; where there are none the noise is a guess, as a diagnosis says."""
+    """A declared sigma is held against repeats; where there are none the noise is a guess, as a
+    diagnosis says.
+    """
     p = standard_protocol()
     run = full(command=triangle(p.t), sigma=np.array(0.3))
     word = answers(run)["noise"]
-    assert not word["tells"] and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word["text"]
+    assert (
+        not word["tells"]
+        and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word["text"]
+    )
     assert any(word["text"] in remark for remark in missing_data([full(), run], 400, False))
     assert "declares" not in answers(replace(run, sigma=None))["noise"]["text"]
     assert (
@@ -182,13 +223,17 @@ def told_of(run, about):
 
 
 def test_a_changing_load_stands_for_a_second_orientation():
-    run = full(gravity=np.array([0.0, 0, 1]), load=np.where(np.arange(len(full().t)) < 3000, 0.0, 10.0))
+    run = full(
+        gravity=np.array([0.0, 0, 1]), load=np.where(np.arange(len(full().t)) < 3000, 0.0, 10.0)
+    )
     assert answers(run)["orientation"]["tells"]
 
 
 def test_a_run_without_commands_says_so():
     still = Run(
-        t_seen=np.arange(80.0), t=np.arange(80.0), markers=np.random.default_rng(0).normal(size=(80, 4, 3)) * 20
+        t_seen=np.arange(80.0),
+        t=np.arange(80.0),
+        markers=np.random.default_rng(0).normal(size=(80, 4, 3)) * 20,
     )
     found = answers(still)
     assert "nothing is commanded" in found["drive"]["text"] and "speed" not in found
@@ -198,7 +243,9 @@ def test_a_run_without_commands_says_so():
 def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
     run = full(command=triangle(standard_protocol().t), temperature=None)
     moved = np.interp(run.t_seen, run.t, run.command[:, 0])
-    replace(run, markers=run.markers + moved[:, None, None] * [1.0, 0.0, 0.0]).save(tmp_path / "run.npz")
+    replace(run, markers=run.markers + moved[:, None, None] * [1.0, 0.0, 0.0]).save(
+        tmp_path / "run.npz"
+    )
     assert main(["check", str(tmp_path / "run.npz")]) == 0
     text = capsys.readouterr().out
     assert max(len(line) for line in text.splitlines() if str(tmp_path) not in line) <= WIDTH
@@ -228,18 +275,28 @@ def test_a_gap_in_the_frames_is_no_rest(rate, gap):
     t = t + gap * (np.arange(len(t)) >= len(t) // 2)
     points = np.random.default_rng(0).normal(size=(len(t), 3, 3)) + 5 * u[:, :1, None]
     rest = {
-        word["about"]: word["text"] for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["cannot_tell"]
+        word["about"]: word["text"]
+        for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["cannot_tell"]
     }
     assert "it is seen to rest for" in rest["dwell"]
     u[(t > 10) & (t < 25)] = (11.0, 6.0)
-    found = {word["about"]: word["text"] for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["can_tell"]}
+    found = {
+        word["about"]: word["text"]
+        for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["can_tell"]
+    }
     assert "it is seen to rest away from home for up to 1" in found["dwell"]
 
 
 def test_visits_of_home_without_a_dwell_between_are_counted():
     t = np.arange(0, 60, 0.05)
-    u = np.where((t % 10) < 6, 0.0, 8 * np.sin(np.pi * ((t % 10) - 6) / 4))  # six homes, never at rest elsewhere
-    run = Run(t=t, command=u[:, None], t_seen=t[::4], markers=np.random.default_rng(0).normal(size=(300, 4, 3)) * 20)
+    # six homes, never at rest elsewhere
+    u = np.where((t % 10) < 6, 0.0, 8 * np.sin(np.pi * ((t % 10) - 6) / 4))
+    run = Run(
+        t=t,
+        command=u[:, None],
+        t_seen=t[::4],
+        markers=np.random.default_rng(0).normal(size=(300, 4, 3)) * 20,
+    )
     assert summary(run)["home_visits"] == 6
 
 
@@ -249,12 +306,17 @@ def test_visits_of_home_without_a_dwell_between_are_counted():
 def recorded(p, command=None, gravity=None, noise=0.25):
     model = builtin_model()
     record = {
-        "t": p.t, "command": p.command if command is None else command, "t_seen": p.t_seen, "robot": model.robot,
+        "t": p.t,
+        "command": p.command if command is None else command,
+        "t_seen": p.t_seen,
+        "robot": model.robot,
         "gravity": p.gravity if gravity is None else gravity,
-    }  # fmt: skip
+    }
     blank = np.repeat(model.rest[None], p.frames, axis=0)
     points = model.predict(Run(**record, vertices=blank))
-    return Run(**record, vertices=points + noise * np.random.default_rng(1).normal(size=points.shape))
+    return Run(
+        **record, vertices=points + noise * np.random.default_rng(1).normal(size=points.shape)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -270,13 +332,16 @@ def effects_of(run, bundle, folder, capsys):
 
 def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     found = effects_of(recorded(standard_protocol()), bundle, tmp_path, capsys)
-    assert list(found) == [e["name"] for e in effects() if e["role"] != "prior"]  # a table has no law of tendons
+    # a table has no law of tendons
+    assert list(found) == [e["name"] for e in effects() if e["role"] != "prior"]
     hidden = {name for name, row in found.items() if not row["shows"]}
-    assert hidden == {"thermal_softening", "lens"}  # the room stays cool, and the cameras have no poses
+    # the room stays cool, and the cameras have no poses
+    assert hidden == {"thermal_softening", "lens"}
     alike = {name: set(row["alike"]) for name, row in found.items() if row["alike"]}
     assert alike["latency"] == {"clock_shift"} and alike["clock_shift"] == {"latency"}
     loads = alike.get("gravity", set()) | alike.get("payload", set())
-    assert loads <= {"stiffness"}  # two orientations separate loads; softness under them needs another load
+    # two orientations separate loads; softness under them needs another load
+    assert loads <= {"stiffness"}
     assert main(["check", str(tmp_path / "run.npz"), "--bundle", bundle]) == 0
     text = capsys.readouterr().out
     assert all((f"+ {name}" in text) == (name not in hidden) for name in found)
@@ -285,21 +350,31 @@ def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
 def test_a_calibrated_bundle_says_what_the_ticks_are(bundle, tmp_path, capsys):
     run, home, b = recorded(standard_protocol()), np.array([1500.0, 1800.0]), np.zeros(2)
     one = np.eye(2)
-    calibration = Calibration(0.005 * one, b, home, one, b, dict.fromkeys(ERRORS, 0.0), "none", 1, 1)
+    calibration = Calibration(
+        0.005 * one, b, home, one, b, dict.fromkeys(ERRORS, 0.0), "none", 1, 1
+    )
     told = replace(run, command=None, ticks=np.rint(run.command / 0.005 + home).astype(int))
     told.save(tmp_path / "ticks.npz")
     own = str(save_bundle(replace(builtin_model(), calibration=calibration), tmp_path / "own"))
     assert main(["check", str(tmp_path / "ticks.npz"), "--bundle", own]) == 0
     text = capsys.readouterr().out
-    assert "missing   command" not in text and "ticks, as commands by the calibration of the bundle" in text
-    with_it, without = summary(told, replace(builtin_model(), calibration=calibration)), summary(told)
+    assert (
+        "missing   command" not in text
+        and "ticks, as commands by the calibration of the bundle" in text
+    )
+    with_it, without = (
+        summary(told, replace(builtin_model(), calibration=calibration)),
+        summary(told),
+    )
     assert with_it["hash"] == without["hash"] == told.hash() and with_it["command_unit"] == "mm"
     np.testing.assert_allclose(with_it["command_range"], summary(run)["command_range"], atol=0.003)
     assert with_it["home_visits"] == summary(run)["home_visits"] > without["home_visits"]
     assert any("only ticks are given" in line for line in without["missing"])
 
 
-def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(bundle, tmp_path, capsys):
+def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(
+    bundle, tmp_path, capsys
+):
     p = standard_protocol()
     still = effects_of(recorded(p, held(p.t), np.array([0.0, 0, 1])), bundle, tmp_path, capsys)
     for name in ("gain", "latency", "lag", "backlash", "hysteresis", "creep"):
@@ -315,4 +390,7 @@ def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(bundl
 def test_larger_noise_hides_more(bundle, tmp_path, capsys):
     p = standard_protocol()
     clear, noisy = (effects_of(recorded(p, noise=n), bundle, tmp_path, capsys) for n in (0.1, 2.0))
-    assert all(clear[name]["deviations"] > 3 * noisy[name]["deviations"] for name in ("latency", "backlash", "creep"))
+    assert all(
+        clear[name]["deviations"] > 3 * noisy[name]["deviations"]
+        for name in ("latency", "backlash", "creep")
+    )

@@ -1,4 +1,6 @@
-"""Conditions that follow time or the commands are reported, those that return are not; tied channels are found."""
+"""Conditions that follow time or the commands are reported, those that return are not; tied
+channels are found.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,9 @@ SPAN = P.t[-1]
 def run(**change):
     rng = np.random.default_rng(0)
     markers = 40 * rng.normal(size=(6, 3)) + 0.1 * rng.normal(size=(P.frames, 6, 3))
-    return Run(**({"t": P.t, "command": P.command, "t_seen": P.t_seen, "markers": markers} | change))
+    return Run(
+        **({"t": P.t, "command": P.command, "t_seen": P.t_seen, "markers": markers} | change)
+    )
 
 
 def found(**change):
@@ -29,9 +33,13 @@ def found(**change):
 
 
 def warmed(share):
-    """A first-order system that is heated for a share of the run, then cools, with a noisy thermometer."""
+    """A first-order system that is heated for a share of the run, then cools, with a noisy
+    thermometer.
+    """
     t, tau = P.t / SPAN, 0.2
-    hot = np.where(t < share, 1 - np.exp(-t / tau), (1 - np.exp(-share / tau)) * np.exp(-(t - share) / tau))
+    hot = np.where(
+        t < share, 1 - np.exp(-t / tau), (1 - np.exp(-share / tau)) * np.exp(-(t - share) / tau)
+    )
     return 22.0 + 9.0 * hot + 0.05 * np.random.default_rng(1).normal(size=len(t))
 
 
@@ -46,7 +54,9 @@ CONFOUNDED = {
 @pytest.mark.parametrize("how", CONFOUNDED)
 def test_temperature_that_only_rises_is_time(how):
     told = collinear_conditions(run(temperature=CONFOUNDED[how]))
-    assert [(c.condition, c.with_) for c in told] == [("temperature", "time")] and told[0].r2 >= 0.95
+    assert [(c.condition, c.with_) for c in told] == [("temperature", "time")] and told[
+        0
+    ].r2 >= 0.95
     assert "temperature and time cannot be distinguished in this run" in str(told[0])
     assert "warm up and cool down" in str(told[0])
 
@@ -59,7 +69,8 @@ def test_warming_up_and_cooling_down_is_not_time(share):
 def test_temperature_that_wanders_or_stays_is_not_confounded():
     rng = np.random.default_rng(3)
     assert found(temperature=rng.uniform(15.0, 40.0, len(P.t))) == set()
-    assert found(temperature=22.0 + 0.02 * np.sin(P.t)) == set()  # a change too small to have an effect
+    # a change too small to have an effect
+    assert found(temperature=22.0 + 0.02 * np.sin(P.t)) == set()
     assert found(temperature=25.0 + 5.0 * np.sin(2 * np.pi * P.t / 70.0)) == set()
 
 
@@ -100,7 +111,10 @@ def tendons(count, seed=0):
     angle = np.radians([0.0, 120.0, 240.0])
     parts = []
     for _ in range(count):
-        x, y = (10 * np.sin(2 * np.pi * rng.uniform(0.05, 0.3) * t + rng.uniform(0, 6)) for _ in range(2))
+        x, y = (
+            10 * np.sin(2 * np.pi * rng.uniform(0.05, 0.3) * t + rng.uniform(0, 6))
+            for _ in range(2)
+        )
         parts.append(x[:, None] * np.cos(angle) + y[:, None] * np.sin(angle))
     return np.concatenate(parts, axis=1)
 
@@ -119,12 +133,19 @@ def test_pretension_shows_in_the_sum():
 
 def test_each_group_of_an_arm_is_found_in_ticks():
     told = tied_channels(np.rint(40 * tendons(3)))
-    assert [(g.channels, g.moving) for g in told] == [((0, 1, 2), 2), ((3, 4, 5), 2), ((6, 7, 8), 2)]
+    assert [(g.channels, g.moving) for g in told] == [
+        ((0, 1, 2), 2),
+        ((3, 4, 5), 2),
+        ((6, 7, 8), 2),
+    ]
 
 
 def test_pairs_and_proportions():
     u = tendons(1)[:, :2]
-    assert str(tied_channels(np.c_[u, u[:, :1]])[0]) == "channels 0, 2 move together (1 of 2 directions move)"
+    assert (
+        str(tied_channels(np.c_[u, u[:, :1]])[0])
+        == "channels 0, 2 move together (1 of 2 directions move)"
+    )
     assert str(tied_channels(np.c_[u, -u[:, :1]])[0]).startswith("channels 0, 2 add up to 0")
     (told,) = tied_channels(np.c_[u[:, :1], 2.5 * u[:, :1], u[:, 1:]])
     assert "in proportion, 1 to 2.5" in str(told)
@@ -146,18 +167,25 @@ def test_check_and_diagnose_say_what_is_tied():
     other = np.interp(P.t, np.arange(0.0, 60.0, 0.05) * SPAN / 60.0, tendons(1)[:, 1])
     tied = run(command=np.stack([command, other, -command - other], axis=1))
     poor = [w for w in summary(tied)["cannot_tell"] if w["about"] == "channels"]
-    assert len(poor) == 1 and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0]["text"]
+    assert (
+        len(poor) == 1
+        and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0]["text"]
+    )
     assert any("channels 0, 1, 2 add up" in text for text in missing_data([tied], P.frames, True))
 
 
 def about_channels(command):
-    return [w["text"] for w in summary(run(command=command))["cannot_tell"] if w["about"] == "channels"]
+    return [
+        w["text"] for w in summary(run(command=command))["cannot_tell"] if w["about"] == "channels"
+    ]
 
 
 def free(count, seed=5):
     """Channels (T, count) that move independently of one another."""
     rng = np.random.default_rng(seed)
-    return np.stack([8 * np.sin(2 * np.pi * rng.uniform(0.01, 0.2) * P.t + k) for k in range(count)], axis=1)
+    return np.stack(
+        [8 * np.sin(2 * np.pi * rng.uniform(0.01, 0.2) * P.t + k) for k in range(count)], axis=1
+    )
 
 
 def test_a_log_of_three_tendons_that_add_up_to_zero(tmp_path):
@@ -178,13 +206,21 @@ def test_a_log_of_three_tendons_that_add_up_to_zero(tmp_path):
 def test_each_pair_is_named_alongside_a_group():
     u = free(3)
     told = about_channels(np.c_[u[:, :2], -u[:, 0] - u[:, 1], u[:, 2], u[:, 2]])
-    assert len(told) == 2 and "channels 0, 1, 2 add up to 0" in told[0] and "channel 3 vs. channel 4" in told[1]
+    assert (
+        len(told) == 2
+        and "channels 0, 1, 2 add up to 0" in told[0]
+        and "channel 3 vs. channel 4" in told[1]
+    )
 
 
 def test_every_pair_that_moves_together_is_named():
     u = free(2)
     told = about_channels(np.c_[u, 2.0 * u[:, :1], -u[:, 1:]])
-    assert len(told) == 2 and "channel 0 vs. channel 2" in told[0] and "channel 1 vs. channel 3" in told[1]
+    assert (
+        len(told) == 2
+        and "channel 0 vs. channel 2" in told[0]
+        and "channel 1 vs. channel 3" in told[1]
+    )
 
 
 def test_one_channel_that_is_the_mean_of_four():

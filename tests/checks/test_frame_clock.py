@@ -1,4 +1,6 @@
-"""The clock of the frames against that of the commands: found from the motion with its uncertainty, and corrected."""
+"""The clock of the frames against that of the commands: found from the motion with its uncertainty,
+and corrected.
+"""
 
 import json
 import re
@@ -26,16 +28,24 @@ def moves(kind, seed, t, channels):
         level = rng.uniform(-7, 7, (step.max() + 2, channels))
         way = np.clip((t % 3) / 0.5, 0, 1)[:, None]
         return level[step] * (1 - way) + level[step + 1] * way
-    turns = np.cumsum(np.where(t < SECONDS / 2, 0.05, 0.4)) * (t[1] - t[0])  # triangles, slow and then fast
-    return np.stack([6 * 2 / np.pi * np.arcsin(np.sin(2 * np.pi * turns + c)) for c in range(channels)], axis=1)
+    # triangles, slow and then fast
+    turns = np.cumsum(np.where(t < SECONDS / 2, 0.05, 0.4)) * (t[1] - t[0])
+    return np.stack(
+        [6 * 2 / np.pi * np.arcsin(np.sin(2 * np.pi * turns + c)) for c in range(channels)], axis=1
+    )
 
 
 def run(seed=0, ppm=0.0, step=None, kind="sines", channels=2):
-    """A finger with play, lag and a gain that falls by 3 %, seen by a camera with its own clock and jitter."""
+    """A finger with play, lag and a gain that falls by 3 %, seen by a camera with its own clock and
+    jitter.
+    """
     rng, t = np.random.default_rng(seed + 50), np.arange(0, SECONDS, 0.02)
     u = moves(kind, seed, t, channels)
     chain, size = _core.Chain(["backlash", "lag"], 1), np.array([[0.6, 0.08]])
-    acted = [chain.rollout(size, np.ascontiguousarray(u[:, c : c + 1]), t)[0, :, 0] for c in range(channels)]
+    acted = [
+        chain.rollout(size, np.ascontiguousarray(u[:, c : c + 1]), t)[0, :, 0]
+        for c in range(channels)
+    ]
     true = np.arange(0.5, SECONDS - 1, 0.05)
     true = true + rng.uniform(-0.003, 0.003, len(true))
     a = np.stack([np.interp(true - 0.05, t, one) for one in acted], axis=1)
@@ -44,10 +54,16 @@ def run(seed=0, ppm=0.0, step=None, kind="sines", channels=2):
     for z in (40.0, 80.0, 120.0):
         k = z / 120
         places.append(
-            np.column_stack([3 * k**2 * bend + 0.02 * k * bend * bend[:, :1], z - 0.05 * k * (a**2).sum(axis=1)])
+            np.column_stack(
+                [3 * k**2 * bend + 0.02 * k * bend * bend[:, :1], z - 0.05 * k * (a**2).sum(axis=1)]
+            )
         )
-    seen = np.stack(places, axis=1) * (1 - 0.03 * true / SECONDS)[:, None, None] + rng.normal(0, 0.1, (len(a), 3, 3))
-    stamps = true * (1 + 1e-6 * ppm) + (0.0 if step is None else np.where(true >= step[0], step[1], 0.0))
+    seen = np.stack(places, axis=1) * (1 - 0.03 * true / SECONDS)[:, None, None] + rng.normal(
+        0, 0.1, (len(a), 3, 3)
+    )
+    stamps = true * (1 + 1e-6 * ppm) + (
+        0.0 if step is None else np.where(true >= step[0], step[1], 0.0)
+    )
     return Run(t=t, t_seen=stamps, command=u, markers=seen)
 
 
@@ -63,7 +79,10 @@ def test_a_rate_is_found_within_its_uncertainty(seed, ppm):
 def test_a_step_is_found_with_its_place(at, by):
     for seed in range(2):
         found = frame_clock(run(seed, step=(at, by)))
-        assert found.step_s == pytest.approx(by, abs=4 * found.step_sigma_s) and found.step_sigma_s < 0.004
+        assert (
+            found.step_s == pytest.approx(by, abs=4 * found.step_sigma_s)
+            and found.step_sigma_s < 0.004
+        )
         assert found.at_s == pytest.approx(at, abs=0.2)
 
 
@@ -74,9 +93,15 @@ def test_play_lag_and_a_gain_that_falls_are_no_clock(kind):
 
 
 def test_moves_that_do_not_separate_clock_and_memory_show_nothing():
-    """Six channels of three common frequencies: the speed is a sum of the commands. The rate is not made up."""
+    """Six channels of three common frequencies: the speed is a sum of the commands. The rate is not
+    made up.
+    """
     found = frame_clock(run(1, ppm=200.0, channels=6))
-    assert found.fast_ppm is None and not found.differs and json.loads(json.dumps(found.to_dict()))["text"] is None
+    assert (
+        found.fast_ppm is None
+        and not found.differs
+        and json.loads(json.dumps(found.to_dict()))["text"] is None
+    )
     assert not frame_clock(
         run(1, step=(80.0, 0.05), kind="slow and fast")
     ).differs  # the step is where the speed changes
@@ -87,7 +112,9 @@ def test_runs_that_say_nothing():
     still = Run(t=full.t, t_seen=full.t_seen, command=0 * full.command, markers=full.markers)
     noise = np.random.default_rng(0).normal(0, 5, full.markers.shape)
     other = Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=noise)
-    timeless = Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=full.markers, timeless=True)
+    timeless = Run(
+        t=full.t, t_seen=full.t_seen, command=full.command, markers=full.markers, timeless=True
+    )
     for one in (still, other, timeless, full.at(full.t_seen < 15)):
         assert frame_clock(one) is None
 
@@ -114,7 +141,11 @@ def test_the_key_that_check_prints_corrects_the_run(tmp_path, capsys, fault, zer
     names = "t," + ",".join(f"m{k}{axis}" for k in range(3) for axis in "xyz")
     for name, head, table in (
         ("commands.csv", "t,u0,u1", np.column_stack([recorded.t, recorded.command])),
-        ("frames.csv", names, np.column_stack([recorded.t_seen, recorded.markers.reshape(recorded.frames, -1)])),
+        (
+            "frames.csv",
+            names,
+            np.column_stack([recorded.t_seen, recorded.markers.reshape(recorded.frames, -1)]),
+        ),
     ):
         table[:, 0] += 1000.0
         np.savetxt(tmp_path / name, table, delimiter=",", header=head, comments="", fmt="%.6f")
@@ -123,7 +154,10 @@ def test_the_key_that_check_prints_corrects_the_run(tmp_path, capsys, fault, zer
         (tmp_path / "map.toml").write_text(MAP % (zero, seen))
         logs = [str(tmp_path / name) for name in ("commands.csv", "frames.csv")]
         out = str(tmp_path / "run.npz")
-        assert main(["import", *logs, "--map", str(tmp_path / "map.toml"), "--out", out, "--force"]) == 0
+        assert (
+            main(["import", *logs, "--map", str(tmp_path / "map.toml"), "--out", out, "--force"])
+            == 0
+        )
         capsys.readouterr()
         assert main(["check", out]) == 0
         return " ".join(capsys.readouterr().out.split())
@@ -148,7 +182,9 @@ def test_any_run_has_an_answer_or_none():
     """Many points, thinned commands, gross errors, and numbers without bound."""
     full = run(0, ppm=400.0)
     many = np.repeat(full.markers, 400, axis=1)
-    assert frame_clock(Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=many)).runs_fast
+    assert frame_clock(
+        Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=many)
+    ).runs_fast
     dense = np.linspace(0, full.t[-1], 400_000)
     u = np.stack([np.interp(dense, full.t, one) for one in full.command.T], axis=1)
     found = frame_clock(Run(t=dense, t_seen=full.t_seen, command=u, markers=full.markers))
@@ -158,7 +194,9 @@ def test_any_run_has_an_answer_or_none():
     found = frame_clock(Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=wild))
     assert found is None or found.fast_ppm == pytest.approx(400, abs=5 * found.sigma_ppm)
     for size in (20.0, 0.1):
-        frame_clock(Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=full.markers * size))
+        frame_clock(
+            Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=full.markers * size)
+        )
 
 
 @pytest.mark.parametrize("ppm", [0.0, 10.0, -10.0])

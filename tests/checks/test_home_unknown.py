@@ -34,11 +34,19 @@ AWAY = {
 def test_home_is_reported_once_as_not_known(kind):
     u, unit, offset = AWAY[kind]
     document = summary(run_of(u, unit))
-    poor = [word for word in document["cannot_tell"] if word["about"] in ("home", "sides", "together", "dwell")]
+    poor = [
+        word
+        for word in document["cannot_tell"]
+        if word["about"] in ("home", "sides", "together", "dwell")
+    ]
     assert [word["about"] for word in poor] == ["home"] and not document["home_known"]
     assert "home is not known" in poor[0]["text"] and f"offset = [{offset}]" in poor[0]["remedy"]
     text = "\n".join(sentences(document))
-    assert "visits of home: not known" in text and "never visited" not in text and "one side only" not in text
+    assert (
+        "visits of home: not known" in text
+        and "never visited" not in text
+        and "one side only" not in text
+    )
 
 
 @pytest.mark.parametrize("kind", AWAY)
@@ -60,14 +68,18 @@ KNOWN = {
 def test_commands_that_count_from_home_keep_their_advice(kind):
     document = summary(run_of(*KNOWN[kind]))
     assert document["home_known"]
-    home = [word for word in document["can_tell"] + document["cannot_tell"] if word["about"] == "home"]
+    home = [
+        word for word in document["can_tell"] + document["cannot_tell"] if word["about"] == "home"
+    ]
     assert len(home) == 1 and "home is" in home[0]["text"] and "not known" not in home[0]["text"]
     sides = any(word["about"] == "sides" for word in document["cannot_tell"])
     assert sides == (kind in ("one-sided tendons", "tendons that never slacken"))
 
 
 def test_ticks_that_count_from_home_are_known():
-    run = run_of(np.array([700.0, 700.0]) + 100 * MOVE, "ticks", extra={HOME_TICKS: np.array([10, 10])})
+    run = run_of(
+        np.array([700.0, 700.0]) + 100 * MOVE, "ticks", extra={HOME_TICKS: np.array([10, 10])}
+    )
     assert summary(run)["home_known"]
 
 
@@ -76,8 +88,14 @@ def test_ticks_that_count_from_home_are_known():
 def test_the_proposed_clamp_is_that_of_the_markers_at_rest(tmp_path, rest, size):
     ticks = np.rint(np.array(rest) + size * (0.4 * MOVE + 0.6 * np.abs(MOVE)))
     bend = MOVE[:, 0] + MOVE[:, 1]
-    places = np.stack([np.stack([3 * k * bend, 0 * bend, 20.0 * k - k * bend**2], axis=1) for k in (1, 2, 3)], axis=1)
-    lines = ["t,goal_position_1,goal_position_2," + ",".join(f"m{k}_{a}" for k in (1, 2, 3) for a in "xyz")]
+    places = np.stack(
+        [np.stack([3 * k * bend, 0 * bend, 20.0 * k - k * bend**2], axis=1) for k in (1, 2, 3)],
+        axis=1,
+    )
+    lines = [
+        "t,goal_position_1,goal_position_2,"
+        + ",".join(f"m{k}_{a}" for k in (1, 2, 3) for a in "xyz")
+    ]
     for t, u, row in zip(T, ticks, places.reshape(len(T), -1)):
         lines.append(",".join([f"{t:.2f}", *(f"{x:.0f}" for x in u), *(f"{x:.3f}" for x in row)]))
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")

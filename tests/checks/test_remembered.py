@@ -1,4 +1,6 @@
-"""A strong memory is no fault: plateaus are no hanging camera, a late sine no clock, a small stroke no other unit."""
+"""A strong memory is no fault: plateaus are no hanging camera, a late sine no clock, a small stroke
+no other unit.
+"""
 
 from dataclasses import replace
 
@@ -32,12 +34,20 @@ def wandering(seconds=90.0):
     t = np.arange(0.0, seconds, 0.02)
     rng = np.random.default_rng(4)
     waves = np.arange(1, 8) / 40.0
-    u = np.stack([np.sin(2 * np.pi * np.outer(t, waves) + rng.uniform(0, 6, 7)) @ rng.normal(size=7) for _ in "ab"], 1)
+    u = np.stack(
+        [
+            np.sin(2 * np.pi * np.outer(t, waves) + rng.uniform(0, 6, 7)) @ rng.normal(size=7)
+            for _ in "ab"
+        ],
+        1,
+    )
     return t, 10.0 * u / np.abs(u).max(axis=0) * np.minimum(1.0, t / 3.0)[:, None]
 
 
 def seen_by(t, command, acting, noise, every=0.15):
-    """A run of the built-in finger with `acting` at the body; without noise, plateaus repeat bit for bit."""
+    """A run of the built-in finger with `acting` at the body; without noise, plateaus repeat bit
+    for bit.
+    """
     t_seen = np.arange(0.5, t[-1] - 0.2, every)
     rest = np.repeat(MODEL.rest[None], len(t_seen), axis=0)
     blank = Run(t=t, command=acting, t_seen=t_seen, vertices=rest, command_unit="mm")
@@ -52,10 +62,14 @@ def seen_by(t, command, acting, noise, every=0.15):
 def test_a_strong_play_is_no_fault(gap, motion, noise):
     t, u = motion()
     half = 0.5 * np.ptp(u, axis=0)
-    run = seen_by(t, u, np.stack([played(u[:, [c]], gap * half[c])[:, 0] for c in (0, 1)], axis=1), noise)
+    run = seen_by(
+        t, u, np.stack([played(u[:, [c]], gap * half[c])[:, 0] for c in (0, 1)], axis=1), noise
+    )
     checked = clean_run(MODEL, run)
     assert checked.run.frames == run.frames and checked.doubts == ()
-    assert not any("set aside" in text or "unit" in text for text in checked.remarks), checked.remarks
+    assert not any("set aside" in text or "unit" in text for text in checked.remarks), (
+        checked.remarks
+    )
 
 
 def test_a_play_of_one_gap_is_found_as_memory():
@@ -64,7 +78,9 @@ def test_a_play_of_one_gap_is_found_as_memory():
     seen = np.asarray(run.vertices)
     found = memory_share(MODEL, run, seen, np.ones(seen.shape[:2], bool))
     assert found.share > 0.9 and found.free > 0.9
-    none = memory_share(MODEL, run, np.repeat(seen[:1], len(seen), 0), np.ones(seen.shape[:2], bool))
+    none = memory_share(
+        MODEL, run, np.repeat(seen[:1], len(seen), 0), np.ones(seen.shape[:2], bool)
+    )
     assert none.free < 0.05
 
 
@@ -93,7 +109,7 @@ def test_a_camera_that_hangs_is_still_found(count, noise):
     assert any("the camera or its log hangs" in text for text in clean_run(MODEL, hung).remarks)
 
 
-# --- a robot that does not follow ------------------------------------------------------------------
+# --- a robot that does not follow -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("motion", [sine, wandering])
@@ -101,7 +117,10 @@ def test_a_robot_that_stands_still_is_a_fault_of_the_measurement(motion):
     t, u = motion()
     found = diagnose(MODEL, seen_by(t, u, 0.0 * u, 0.25), effects=["backlash", "gain", "payload"])
     assert found.verdict == "measurement_fault" and found.effects == ()
-    assert "The robot does not follow its commands" in found.sentence and "drive is engaged" in found.sentence
+    assert (
+        "The robot does not follow its commands" in found.sentence
+        and "drive is engaged" in found.sentence
+    )
 
 
 def test_a_dead_zone_of_the_full_range_is_a_robot_that_stands_still():
@@ -109,7 +128,9 @@ def test_a_dead_zone_of_the_full_range_is_a_robot_that_stands_still():
     t, u = wandering()
     run = seen_by(t, u, 0.0 * u, 0.25)
     drift = 1.2 * np.sin(0.05 * run.t_seen)[:, None, None]
-    found = diagnose(MODEL, replace(run, vertices=run.vertices + drift), effects=["dead_zone", "gain"])
+    found = diagnose(
+        MODEL, replace(run, vertices=run.vertices + drift), effects=["dead_zone", "gain"]
+    )
     assert found.verdict == "measurement_fault" and found.effects == ()
     assert "The robot does not follow its commands" in found.sentence
 

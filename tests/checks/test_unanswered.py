@@ -32,14 +32,20 @@ STILL = {
 def test_such_a_run_is_not_sound(name, tmp_path, capsys):
     points, u = (NEVER | STILL)[name]
     text = unanswered(run(points, u))
-    assert ("the commands never change, but the points move" if name in NEVER else "the points do not move") in text
+    assert (
+        "the commands never change, but the points move"
+        if name in NEVER
+        else "the points do not move"
+    ) in text
     run(points, u).save(tmp_path / "run.npz")
     assert main(["check", str(tmp_path / "run.npz")]) == 1
     out, err = capsys.readouterr()
     assert out.startswith("not sound") and text[:30] in err and "+ " not in out
 
 
-@pytest.mark.parametrize("name", [name for name in [*GOOD, *BUT_ALSO] if name not in ("no commands", "it never moves")])
+@pytest.mark.parametrize(
+    "name", [name for name in [*GOOD, *BUT_ALSO] if name not in ("no commands", "it never moves")]
+)
 def test_runs_that_answer_are_sound(name):
     points, u = (GOOD | BUT_ALSO)[name]
     if u is not None:

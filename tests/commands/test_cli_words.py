@@ -1,4 +1,6 @@
-"""The command line: what was meant, help of every command, a reader that leaves early, options that are read."""
+"""The command line: what was meant, help of every command, a reader that leaves early, options that
+are read.
+"""
 
 import argparse
 import ast
@@ -30,9 +32,13 @@ COMMANDS = {command.name: command for command in commands_here()}
         (["diagnos", "run.npz"], "did you mean 'diagnose'?"),
         (["Learn", "run.npz"], "did you mean 'learn'?"),
         (["calibrat"], "did you mean 'model calibrate'?"),
-        (["diagnose", "run.npz", "--bundel", "b"], "there is no option --bundel: did you mean --bundle"),
+        (
+            ["diagnose", "run.npz", "--bundel", "b"],
+            "there is no option --bundel: did you mean --bundle",
+        ),
         (["learn", "run.npz", "--oot", "b"], "or --out?"),
-        (["import", "log.csv", "--gues"], ""),  # an abbreviation is taken; the file is what is missing
+        # an abbreviation is taken; the file is what is missing
+        (["import", "log.csv", "--gues"], ""),
         (["compare", "run.npz", "--htlm=x.html"], "did you mean --html"),
         (["servo", "scna"], "did you mean scan?"),
         (["servo", "scan", "--badu", "3"], "did you mean --baud"),
@@ -45,7 +51,9 @@ COMMANDS = {command.name: command for command in commands_here()}
         (["track", "circel", "--plan"], "did you mean 'circle'?"),
     ],
 )
-def test_a_name_that_does_not_exist_is_answered_with_the_nearest(argv, hint, capsys, tmp_path, monkeypatch):
+def test_a_name_that_does_not_exist_is_answered_with_the_nearest(
+    argv, hint, capsys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     assert main(argv) == 2
     assert hint in capsys.readouterr().err
@@ -53,7 +61,12 @@ def test_a_name_that_does_not_exist_is_answered_with_the_nearest(argv, hint, cap
 
 
 def test_nothing_is_meant_by_nonsense(capsys):
-    for argv in (["zzzz"], ["model", "effects", "zzzz"], ["servo", "zzzz"], ["compare", "r.npz", "--zzzz"]):
+    for argv in (
+        ["zzzz"],
+        ["model", "effects", "zzzz"],
+        ["servo", "zzzz"],
+        ["compare", "r.npz", "--zzzz"],
+    ):
         assert main(argv) == 2
         assert "did you mean" not in capsys.readouterr().err
 
@@ -77,7 +90,8 @@ def test_help_shows_examples_that_are_taken_and_a_page_that_is_there(name, capsy
     for example in command.examples:
         assert f"\n  softmap {example}\n" in told
         assert example.startswith(f"{name} ") or example == name
-        parser_of(command).parse_args(example.split()[len(name.split()) :])  # exits where it cannot be used
+        # exits where it cannot be used
+        parser_of(command).parse_args(example.split()[len(name.split()) :])
 
 
 def test_a_group_lists_its_actions(capsys):
@@ -86,7 +100,9 @@ def test_a_group_lists_its_actions(capsys):
     for argv, code in ((["model"], 2), (["model", "--help"], 0), (["help", "model"], 0)):
         assert main(argv) == code
         told = capsys.readouterr().out
-        assert told.startswith("usage: softmap model ACTION") and all(f"  {name} " in told for name in actions)
+        assert told.startswith("usage: softmap model ACTION") and all(
+            f"  {name} " in told for name in actions
+        )
     assert main(["model", "predcit"]) == 2
     assert "no action of 'model' 'predcit'; there are " in (told := capsys.readouterr().err)
     assert "did you mean 'predict'?" in told
@@ -96,7 +112,9 @@ def test_a_group_lists_its_actions(capsys):
 
 def test_about_fifteen_groups_answer_the_questions_of_a_user():
     assert len({command.name.split()[0] for command in BUILTIN}) <= 16
-    frozen = "demo import learn build compare diagnose add check next record track teleop servo show"
+    frozen = (
+        "demo import learn build compare diagnose add check next record track teleop servo show"
+    )
     assert set(frozen.split()) <= set(COMMANDS)
 
 
@@ -113,7 +131,10 @@ def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
 
 def test_help_alone_of_an_action_and_of_nothing(capsys):
     assert main(["help"]) == 0 and "usage: softmap COMMAND" in capsys.readouterr().out
-    assert main(["help", "servo", "scan"]) == 0 and "usage: softmap servo scan" in capsys.readouterr().out
+    assert (
+        main(["help", "servo", "scan"]) == 0
+        and "usage: softmap servo scan" in capsys.readouterr().out
+    )
     assert main(["help", "run", "cut"]) == 0 and "--block" in capsys.readouterr().out
     assert main(["help", "nothing"]) == 2 and "no command 'nothing'" in capsys.readouterr().err
 
@@ -124,10 +145,14 @@ def test_options_are_a_frozen_dataclass_of_what_the_parser_declares(command):
     actions = [a for a in parser_of(command)._actions if isinstance(a, argparse._SubParsersAction)]
     pairs = [(parser_of(command), getattr(module, command.options, None))]
     if actions:
-        pairs = [(parser, module.ACTIONS[name].options) for name, parser in actions[0].choices.items()]
+        pairs = [
+            (parser, module.ACTIONS[name].options) for name, parser in actions[0].choices.items()
+        ]
     for parser, options in pairs:
         assert options.__dataclass_params__.frozen
-        assert {field.name for field in fields(options)} == {a.dest for a in parser._actions} - {"help"}
+        assert {field.name for field in fields(options)} == {a.dest for a in parser._actions} - {
+            "help"
+        }
 
 
 # --- a reader that leaves early -----------------------------------------------------------------
@@ -137,12 +162,24 @@ FILES = {
     "effects": (["model", "effects"], None),
     "check": (["check", "run.npz"], None),
     "compare": (["compare", "run.npz", "--bundle", "model", "--html", "page.html"], "page.html"),
-    "diagnose": (["diagnose", "run.npz", "--bundle", "model", "--effects", "offset", "--out", "d.json"], "d.json"),
-    "predict": (["model", "predict", "run.npz", "--bundle", "model", "--out", "points.npz"], "points.npz"),
+    "diagnose": (
+        ["diagnose", "run.npz", "--bundle", "model", "--effects", "offset", "--out", "d.json"],
+        "d.json",
+    ),
+    "predict": (
+        ["model", "predict", "run.npz", "--bundle", "model", "--out", "points.npz"],
+        "points.npz",
+    ),
     "learn": (["learn", "run.npz", "--static", "--out", "bundle"], "bundle/manifest.json"),
-    "cut": (["run", "cut", "run.npz", "--from", "0", "--to", "9", "--out", "piece.npz"], "piece.npz"),
+    "cut": (
+        ["run", "cut", "run.npz", "--from", "0", "--to", "9", "--out", "piece.npz"],
+        "piece.npz",
+    ),
     "next": (["next", "--standard", "--out", "next.csv"], "next.csv"),
-    "json": (["compare", "run.npz", "--bundle", "model", "--json", "--html", "page.html"], "page.html"),
+    "json": (
+        ["compare", "run.npz", "--bundle", "model", "--json", "--html", "page.html"],
+        "page.html",
+    ),
 }
 
 
@@ -158,10 +195,14 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize("both", [False, True], ids=["stdout", "both"])
 @pytest.mark.parametrize(("argv", "file"), FILES.values(), ids=FILES)
 def test_a_reader_that_leaves_early_costs_no_file(argv, file, both, folder):
-    """The pipe is closed before the first word, and nothing is buffered: every print would break."""
+    """The pipe is closed before the first word, and nothing is buffered: every print would
+    break.
+    """
     if file is not None:
         place = folder / Path(file).parts[0]
-        shutil.rmtree(place, ignore_errors=True) if place.is_dir() else place.unlink(missing_ok=True)
+        shutil.rmtree(place, ignore_errors=True) if place.is_dir() else place.unlink(
+            missing_ok=True
+        )
     read, write = os.pipe()
     os.close(read)
     errors = write if both else subprocess.PIPE
@@ -206,17 +247,31 @@ def modules_of(name, seen=None):
 
 
 def read_in(trees):
-    """The names that are read of an `args`: `args.x`, `getattr(args, "x")`, or any text that is one of them."""
+    """The names that are read of an `args`: `args.x`, `getattr(args, "x")`, or any text that is one
+    of them.
+    """
     read = set()
     for tree in trees:
         for node in ast.walk(tree):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and isinstance(node.ctx, ast.Load):
-                read |= {node.attr} if node.value.id in ("args", "arguments", "told", "a") else set()
-            elif isinstance(node, ast.For | ast.comprehension) and isinstance(node.iter, ast.Tuple | ast.List):
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and isinstance(node.ctx, ast.Load)
+            ):
+                read |= (
+                    {node.attr} if node.value.id in ("args", "arguments", "told", "a") else set()
+                )
+            elif isinstance(node, ast.For | ast.comprehension) and isinstance(
+                node.iter, ast.Tuple | ast.List
+            ):
                 read |= {
                     e.value for e in node.iter.elts if isinstance(e, ast.Constant)
                 }  # getattr(args, name) for name in …
-            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "getattr":
+            elif (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id == "getattr"
+            ):
                 read |= {e.value for e in node.args if isinstance(e, ast.Constant)}
     return read
 
@@ -225,7 +280,12 @@ def unread(verb):
     """The arguments of a verb that no code reads."""
     read = read_in(modules_of(verb.module).values())
     parsers = [parser_of(verb), *parsers_below(parser_of(verb))]
-    found = {action.dest for parser in parsers for action in parser._actions if action.dest != argparse.SUPPRESS}
+    found = {
+        action.dest
+        for parser in parsers
+        for action in parser._actions
+        if action.dest != argparse.SUPPRESS
+    }
     return sorted(found - read - {"help"})
 
 
@@ -247,8 +307,21 @@ def test_an_option_that_is_not_read_would_be_found(monkeypatch):
 
 
 def test_a_diagnosis_draws_nothing_at_random_and_takes_no_seed(capsys, folder):
-    assert main(["diagnose", str(folder / "run.npz"), "--bundle", str(folder / "model"), "--seed", "3"]) == 2
+    assert (
+        main(
+            ["diagnose", str(folder / "run.npz"), "--bundle", str(folder / "model"), "--seed", "3"]
+        )
+        == 2
+    )
     assert "unrecognized arguments: --seed" in capsys.readouterr().err
-    argv = ["diagnose", str(folder / "run.npz"), "--bundle", str(folder / "model"), "--effects", "offset", "--json"]
+    argv = [
+        "diagnose",
+        str(folder / "run.npz"),
+        "--bundle",
+        str(folder / "model"),
+        "--effects",
+        "offset",
+        "--json",
+    ]
     assert main(argv) == 0
     assert '"seed"' not in capsys.readouterr().out

@@ -1,7 +1,9 @@
-"""docs/do/diagnose.md as written: each Python block and `softmap` line is run, on files like those a reader brings.
+"""docs/do/diagnose.md as written: each Python block and `softmap` line is run, on files like those
+a reader brings.
 
-The reader's files: a finger.toml (the built-in finger, coarser and moving less, so that its sweep takes seconds), the
-log of a second finger on another mesh with hidden backlash, as CSV with a mapping, and a run of another kind.
+The reader's files: a finger.toml (the built-in finger, coarser and moving less, so that its sweep
+takes seconds), the log of a second finger on another mesh with hidden backlash, as CSV with a
+mapping, and a run of another kind.
 """
 
 from pathlib import Path
@@ -42,21 +44,28 @@ marker_rest_mm = {rest}
 
 
 class SecondFinger:
-    """Another mesh of the reader's finger, softer silicone and play in its tendons, seen by 20 markers."""
+    """Another mesh of the reader's finger, softer silicone and play in its tendons, seen by 20
+    markers.
+    """
 
     def __init__(self, finger):
         first = Simulator(finger)
         other = Simulator(
-            finger.replace(layers=finger.solid.layers + 3, young_mpa=0.95 * finger.young_mpa), template=first.template
+            finger.replace(layers=finger.solid.layers + 3, young_mpa=0.95 * finger.young_mpa),
+            template=first.template,
         )
         rest = np.asarray(first.template.vertices)
-        rings = [np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))]
+        rings = [
+            np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))
+        ]
         rings = [ring for ring in rings if len(ring) >= 4][2::2]
         chosen = np.concatenate([ring[:: len(ring) // 4][:4] for ring in rings])
         axes = [np.linspace(-10, 10, 11)] * 2
         points = np.asarray(other.sweep(axes).vertices)[:, chosen].reshape(121, -1)
         self.rest = rest[chosen]
-        self.table = _core.Table(axes, points - points.mean(0), points.mean(0), np.eye(points.shape[1]))
+        self.table = _core.Table(
+            axes, points - points.mean(0), points.mean(0), np.eye(points.shape[1])
+        )
         self.play = LAWS["backlash"].draw(np.random.default_rng(1), 2)
 
     def log(self, protocol: Protocol, seed):
@@ -80,7 +89,11 @@ def reader(tmp_path_factory):
     """A folder with what a reader brings, and what the commands of the page left in it."""
     folder = tmp_path_factory.mktemp("reader")
     text = (ROOT / "softmap_edge/data/finger.toml").read_text(encoding="utf-8")
-    for old, new in (("core = 3", "core = 2"), ("layers = 42", "layers = 12"), ("-16.0, 16.0", "-10.0, 10.0")):
+    for old, new in (
+        ("core = 3", "core = 2"),
+        ("layers = 42", "layers = 12"),
+        ("-16.0, 16.0", "-10.0, 10.0"),
+    ):
         assert old in text
         text = text.replace(old, new)
     (folder / "finger.toml").write_text(text, encoding="utf-8")
@@ -90,17 +103,29 @@ def reader(tmp_path_factory):
     (folder / "map.toml").write_text(mapping, encoding="utf-8")
     write_log(folder / "LOG.csv", *finger.log(standard_protocol(2, reach=REACH), 1))
     write_log(folder / "other.csv", *finger.log(other_protocol(2, reach=REACH), 2))
-    import_logs([folder / "other.csv"], read_mapping(folder / "map.toml")).run.save(folder / "other_run.npz")
+    import_logs([folder / "other.csv"], read_mapping(folder / "map.toml")).run.save(
+        folder / "other_run.npz"
+    )
     t, u, markers = finger.log(standard_protocol(2, reach=REACH), 3)
-    bodies = markers.reshape(len(t), -1, 4, 3).mean(2)[:, [0, 2, 4]]  # a tracked body for every other ring
-    reference = Run(t=t, command=u, t_seen=t, markers=bodies, gravity=np.array([0.0, 0.0, 1.0]), robot="moe-finger")
+    # a tracked body for every other ring
+    bodies = markers.reshape(len(t), -1, 4, 3).mean(2)[:, [0, 2, 4]]
+    reference = Run(
+        t=t,
+        command=u,
+        t_seen=t,
+        markers=bodies,
+        gravity=np.array([0.0, 0.0, 1.0]),
+        robot="moe-finger",
+    )
     reference.save(folder / "reference.npz")
     return folder
 
 
 @pytest.fixture(scope="module")
 def done(reader):
-    """Run every command of the page's blocks in their order; give (words, exit code) and the folder."""
+    """Run every command of the page's blocks in their order; give (words, exit code) and the
+    folder.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(reader)
         return reader, [(words, main(words[1:])) for words in COMMANDS if words[0] == "softmap"]
@@ -116,7 +141,8 @@ def test_every_command_works_and_the_error_falls(done):
     assert len(results) >= 7
     assert [words for words, code in results if code != 0] == []
     changed = load_bundle(folder / "finger2")
-    assert {"backlash"} <= set(changed.chain_names) <= {"backlash", "stiffness"}  # what its finger has, and no more
+    # what its finger has, and no more
+    assert {"backlash"} <= set(changed.chain_names) <= {"backlash", "stiffness"}
     assert load_bundle(folder / "finger").chain_names == ()
     assert (folder / "d.html").read_text(encoding="utf-8").startswith("<!doctype html")
     assert load_bundle(folder / "robot").kind == "rod"

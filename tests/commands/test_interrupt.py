@@ -1,4 +1,6 @@
-"""Ctrl-C during long work: the command stops within a second or so, in one line, and leaves no half file."""
+"""Ctrl-C during long work: the command stops within a second or so, in one line, and leaves no half
+file.
+"""
 
 import os
 import signal
@@ -36,7 +38,9 @@ def stop(process, after):
 
 @pytest.mark.parametrize("verb", ["build", "model sweep"])
 def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
-    with interruptible(*verb.split(), "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
+    with interruptible(
+        *verb.split(), "--steps", "201", "--out", str(tmp_path / "out.npz")
+    ) as process:
         assert stop(process, STARTED) == f"softmap {verb}: interrupted\n"
     assert not list(tmp_path.iterdir())
 
@@ -44,13 +48,16 @@ def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
 def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     """Python looks for signals in its main thread only, and laws run in others."""
     law = (
-        template("endless").split("def rollout")[0] + "def rollout(params, u, t, ctx):\n    while True:\n        pass\n"
+        template("endless").split("def rollout")[0]
+        + "def rollout(params, u, t, ctx):\n    while True:\n        pass\n"
     )
     (tmp_path / "endless.py").write_text(law)
     made, model = standard_protocol(), builtin_model()
     rest = np.repeat(model.rest[None], made.frames, axis=0)
     rest += 0.2 * np.random.default_rng(0).normal(size=rest.shape)
-    run = Run(t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, vertices=rest)
+    run = Run(
+        t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, vertices=rest
+    )
     run.save(tmp_path / "run.npz")
     argv = ("diagnose", str(tmp_path / "run.npz"), "--effects", str(tmp_path / "endless.py"))
     with interruptible(*argv, "--out", str(tmp_path / "d.json")) as process:
@@ -59,5 +66,7 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
 
 
 def test_an_output_that_was_closed_ends_no_verb_with_a_traceback():
-    done = subprocess.run(f"{SOFTMAP} --version >&- ; {SOFTMAP} doctor --json >&-", shell=True, capture_output=True)
+    done = subprocess.run(
+        f"{SOFTMAP} --version >&- ; {SOFTMAP} doctor --json >&-", shell=True, capture_output=True
+    )
     assert b"Traceback" not in done.stderr, done.stderr

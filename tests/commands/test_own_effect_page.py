@@ -1,6 +1,8 @@
-"""docs/do/own_effect.md as its reader runs it: an unknown error remains, and the user's own effect explains it.
+"""docs/do/own_effect.md as its reader runs it: an unknown error remains, and the user's own effect
+explains it.
 
-The finger is that of off_centre.py: solved by finite elements, with exact winding, which no effect of any form is.
+The finger is that of off_centre.py: solved by finite elements, with exact winding, which no effect
+of any form is.
 """
 
 import json
@@ -27,7 +29,9 @@ FALL = 0.8  # of the removable error
 
 
 def test_the_truth_winds_by_its_moment_arm():
-    """Virtual work: the slope of the shortening is the distance of the free tendon from the axis."""
+    """Virtual work: the slope of the shortening is the distance of the free tendon from the
+    axis.
+    """
     law, off, phase = OffCentreSpool(), 0.9, 0.6
     angle = np.linspace(-3.0, 3.0, 60_001)
     slope = np.gradient(law.wound(angle, off, phase), angle)[1:-1]
@@ -36,16 +40,18 @@ def test_the_truth_winds_by_its_moment_arm():
     far = np.linalg.norm(away, axis=1)
     turn = np.arctan2(away[:, 1], away[:, 0]) + np.arccos(law.radius_mm / far)
     touch = middle + law.radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    along = (np.array([law.guide_mm, 0.0]) - touch) / np.linalg.norm(np.array([law.guide_mm, 0.0]) - touch, axis=1)[
-        :, None
-    ]
+    along = (np.array([law.guide_mm, 0.0]) - touch) / np.linalg.norm(
+        np.array([law.guide_mm, 0.0]) - touch, axis=1
+    )[:, None]
     arm = np.abs(touch[:, 0] * along[:, 1] - touch[:, 1] * along[:, 0])
     np.testing.assert_allclose(slope, arm, rtol=1e-6)
     np.testing.assert_allclose(law.wound(angle, 0.0, 0.0), law.radius_mm * angle, atol=1e-12)
 
 
 def test_the_page_shows_the_example():
-    (shown,) = [text for language, text in blocks(PAGE) if language == "python" and "EFFECT" in text]
+    (shown,) = [
+        text for language, text in blocks(PAGE) if language == "python" and "EFFECT" in text
+    ]
     assert shown == EXAMPLE
     assert len(EXAMPLE.splitlines()) <= 25
 
@@ -95,10 +101,14 @@ def test_with_it_the_removable_error_falls(read):
     radius = found["effects"][0]["params"]["off_centre_pulley.radius"]
     assert radius["value"] == pytest.approx(OffCentreSpool().radius_mm, rel=0.05)
     other = Run.load(there / "other.npz")
-    before, after = (compare(model, other).error["rms_mm"] for model in (builtin_model(), names["model"]))
+    before, after = (
+        compare(model, other).error["rms_mm"] for model in (builtin_model(), names["model"])
+    )
     assert before - after >= FALL * (before - floor)
     assert not before - before >= FALL * (before - floor)  # doing nothing fails it
-    assert (before, after) == pytest.approx((stated(r"from\s+(\S+) mm to"), stated(r"mm to (\S+) mm;")), abs=0.02)
+    assert (before, after) == pytest.approx(
+        (stated(r"from\s+(\S+) mm to"), stated(r"mm to (\S+) mm;")), abs=0.02
+    )
     assert floor == pytest.approx(stated(r"middle has (\S+) mm\."), abs=0.02)
     # What the library finds instead does not get there.
     gain = diagnose(builtin_model(), Run.load(there / "run.npz"), effects=["gain"]).model

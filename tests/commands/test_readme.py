@@ -1,6 +1,8 @@
-"""README and the first pages of docs/learn as a newcomer follows them: the demo, then the lines on what it leaves.
+"""README and the first pages of docs/learn as a newcomer follows them: the demo, then the lines on
+what it leaves.
 
-Every line that docs/learn/demo.md and docs/learn/own_csv.md quote is printed, and the demo prints no other.
+Every line that docs/learn/demo.md and docs/learn/own_csv.md quote is printed, and the demo prints
+no other.
 """
 
 import contextlib
@@ -26,17 +28,29 @@ CSV = (ROOT / "docs/learn/own_csv.md").read_text(encoding="utf-8")
 
 def commands(page):
     """Return the command lines of a page, a line of the shell (`a && b`) as several."""
-    split = [re.split(r" && ", line) for language, text in blocks(page) if language == "" for line in text.splitlines()]
+    split = [
+        re.split(r" && ", line)
+        for language, text in blocks(page)
+        if language == ""
+        for line in text.splitlines()
+    ]
     return [words for parts in split for part in parts for words in lines(part)]
 
 
 def quoted(page):
     """Return the lines that a page quotes from the output."""
-    return [line.rstrip() for language, text in blocks(page) if language == "text" for line in text.splitlines()]
+    return [
+        line.rstrip()
+        for language, text in blocks(page)
+        if language == "text"
+        for line in text.splitlines()
+    ]
 
 
 def run(words):
-    """Run one line of a newcomer: change the folder or call softmap; everything else is for the shell."""
+    """Run one line of a newcomer: change the folder or call softmap; everything else is for the
+    shell.
+    """
     if words[0] == "cd":
         os.chdir(words[1])
     elif words[0] == "softmap":
@@ -53,10 +67,16 @@ def test_links_and_pictures_of_the_readme_are_there():
 
 
 def test_the_two_commands_are_targets_of_the_makefile():
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    used = {words[1] for words in commands(README) if words[0] == "make"} | set(re.findall(r"`make ([\w-]+)`", README))
+    targets = set(
+        re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    used = {words[1] for words in commands(README) if words[0] == "make"} | set(
+        re.findall(r"`make ([\w-]+)`", README)
+    )
     assert {"demo", "test"} <= used <= targets
-    rule = re.search(r"^demo:.*\n\t(.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1]
+    rule = re.search(
+        r"^demo:.*\n\t(.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )[1]
     assert shlex.split(rule)[1:] == ["demo", "--out", "$(OUT)/demo"]
 
 
@@ -78,7 +98,9 @@ def demo_printed(tmp_path_factory):
 
 def test_its_page_quotes_every_line(demo_printed):
     made = [
-        line.rstrip() for line in demo_printed[1].splitlines() if not re.search(r"solving, \d+ ?%|^\(\d+ s\)", line)
+        line.rstrip()
+        for line in demo_printed[1].splitlines()
+        if not re.search(r"solving, \d+ ?%|^\(\d+ s\)", line)
     ]
     assert [line for line in made if line] == [line for line in quoted(DEMO) if line]
 
@@ -141,17 +163,24 @@ def test_the_proposal_differs_from_the_mapping_as_the_page_says(csv_printed):
     (block,) = [text for language, text in blocks(CSV) if language == "toml"]
     example = (ROOT / "examples/sample_map.toml").read_text(encoding="utf-8")
     assert all(line in example for line in block.splitlines())
-    assert mapping.robot == "moe-finger" and Run.load(csv_printed[0] / "run.npz").robot == "moe-finger"
+    assert (
+        mapping.robot == "moe-finger" and Run.load(csv_printed[0] / "run.npz").robot == "moe-finger"
+    )
 
 
 @pytest.mark.prove
 def test_the_sample_logs_are_those_of_the_script(tmp_path):
-    """Two solutions of a hundred seconds each; the values agree to the last digit that is written."""
-    spec = importlib.util.spec_from_file_location("make_sample_log", ROOT / "examples/make_sample_log.py")
+    """Two solutions of a hundred seconds each; the values agree to the last digit that is
+    written.
+    """
+    spec = importlib.util.spec_from_file_location(
+        "make_sample_log", ROOT / "examples/make_sample_log.py"
+    )
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     assert script.main([str(tmp_path)]) == 0
     for name in ("sample_log.csv", "sample_other.csv"):
         made = np.loadtxt(tmp_path / name, delimiter=",", skiprows=1)
         kept = np.loadtxt(ROOT / "examples" / name, delimiter=",", skiprows=1)
-        np.testing.assert_allclose(made, kept, atol=0.011)  # one digit of the file: threads add in another order
+        # one digit of the file: threads add in another order
+        np.testing.assert_allclose(made, kept, atol=0.011)

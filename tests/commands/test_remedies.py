@@ -1,4 +1,6 @@
-"""Every command that a message names exists, and the advice leads out: provoked, followed, and it works."""
+"""Every command that a message names exists, and the advice leads out: provoked, followed, and it
+works.
+"""
 
 import pytest
 from remedies import ROOT, command_of, commands, fault, faults, named_in
@@ -24,18 +26,38 @@ def test_the_list_holds_the_commands_of_messages():
     found = commands()
     named = {command_of(one.words) for one in found}
     assert len(found) > 100
-    assert {"learn", "model calibrate", "run align", "run register", "servo", "next", "add", "model refit"} <= named
-    computed = [one for one in found if one.file.endswith("guess.py") and one.words[:3] == ("run", "align", "RUN")]
+    assert {
+        "learn",
+        "model calibrate",
+        "run align",
+        "run register",
+        "servo",
+        "next",
+        "add",
+        "model refit",
+    } <= named
+    computed = [
+        one
+        for one in found
+        if one.file.endswith("guess.py") and one.words[:3] == ("run", "align", "RUN")
+    ]
     assert computed and "HOLE" in computed[0].words  # a part of it is computed
 
 
-# Commands that messages name without mending anything by them, or that other tests execute, with the file.
+# Commands that messages name without mending anything by them, or that other tests execute, with
+# the file.
 LOOKS = {"check", "compare", "show", "model predict", "servo doctor", "demo", "run"}
 ELSEWHERE = {
-    "servo": "test_servo_remedies.py", "servo move": "test_servo_remedies.py", "record": "test_record_cut.py",
-    "teleop": "test_teleop_installed.py", "train": "test_residual_network.py", "evaluate": "test_evaluate.py",
-    "model adapt": "test_adaptation.py", "model sweep": "test_elsewhere.py", "build": "test_elsewhere.py",
-}  # fmt: skip
+    "servo": "test_servo_remedies.py",
+    "servo move": "test_servo_remedies.py",
+    "record": "test_record_cut.py",
+    "teleop": "test_teleop_installed.py",
+    "train": "test_residual_network.py",
+    "evaluate": "test_evaluate.py",
+    "model adapt": "test_adaptation.py",
+    "model sweep": "test_elsewhere.py",
+    "build": "test_elsewhere.py",
+}
 
 
 def test_every_command_that_a_message_names_is_executed_by_a_test():

@@ -1,4 +1,6 @@
-"""Comparing a model with a run: known errors give known figures, known motions known cells, known noise its floor."""
+"""Comparing a model with a run: known errors give known figures, known motions known cells, known
+noise its floor.
+"""
 
 import json
 from dataclasses import replace
@@ -36,7 +38,9 @@ def test_known_error_gives_known_figures():
     found = compare(lean(shift), triangle())
     assert found.error["rms_mm"] == pytest.approx(np.sqrt(5.0))
     assert found.error["median_mm"] == pytest.approx(2.0)
-    assert found.error["p95_mm"] == pytest.approx(3.0) and found.error["max_mm"] == pytest.approx(3.0)
+    assert found.error["p95_mm"] == pytest.approx(3.0) and found.error["max_mm"] == pytest.approx(
+        3.0
+    )
     assert found.error["tip_rms_mm"] == pytest.approx(np.sqrt(5.0))
     assert [row.rms_mm for row in found.where["time"]][0] == pytest.approx(1.0)
     assert [row.rms_mm for row in found.where["time"]][-1] == pytest.approx(3.0)
@@ -54,7 +58,12 @@ def test_error_at_the_tip_is_found_at_the_tip():
     assert [row.rms_mm for row in section] == pytest.approx([0, 0, 0, 0, 2.0])
     assert section[-1].label == "5 tip" and section[-1].low == section[-1].high == 100.0
     assert found.error["tip_rms_mm"] == pytest.approx(2.0)
-    assert found.worst["bins"][0] == {"where": "section", "label": "5 tip", "n": 250, "rms_mm": pytest.approx(2.0)}
+    assert found.worst["bins"][0] == {
+        "where": "section",
+        "label": "5 tip",
+        "n": 250,
+        "rms_mm": pytest.approx(2.0),
+    }
 
 
 def test_error_of_one_direction_is_found_there_only():
@@ -66,13 +75,24 @@ def test_error_of_one_direction_is_found_there_only():
     assert set(direction) == {"still", "u0 +", "u0 −"}
     assert direction["u0 −"].rms_mm == pytest.approx(1.5, rel=0.02)
     assert direction["u0 +"].rms_mm < 1e-12 and direction["still"].rms_mm < 0.3
-    assert direction["u0 −"].n == pytest.approx(100, abs=3) and direction["u0 +"].n == pytest.approx(50, abs=3)
+    assert direction["u0 −"].n == pytest.approx(100, abs=3) and direction[
+        "u0 +"
+    ].n == pytest.approx(50, abs=3)
 
 
 def test_every_condition_holds_every_frame_once():
     run = triangle(gravity=np.array([0.0, 0.0, 1.0]), temperature=np.linspace(20, 30, 1251))
     found = cells(conditions(run, run.command))
-    assert set(found) == {"direction", "speed", "dwell", "history", "command", "time", "orientation", "temperature"}
+    assert set(found) == {
+        "direction",
+        "speed",
+        "dwell",
+        "history",
+        "command",
+        "time",
+        "orientation",
+        "temperature",
+    }
     for name, row in found.items():
         count = np.sum([cell.frames for cell in row], axis=0)
         assert (count == 1).all(), f"{name}: {np.flatnonzero(count != 1)[:5]}"
@@ -82,7 +102,9 @@ def test_every_condition_holds_every_frame_once():
 
 
 def test_no_two_classes_of_a_condition_bear_one_name():
-    """Warmth within a tenth of a degree and a clock that counts since 1970 need more digits than three."""
+    """Warmth within a tenth of a degree and a clock that counts since 1970 need more digits than
+    three.
+    """
     run = triangle(temperature=np.linspace(23.11, 23.14, 1251))
     run = replace(run, t=run.t + 1.7e9, t_seen=run.t_seen + 1.7e9)
     for name, row in cells(conditions(run, run.command)).items():
@@ -104,9 +126,13 @@ def test_conditions_of_a_known_motion():
     run = triangle()
     state = conditions(run, run.command)
     at = lambda seconds: int(round(seconds * 10))  # noqa: E731
-    assert state.speed[at(3)] == pytest.approx(2.0) and state.velocity[at(15), 0] == pytest.approx(-2.0)
+    assert state.speed[at(3)] == pytest.approx(2.0) and state.velocity[at(15), 0] == pytest.approx(
+        -2.0
+    )
     assert state.dwell[at(9)] == pytest.approx(4.0, abs=0.03) and state.dwell[at(3)] == 0.0
-    assert state.history[at(2)] == pytest.approx(4.0) and state.history[at(24)] == pytest.approx(10.0)
+    assert state.history[at(2)] == pytest.approx(4.0) and state.history[at(24)] == pytest.approx(
+        10.0
+    )
     assert state.visit[at(7)] == state.visit[at(9)] != state.visit[at(23)]
 
 
@@ -123,7 +149,10 @@ def test_orientations_are_told_apart():
     flip = np.tile([0.0, 0.0, 1.0], (1251, 1))
     flip[600:] = [1.0, 0.0, 0.0]
     run = triangle(gravity=flip)
-    assert {c.label for c in cells(conditions(run, run.command))["orientation"]} >= {"gravity +z", "gravity +x"}
+    assert {c.label for c in cells(conditions(run, run.command))["orientation"]} >= {
+        "gravity +z",
+        "gravity +x",
+    }
 
 
 def test_hidden_points_do_not_count():
@@ -135,14 +164,17 @@ def test_hidden_points_do_not_count():
     run = triangle()
     hidden, visible = run.vertices.copy(), np.ones(run.vertices.shape[:2], bool)
     hidden[:, 0], visible[:, 0] = np.nan, False
-    assert compare(lean(bad), replace(run, vertices=hidden, visible=visible)).error["max_mm"] < 1e-12
+    assert (
+        compare(lean(bad), replace(run, vertices=hidden, visible=visible)).error["max_mm"] < 1e-12
+    )
     assert compare(lean(bad), run).error["max_mm"] > 49.0
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3])
 def test_noise_floor_from_dwells(sigma):
     found = compare(lean(lambda run, p: 4.0), triangle(noise=sigma))
-    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * sigma, rel=0.05)  # 80 pairs of 40 points: 1.5 %
+    # 80 pairs of 40 points: 1.5 %
+    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * sigma, rel=0.05)
     assert "dwell" in found.made_from["noise_floor"] and not found.floor_is_bound
 
 
@@ -165,15 +197,23 @@ def test_noise_floor_without_replicates_says_so():
     assert "no replicates" in found.made_from["noise_floor"] and found.floor_is_bound
     few = record(t, u, np.arange(0, 0.5, 0.1), noise=0.1)
     state = conditions(few, few.command)
-    value, why = noise_floor(state, few.vertices, np.ones(few.vertices.shape[:2], bool), few.vertices)
+    value, why = noise_floor(
+        state, few.vertices, np.ones(few.vertices.shape[:2], bool), few.vertices
+    )
     assert value is None and "too few" in why
 
 
 def test_noise_floor_of_a_moving_body_ignores_what_the_model_misses():
-    """Always moving, and the model wrong by a smooth 5 mm: the roughness over the body still gives the noise."""
+    """Always moving, and the model wrong by a smooth 5 mm: the roughness over the body still gives
+    the noise.
+    """
     t = np.arange(0, 30.0, 0.02)
     u = np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)])
-    wrong = lean(lambda run, p: 5 * np.sin(3 * run.t_seen)[:, None, None] * (tube()[0][:, 2] / 100)[None, :, None] ** 2)
+    wrong = lean(
+        lambda run, p: (
+            5 * np.sin(3 * run.t_seen)[:, None, None] * (tube()[0][:, 2] / 100)[None, :, None] ** 2
+        )
+    )
     found = compare(wrong, record(t, u, np.arange(0, 29, 0.1), noise=0.1))
     assert found.error["rms_mm"] > 2
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.05)
@@ -185,17 +225,42 @@ def test_document_survives_json():
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert Comparison.from_dict(document) == found
     assert set(document) == {
-        *("schema", "run", "bundle", "frames", "error", "noise_floor_mm", "memoryless_floor", "where"),
+        *(
+            "schema",
+            "run",
+            "bundle",
+            "frames",
+            "error",
+            "noise_floor_mm",
+            "memoryless_floor",
+            "where",
+        ),
         *("worst", "made_from"),
     }
-    assert set(document["where"]) == {"section", "direction", "speed", "dwell", "history", "command", "time"}
+    assert set(document["where"]) == {
+        "section",
+        "direction",
+        "speed",
+        "dwell",
+        "history",
+        "command",
+        "time",
+    }
     assert set(document["where"]["speed"][0]) == {"label", "low", "high", "n", "rms_mm"}
     assert document == compare(lean(lambda run, p: 1.0), triangle(noise=0.1)).to_dict()
 
 
 @pytest.mark.parametrize(
     "damage",
-    [None, [], {"schema": "softmap.comparison/2"}, {"error": {}}, {"where": {"time": [{}]}}, {"where": 3}, {"run": 4}],
+    [
+        None,
+        [],
+        {"schema": "softmap.comparison/2"},
+        {"error": {}},
+        {"where": {"time": [{}]}},
+        {"where": 3},
+        {"run": 4},
+    ],
 )
 def test_damaged_documents_are_refused(damage):
     document = compare(lean(), triangle()).to_dict()
@@ -251,13 +316,18 @@ def test_hash_follows_the_content():
     assert run == same != other
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(0.1, "centimetres"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")])
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(0.1, "centimetres"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")]
+)
 def test_points_in_another_unit_are_no_missing_effect(factor, unit):
     """Taken as mm they gave a verdict that named gravity."""
     model = builtin_model()
     t = np.arange(20.0)
     run = Run(
-        t=t, command=np.column_stack([8 * np.sin(t), t / 4]), t_seen=t, vertices=np.repeat(model.rest[None], 20, 0)
+        t=t,
+        command=np.column_stack([8 * np.sin(t), t / 4]),
+        t_seen=t,
+        vertices=np.repeat(model.rest[None], 20, 0),
     )
     sound = replace(run, vertices=model.predict(run))
     assert compare(model, sound).error["rms_mm"] == pytest.approx(0.0, abs=1e-9)
@@ -271,10 +341,20 @@ def test_points_in_the_frame_of_a_camera_are_told():
     model = builtin_model()
     t = np.arange(0.0, 20.0, 0.1)
     u = 12 * np.column_stack([np.sin(t), np.cos(t)])
-    bent = np.asarray(model.predict(Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))))
+    bent = np.asarray(
+        model.predict(
+            Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))
+        )
+    )
     assert out_of_reach(model, Run(t=t, command=u, t_seen=t, vertices=bent)) == []
     seen = np.ones(bent.shape[:2], bool)
     seen[:, ::2] = False
-    away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
+    away = Run(
+        t=t,
+        command=u,
+        t_seen=t,
+        vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820],
+        visible=seen,
+    )
     [line] = out_of_reach(model, away)
     assert "`softmap run align`" in line and "reaches 117 mm" in line

@@ -1,4 +1,6 @@
-"""Certificates: valid where nothing is hidden, strong where something is, from frames that fit nothing."""
+"""Certificates: valid where nothing is hidden, strong where something is, from frames that fit
+nothing.
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -20,14 +22,23 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
 from softmap_edge.diagnosis.text import diagnosis_text
 from softmap_edge.noise.noise_model import command_kernel
-from softmap_edge.run.folds import FOLDS, GAP, LABELS_A_FOLD, LEAST_WITHHOLDING, Withheld, run_folds, withheld
+from softmap_edge.run.folds import (
+    FOLDS,
+    GAP,
+    LABELS_A_FOLD,
+    LEAST_WITHHOLDING,
+    Withheld,
+    run_folds,
+    withheld,
+)
 
 BEGIN = np.zeros(1, np.intp)
 KEPT = Withheld(np.arange(80), np.arange(80, 100), 5)
 
 
 def claimed(run, names=None):
-    """Return the certificates of a claim about a run, and the ratio of likelihoods on all of its frames.
+    """Return the certificates of a claim about a run, and the ratio of likelihoods on all of its
+    frames.
 
     Without `names` the claim is the effect that fits best.
     """
@@ -43,7 +54,9 @@ def claimed(run, names=None):
 
 
 def null_values(names, count, **settings):
-    """Return the e-values of claims where nothing is hidden, and the ratios of likelihoods on all frames."""
+    """Return the e-values of claims where nothing is hidden, and the ratios of likelihoods on all
+    frames.
+    """
     t, u = protocol(minutes=1.7)
     logs, naive = [], []
     for seed in range(count):
@@ -55,9 +68,11 @@ def null_values(names, count, **settings):
 
 
 def test_e_values_are_valid_where_nothing_is_hidden():
-    """The ratio on the frames that were fitted is no e-value; that on the withheld frames is: its mean is at most 1.
+    """The ratio on the frames that were fitted is no e-value; that on the withheld frames is: its
+    mean is at most 1.
 
-    The claim is the best of seven on all frames, for which the rule counts hypotheses; here even so much is not needed.
+    The claim is the best of seven on all frames, for which the rule counts hypotheses; here even so
+    much is not needed.
     """
     e, naive = null_values(None, 40)
     assert naive.mean() > 2.0 and naive.max() > 20.0  # choice makes evidence of nothing
@@ -66,11 +81,15 @@ def test_e_values_are_valid_where_nothing_is_hidden():
 
 def test_each_claim_of_an_overfitted_set_is_valid():
     e, _ = null_values(("latency", "backlash", "mount"), 20)
-    assert len(e) == 60 and e.mean() + 3.0 * e.std() / np.sqrt(len(e)) < 1.0 and not np.any(e >= 20.0)
+    assert (
+        len(e) == 60 and e.mean() + 3.0 * e.std() / np.sqrt(len(e)) < 1.0 and not np.any(e >= 20.0)
+    )
 
 
 def test_an_error_of_the_model_that_repeats_itself_is_no_evidence():
-    """A static error of the stated size is the same in all blocks; laws that fit it must not be confirmed."""
+    """A static error of the stated size is the same in all blocks; laws that fit it must not be
+    confirmed.
+    """
     e, naive = null_values(("offset", "gain", "payload", "mount"), 30, warp=0.15, noise=0.03)
     assert np.mean(naive >= 20.0) > 0.3  # on the frames that were fitted they all seem to be there
     assert e.mean() + 3.0 * e.std() / np.sqrt(len(e)) < 1.0 and not np.any(e >= 20.0)
@@ -78,7 +97,11 @@ def test_an_error_of_the_model_that_repeats_itself_is_no_evidence():
 
 @pytest.mark.parametrize(
     "hidden",
-    [{"latency.delay": 0.2}, {"backlash.gap": 1.2}, {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9}],
+    [
+        {"latency.delay": 0.2},
+        {"backlash.gap": 1.2},
+        {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9},
+    ],
 )
 def test_hidden_effect_is_certified(hidden):
     found = diagnose(arm(), record_run(hidden, seed=5), effects=NAMES)
@@ -86,8 +109,12 @@ def test_hidden_effect_is_certified(hidden):
     certificate = one.certificate
     needed = np.log10(hypotheses(len(NAMES) + len(families()), 1) / LEVEL)
     assert certificate.certified and certificate.log10_needed == pytest.approx(needed)
-    assert certificate.log10_e > 2.0 * needed and certificate.frames == 70 and certificate.blocks == 5
-    assert found.verdict == "identified" and "confirmed on the withheld blocks" in diagnosis_text(found.to_dict())
+    assert (
+        certificate.log10_e > 2.0 * needed and certificate.frames == 70 and certificate.blocks == 5
+    )
+    assert found.verdict == "identified" and "confirmed on the withheld blocks" in diagnosis_text(
+        found.to_dict()
+    )
 
 
 def test_family_without_a_law_has_a_certificate():
@@ -108,11 +135,16 @@ def test_claim_that_withheld_blocks_contradict_is_not_identified():
     (one,) = found.effects
     assert one.name == "backlash" and one.certificate.refuted and one.certificate.log10_e < 0.0
     assert found.verdict != "identified" and one.probability < 0.8
-    assert "backlash is not confirmed on the withheld blocks (e-value less than 10^-6; needed" in found.sentence
+    assert (
+        "backlash is not confirmed on the withheld blocks (e-value less than 10^-6; needed"
+        in found.sentence
+    )
 
 
 def test_e_value_is_that_of_fits_in_full():
-    """Numbers of the claim fitted to the other frames, all other numbers to the withheld ones: without linear steps."""
+    """Numbers of the claim fitted to the other frames, all other numbers to the withheld ones:
+    without linear steps.
+    """
     run = record_run({"backlash.gap": 1.2, "latency.delay": 0.2}, seed=5)
     found, _ = claimed(run, ("latency", "backlash"))
     record = Record(arm(), run)
@@ -121,13 +153,21 @@ def test_e_value_is_that_of_fits_in_full():
 
     def chi2(effects, values):
         labels = record.layout(effects).labels
-        modes = problem.modes(record.predict(effects, np.array([[values[label] for label in labels]]))[0])
+        modes = problem.modes(
+            record.predict(effects, np.array([[values[label] for label in labels]]))[0]
+        )
         return float(np.sum(problem.whitener.shrink(modes[kept.rows], kernel) ** 2))
 
-    kernel_of_few = command_kernel(record.command[kept.chosen], record.spread, record.leaning[kept.chosen])
-    few = Problem(record.some(kept.chosen), problem.noise, replace(problem.whitener, kernel=kernel_of_few))
+    kernel_of_few = command_kernel(
+        record.command[kept.chosen], record.spread, record.leaning[kept.chosen]
+    )
+    few = Problem(
+        record.some(kept.chosen), problem.noise, replace(problem.whitener, kernel=kernel_of_few)
+    )
     fit = few.fit(("latency", "backlash"), [Fits(problem, NAMES).get(("latency", "backlash")).x])
-    least = min(chi2(("latency",), {"latency.delay": delay}) for delay in np.linspace(0.0, 0.5, 251))
+    least = min(
+        chi2(("latency",), {"latency.delay": delay}) for delay in np.linspace(0.0, 0.5, 251)
+    )
     fall = (least - chi2(fit.effects, fit.params)) / max(1.0, fit.chi2 / few.numbers)
     expected = (0.25 * fall + 0.5 * np.log(0.5)) / np.log(10.0)
     assert found.effects["backlash"].log10_e == pytest.approx(expected, rel=0.03)
@@ -139,14 +179,16 @@ def test_a_search_of_more_claims_needs_more():
     assert hypotheses(54, 1) == SIZES * 54 and hypotheses(54, 2) == SIZES * 2 * 54 * 53 // 2
     assert hypotheses(10, 5) == 5 * 5 * 252
     sets = [set_ for r in range(1, SIZES + 1) for set_ in combinations(range(6), r)]
-    assert sum(len(s) / hypotheses(6, len(s)) for s in sets) == pytest.approx(1.0)  # the level is shared out
+    # the level is shared out
+    assert sum(len(s) / hypotheses(6, len(s)) for s in sets) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ("logs", "sure"),
     [
         ([], []),
-        ([2.4], [False]),  # 100 candidates at 0.05: 2000 for one claim, 1000 each for two, 667 for three
+        # 100 candidates at 0.05: 2000 for one claim, 1000 each for two, 667 for three
+        ([2.4], [False]),
         ([3.31], [True]),
         ([3.2, 3.1], [True, True]),
         ([3.2, 2.9], [False, False]),
@@ -156,7 +198,9 @@ def test_a_search_of_more_claims_needs_more():
     ],
 )
 def test_rule_of_e_bh(logs, sure):
-    """The k claims of largest e are certified, for the largest k whose claims all reach m / (0.05 k)."""
+    """The k claims of largest e are certified, for the largest k whose claims all reach m / (0.05
+    k).
+    """
     found = certificates(logs, 100, KEPT)
     assert [one.certified for one in found] == sure
     assert all((one.log10_e >= one.log10_needed) == one.certified for one in found)
@@ -164,7 +208,9 @@ def test_rule_of_e_bh(logs, sure):
 
 
 def test_rule_controls_the_false_discovery_rate():
-    """Null e-values of mean 1 with the heaviest tails, with true claims: at most 0.05 of all claims are false."""
+    """Null e-values of mean 1 with the heaviest tails, with true claims: at most 0.05 of all claims
+    are false.
+    """
     rng = np.random.default_rng(0)
     shares = []
     for _ in range(2000):
@@ -182,10 +228,13 @@ def test_blocks_of_time_and_their_gaps():
     assert 60 <= len(kept.rows) <= 75 and kept.blocks == 5 and kept.chosen[0] == 0
     assert np.abs(t[kept.rows][:, None] - t[kept.chosen][None]).min() > GAP
     assert len(kept.chosen) + len(kept.rows) > 0.94 * len(t)
-    short = withheld(np.linspace(0.0, 30.0, 300), None, BEGIN)  # no more blocks than the gaps leave room for
+    # no more blocks than the gaps leave room for
+    short = withheld(np.linspace(0.0, 30.0, 300), None, BEGIN)
     assert short.blocks == 1 and 55 <= len(short.rows) <= 62
     few = withheld(np.linspace(0.0, 240.0, LEAST_WITHHOLDING - 1), None, BEGIN)
-    assert not len(few.rows) and len(few.chosen) == LEAST_WITHHOLDING - 1 and "too few" in few.reason
+    assert (
+        not len(few.rows) and len(few.chosen) == LEAST_WITHHOLDING - 1 and "too few" in few.reason
+    )
     fast = withheld(np.linspace(0.0, 3.0, 300), None, BEGIN)
     assert not len(fast.rows) and "gaps" in fast.reason
 
@@ -205,12 +254,17 @@ def test_labels_are_withheld_whole_and_enough_stay():
 
 
 def test_several_runs_keep_their_first_frames():
-    runs = [record_run({"backlash.gap": 1.2}, seed=seed, frames=150, other=bool(seed)) for seed in range(2)]
+    runs = [
+        record_run({"backlash.gap": 1.2}, seed=seed, frames=150, other=bool(seed))
+        for seed in range(2)
+    ]
     record = Records(arm(), runs)
     kept = withheld(record.t_seen, record.block, record.begins)
     assert set(record.begins) <= set(kept.chosen) and len(kept.rows) > 40
     found = diagnose(arm(), runs, effects=NAMES)
-    assert [e.name for e in found.effects] == ["backlash"] and found.effects[0].certificate.certified
+    assert [e.name for e in found.effects] == ["backlash"] and found.effects[
+        0
+    ].certificate.certified
     assert found.effects[0].certificate.frames == len(kept.rows)
 
 
@@ -228,13 +282,18 @@ def test_document_keeps_certificates_and_does_without():
     assert again.effects[0].certificate == found.effects[0].certificate
     del document["effects"][0]["certificate"], document["families"][0]["certificate"]
     old = Diagnosis.from_dict(document)
-    assert old.effects[0].certificate is None and old.effects[0] == replace(again.effects[0], certificate=None)
+    assert old.effects[0].certificate is None and old.effects[0] == replace(
+        again.effects[0], certificate=None
+    )
     assert "withheld" not in diagnosis_text(old.to_dict())
 
 
 def test_certificate_in_words():
     good = Certificate(12.34, 3.0, 70, 5, True)
     assert str(good) == "confirmed on the withheld blocks (e-value more than 10^6; needed 1000)"
-    assert str(Certificate(0.5, 3.0, 70, 5)) == "not confirmed on the withheld blocks (e-value 3.16; needed 1000)"
+    assert (
+        str(Certificate(0.5, 3.0, 70, 5))
+        == "not confirmed on the withheld blocks (e-value 3.16; needed 1000)"
+    )
     assert [power(x) for x in (-5.0, 0.0, 2.0, 5.26)] == ["10^-5", "1", "100", "10^5.3"]
     assert [power(x) for x in (-41.0, 4321.2)] == ["less than 10^-6", "more than 10^6"]

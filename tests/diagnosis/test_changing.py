@@ -1,4 +1,6 @@
-"""Laws whose numbers change within a run: the change is reported with its condition, constant laws are left alone."""
+"""Laws whose numbers change within a run: the change is reported with its condition, constant laws
+are left alone.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ MODEL = builtin_model()
 
 
 def warming(t):
-    """°C: the room warms and cools twice, so that it is neither the time nor the drift of a warm-up."""
+    """°C: the room warms and cools twice, so that it is neither the time nor the drift of a
+    warm-up.
+    """
     return 22.0 + 6.0 * np.sin(4.0 * np.pi * (t - t[0]) / np.ptp(t))
 
 
@@ -42,7 +46,10 @@ def crept(u, t, share):
 
 
 HIDDEN = {
-    "play that opens with the temperature": (lambda u, t, c: loosened(u, 0.15 * (c - 15.0)), "temperature"),
+    "play that opens with the temperature": (
+        lambda u, t, c: loosened(u, 0.15 * (c - 15.0)),
+        "temperature",
+    ),
     "play that is lost with time": (lambda u, t, c: loosened(u, 2.0 * (1.0 - t / t[-1])), "time"),
 }
 

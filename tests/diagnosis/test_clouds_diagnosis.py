@@ -1,4 +1,6 @@
-"""A finger that is seen as clouds is diagnosed like one whose vertices are known, but for its roll."""
+"""A finger that is seen as clouds is diagnosed like one whose vertices are known, but for its
+roll.
+"""
 
 from dataclasses import replace
 
@@ -23,25 +25,34 @@ def thinned(protocol):
 
 @pytest.fixture(scope="module")
 def registered():
-    """A finger with backlash, seen by two cameras with outliers and a hole; its vertices as registration finds them."""
+    """A finger with backlash, seen by two cameras with outliers and a hole; its vertices as
+    registration finds them.
+    """
     truth, protocol = hide(["backlash"], 4), thinned(standard_protocol(2))
     rng, cameras = np.random.default_rng(4), replace(TWO, points=2000, hole_mm=10.0)
     clouds = [cameras.look(shape, MODEL.triangles, rng) for shape in truth.shapes(protocol)]
     seen = replace(
-        truth.measure(protocol), vertices=None, points=np.vstack(clouds), start=np.cumsum([0, *map(len, clouds)])
+        truth.measure(protocol),
+        vertices=None,
+        points=np.vstack(clouds),
+        start=np.cumsum([0, *map(len, clouds)]),
     )
     return truth, register(MODEL, seen).run(seen)
 
 
 def rolled(run, degrees):
-    """The same vertices, each frame's turned about the local axis of the body, more towards the tip."""
+    """The same vertices, each frame's turned about the local axis of the body, more towards the
+    tip.
+    """
     own = MODEL.structure.feature_map
     centres = own.weights[own.positions] @ run.vertices
     along = np.gradient(centres, axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     section = MODEL.sections
     axis, arm = along[:, section], run.vertices - centres[:, section]
-    turn = np.radians(degrees)[:, None] * MODEL.structure.arc_length / MODEL.structure.arc_length.max()
+    turn = (
+        np.radians(degrees)[:, None] * MODEL.structure.arc_length / MODEL.structure.arc_length.max()
+    )
     moved = np.cross(axis, arm) * np.sin(turn)[..., None]
     moved += np.cross(axis, np.cross(axis, arm)) * (1.0 - np.cos(turn))[..., None]
     return replace(run, vertices=run.vertices + moved)
@@ -69,23 +80,32 @@ def test_roll_is_not_looked_at(registered):
     told = np.isfinite(features)
     assert np.abs(MODEL.seen_features(turned) - features)[told].max() < 0.12
     assert [e["name"] for e in diagnose(MODEL, turned).to_dict()["effects"]] == ["backlash"]
-    # As of vertices that were tracked, the directions would be looked at too, which nobody measured.
-    one, other = (MODEL.seen_features(replace(r, extra={ROLL_SEEN: np.array(True)})) for r in (run, turned))
+    # As of vertices that were tracked, the directions would be looked at too, which nobody
+    # measured.
+    one, other = (
+        MODEL.seen_features(replace(r, extra={ROLL_SEEN: np.array(True)})) for r in (run, turned)
+    )
     assert one.shape == (run.frames, 27, 3) and np.nanmax(np.abs(other - one)) > 0.7
 
 
 def test_turned_tendons_and_a_turned_frame_stay_open(registered):
-    """About its axis a round finger looks the same from everywhere: nothing seen says what is turned."""
+    """About its axis a round finger looks the same from everywhere: nothing seen says what is
+    turned.
+    """
     _, run = registered
     angle = np.radians(5.0)
-    about_z = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    about_z = np.array(
+        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+    )
     document = diagnose(MODEL, replace(run, vertices=run.vertices @ about_z.T)).to_dict()
     assert document["verdict"] == "ambiguous" and not document["faults"]
     named = {effect["name"]: effect["params"] for effect in document["effects"]}
     assert set(named) == {"backlash", "routing"}
     for phase in named["routing"].values():
         assert phase["value"] == pytest.approx(5.0, abs=1.0)
-    assert ("frame", ["backlash"]) in [(rival["family"], rival["effects"]) for rival in document["alternatives"]]
+    assert ("frame", ["backlash"]) in [
+        (rival["family"], rival["effects"]) for rival in document["alternatives"]
+    ]
 
 
 def test_what_was_seen_of_the_roll_stays_in_the_file(registered, tmp_path):

@@ -1,7 +1,9 @@
-"""The rules of decision: comparisons of held-out losses, and for each constant a case that fails if it is changed much.
+"""The rules of decision: comparisons of held-out losses, and for each constant a case that fails if
+it is changed much.
 
-Losses are given as rows of folds, so that each rule is easy to read. The cases at the end run a complete diagnosis of
-the built-in finger, once with the constant unchanged and once with it changed.
+Losses are given as rows of folds, so that each rule is easy to read. The cases at the end run a
+complete diagnosis of the built-in finger, once with the constant unchanged and once with it
+changed.
 """
 
 import re
@@ -15,7 +17,15 @@ from two_levels import judged, law
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis import acceptance, conclusion, decision, search, wording
-from softmap_edge.diagnosis.decision import clears, difference, form_of, leaves_cause, near, reaches, seen_to_fall
+from softmap_edge.diagnosis.decision import (
+    clears,
+    difference,
+    form_of,
+    leaves_cause,
+    near,
+    reaches,
+    seen_to_fall,
+)
 from softmap_edge.diagnosis.findings import Alternative, Number
 
 
@@ -42,7 +52,9 @@ def test_a_difference_is_paired_fold_by_fold():
 
 
 def test_a_fold_that_does_not_show_an_effect_speaks_for_neither_side():
-    """Four blocks of one channel alone, without coupling, do not outvote four blocks that need the coupling."""
+    """Four blocks of one channel alone, without coupling, do not outvote four blocks that need the
+    coupling.
+    """
 
     def seen(*after):
         return seen_to_fall(difference(FLAT, folds(*after)))
@@ -56,7 +68,9 @@ def test_a_fold_that_does_not_show_an_effect_speaks_for_neither_side():
 
 
 def test_a_rare_event_counts_by_the_folds_that_show_it():
-    """A single event affects one fold or two: its fall is within one standard error, but no fold rises."""
+    """A single event affects one fold or two: its fall is within one standard error, but no fold
+    rises.
+    """
     once = difference(FLAT, folds(10, 100, 100, 100, 100, 100, 100, 100))
     assert once.fall <= once.error and once.share == 1.0 and seen_to_fall(once)
     twice = difference(FLAT, folds(10, 190, 100, 100, 100, 100, 100, 100))
@@ -77,7 +91,11 @@ def test_near_is_within_the_form_or_within_the_scatter_that_folds_do_not_agree_o
 
 def test_a_law_reaches_within_one_standard_error_or_its_form():
     best = np.full(8, 20.0)
-    assert reaches(best, best, 640.0) and reaches(best * 1.09, best, 640.0) and not reaches(best * 1.4, best, 640.0)
+    assert (
+        reaches(best, best, 640.0)
+        and reaches(best * 1.09, best, 640.0)
+        and not reaches(best * 1.4, best, 640.0)
+    )
     assert reaches(best * 1.4, best, 640.0, form=0.11)
     assert reaches(folds(10, 30, 10, 60, 20, 20, 20, 20), best, 640.0)
     assert reaches(best * 0.5, best, 640.0)  # a lower loss reaches
@@ -87,7 +105,8 @@ def test_what_leaves_more_than_noise_is_no_equal_of_what_leaves_noise():
     noise = np.full(8, 10.0)
     assert leaves_cause(noise * 1.4, noise, 80.0) and leaves_cause(noise * 1.4, noise, 70.0)
     assert not leaves_cause(noise * 1.2, noise, 80.0)  # noise may be as large
-    assert not leaves_cause(noise * 1.4, noise, 50.0)  # the best leaves more than noise, too: both forms may be off
+    # the best leaves more than noise, too: both forms may be off
+    assert not leaves_cause(noise * 1.4, noise, 50.0)
     assert leaves_cause(noise * 0.5, noise * 0.1, 80.0)  # the noise is smaller than stated
 
 
@@ -106,7 +125,7 @@ def test_a_static_law_need_not_explain_ordinary_imperfections():
     assert form_of(True, 0.0, 0.3) == decision.FORM_MOST
 
 
-# --- constants of the comparisons, each changed in both directions ---------------------------------
+# --- constants of the comparisons, each changed in both directions --------------------------------
 
 
 @pytest.mark.parametrize(
@@ -125,7 +144,9 @@ def test_a_static_law_need_not_explain_ordinary_imperfections():
             (5, 5, 5, 5, 5, 5, 50, -30), (-10, -10, -10, 1, 1, 1, 1, 50))], [False, True]),
     ],
 )  # fmt: skip
-def test_comparisons_turn_when_their_constant_is_moved(monkeypatch, name, low, high, question, expected):
+def test_comparisons_turn_when_their_constant_is_moved(
+    monkeypatch, name, low, high, question, expected
+):
     assert question() == expected
     for moved in (low, high):
         monkeypatch.setattr(decision, name, moved)
@@ -135,7 +156,9 @@ def test_comparisons_turn_when_their_constant_is_moved(monkeypatch, name, low, h
 # --- acceptance of a family ---------------------------------------------------------------------
 
 
-def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", later=False, **more):
+def accepted(
+    fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", later=False, **more
+):
     """Whether a family is accepted whose loss falls by `fall` in eight even folds."""
     static = more.get("static_mm", 3.0)
     record = SimpleNamespace(
@@ -144,26 +167,39 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     )  # fmt: skip
     noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
     state = SimpleNamespace(
-        body=SimpleNamespace(problem=SimpleNamespace(record=record, noise=noise, numbers=numbers), record=record,
-                             ordinary_mm=more.get("ordinary", 0.3), free_map=False),
+        body=SimpleNamespace(
+            problem=SimpleNamespace(record=record, noise=noise, numbers=numbers),
+            record=record,
+            ordinary_mm=more.get("ordinary", 0.3),
+            free_map=False,
+        ),
         without_background=lambda: None if more.get("background") else state,
-    )  # fmt: skip
+    )
     ranking = SimpleNamespace(before=np.full(8, before / 8), static=np.zeros((1, 3)))
-    row = SimpleNamespace(loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind))
+    row = SimpleNamespace(
+        loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind)
+    )
     return acceptance.accepted(row, ranking, state, later, more.get("visible", decision.VISIBLE_MM))
 
 
 def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     assert accepted()
-    assert not accepted(fall=-1.0) and not accepted(moved=0.05) and not accepted(moved=0.2, visible=0.3)
-    assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)  # below noise, below the model's error
+    assert (
+        not accepted(fall=-1.0)
+        and not accepted(moved=0.05)
+        and not accepted(moved=0.2, visible=0.3)
+    )
+    # below noise, below the model's error
+    assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)
     assert accepted(kind="memory", form=2.0)  # which has no memory
     assert accepted(kind="static", form=2.0, noisy=True)  # whose own error is in its noise
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, noisy=True)
     assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run
-    assert not accepted(**small, noisy=True, background=True)  # nor may a memory, once imperfections are explained
-    assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of all loss, within noise
+    # nor may a memory, once imperfections are explained
+    assert not accepted(**small, noisy=True, background=True)
+    # a share of all loss, within noise
+    assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +231,9 @@ def exceeds(moved, static=2.0, folds=(1.0, 1.0, 1.0, 1.0, 1.0), kind="static", f
     return acceptance.exceeds_model_error(SimpleNamespace(kind=kind), moved, state)
 
 
-def test_a_new_static_effect_of_a_learned_map_exceeds_its_model_error_and_the_scatter_of_that(monkeypatch):
+def test_a_new_static_effect_of_a_learned_map_exceeds_its_model_error_and_the_scatter_of_that(
+    monkeypatch,
+):
     assert exceeds(1.7) and exceeds(1.7, kind="time")
     assert not exceeds(1.7, static=1.2)  # hardly more than the model error remains
     scattered = (0.3, 0.6, 1.0, 1.3, 1.4)  # the same error on average, but not on every run
@@ -203,7 +241,8 @@ def test_a_new_static_effect_of_a_learned_map_exceeds_its_model_error_and_the_sc
     monkeypatch.setattr(decision, "SCATTER", 0.0)
     assert exceeds(1.4, static=1.5, folds=scattered)
     assert exceeds(1.7, static=1.2, kind="memory")  # a map has no memory
-    assert exceeds(1.7, static=1.2, free=False)  # the rod of a robot.toml follows few static effects
+    # the rod of a robot.toml follows few static effects
+    assert exceeds(1.7, static=1.2, free=False)
 
 
 def test_a_later_family_has_to_explain_more():
@@ -223,11 +262,15 @@ def test_what_is_visible_moves_the_body_by_more_than_a_camera_s_floor(monkeypatc
 
 
 def remains(left=0.0, mm=0.0, standing=True):
-    """Whether something unknown remains: a share `left` beyond a law, or `mm` against a model error of 1 mm."""
+    """Whether something unknown remains: a share `left` beyond a law, or `mm` against a model error
+    of 1 mm.
+    """
     record = SimpleNamespace(form_mm=1.0, positions=None, rms_mm=lambda _: mm)
     problem = SimpleNamespace(record=record, noise=SimpleNamespace(rms_mm=lambda _: 0.5))
     state = SimpleNamespace(residual=0.0, ordinary=0.0)
-    outcome = SimpleNamespace(body=SimpleNamespace(problem=problem, record=record), left=left, state=state)
+    outcome = SimpleNamespace(
+        body=SimpleNamespace(problem=problem, record=record), left=left, state=state
+    )
     steps = [SimpleNamespace(answer=SimpleNamespace(law="a law", rough=False))] if standing else []
     return conclusion._unknown(outcome, None, None, steps, False)
 
@@ -253,16 +296,22 @@ def mimics(r2, monkeypatch):
     level = SimpleNamespace(theta=lambda *_: [None], fitted=lambda *_: target.reshape(2, 1))
     ranking = SimpleNamespace(level=level, names=[], ridges=[])
     monkeypatch.setattr(acceptance, "families", lambda: [static])
-    other = SimpleNamespace(family=SimpleNamespace(name="creep"), representative=SimpleNamespace(ridge=1.0))
+    other = SimpleNamespace(
+        family=SimpleNamespace(name="creep"), representative=SimpleNamespace(ridge=1.0)
+    )
     state = SimpleNamespace(body=body, commands=None, slopes=None)
     return acceptance.does_the_same(other, SimpleNamespace(family=static), ranking, state)
 
 
 def is_discovery(static_mm):
     """Whether a static misfit on a motion of 10 mm is more than ordinary imperfections."""
-    record = SimpleNamespace(seen=np.array([[10.0], [-10.0]]), frame_mm=0.0, rms_mm=lambda x: np.sqrt(np.mean(x**2)))
+    record = SimpleNamespace(
+        seen=np.array([[10.0], [-10.0]]), frame_mm=0.0, rms_mm=lambda x: np.sqrt(np.mean(x**2))
+    )
     level = SimpleNamespace(close=lambda _: None)
-    body = SimpleNamespace(record=record, candidates=[], curves=lambda *_: {}, level=lambda: level, modes=lambda x: x)
+    body = SimpleNamespace(
+        record=record, candidates=[], curves=lambda *_: {}, level=lambda: level, modes=lambda x: x
+    )
     body.free_map = False
     state = SimpleNamespace(body=body, commands=None, slopes=None, residual=np.zeros((2, 1)))
     ranking = SimpleNamespace(static=np.full((2, 1), static_mm), rows=[])
@@ -288,7 +337,9 @@ SCATTERED = (0.3, 0.6, 1.0, 1.3, 1.4)  # 1 mm, but not on every run
     ],
 )  # fmt: skip
 def test_a_decision_turns_when_its_constant_is_moved(monkeypatch, name, low, high, question):
-    """One case lies below the constant and one above: the first turns if it is lowered, the second if it is raised."""
+    """One case lies below the constant and one above: the first turns if it is lowered, the second
+    if it is raised.
+    """
     assert tuple(map(bool, question(monkeypatch))) == (False, True)
     for value, expected in ((low, (True, True)), (high, (False, False))):
         assert 1 / 3.1 < value / getattr(decision, name) < 3.1
@@ -301,9 +352,13 @@ def test_a_decision_turns_when_its_constant_is_moved(monkeypatch, name, low, hig
 
 
 def probability(alternatives=0, bound=False, unknown=False, reaching=None):
-    others = [Alternative(("lag",), "", "gain")] * alternatives + [Alternative(("lag",), "", "creep")]
+    others = [Alternative(("lag",), "", "gain")] * alternatives + [
+        Alternative(("lag",), "", "creep")
+    ]
     step = (
-        None if reaching is None else SimpleNamespace(answer=SimpleNamespace(resolved=False, reaching=[0] * reaching))
+        None
+        if reaching is None
+        else SimpleNamespace(answer=SimpleNamespace(resolved=False, reaching=[0] * reaching))
     )
     numbers = {"gain.factor": Number(0.1, at_bound=bound)}
     return conclusion._probability(step, "gain", numbers, others, unknown)
@@ -314,7 +369,13 @@ def test_a_name_is_as_likely_as_what_speaks_against_it_allows():
     assert probability(1) == pytest.approx(1 / 1.53) and probability(2) == pytest.approx(1 / 2.03)
     assert probability(bound=True) == probability(unknown=True) == probability(1)
     assert probability(reaching=2) == pytest.approx(1 / 4.03)  # a candidate of an open law
-    assert probability(1) > 0.5 > probability(2) > probability(2, bound=True) > probability(2, True, True)
+    assert (
+        probability(1)
+        > 0.5
+        > probability(2)
+        > probability(2, bound=True)
+        > probability(2, True, True)
+    )
 
 
 @pytest.mark.parametrize(
@@ -336,7 +397,9 @@ def test_probabilities_follow_the_odds(monkeypatch, name, moved, case):
 
 
 def imperfect(u):
-    """Many small errors at once: a scale, an offset, a wave, a cross term; 0.3 mm RMS together, and none dominates."""
+    """Many small errors at once: a scale, an offset, a wave, a cross term; 0.3 mm RMS together, and
+    none dominates.
+    """
     return 1.01 * u + [0.1, -0.1] + 0.12 * np.sin(0.9 * u) + 0.003 * u[:, ::-1] ** 2
 
 
@@ -357,11 +420,16 @@ def moved(monkeypatch):
 
 
 def test_ordinary_imperfections_are_a_level_and_no_discovery(moved):
-    """On a motion of 10 mm they are ignored; for a robot without imperfections they would be a discovery."""
+    """On a motion of 10 mm they are ignored; for a robot without imperfections they would be a
+    discovery.
+    """
     now, then = moved(finger_run(acting=imperfect), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
     assert not now.families and now.verdict in ("nothing", "cannot_tell")
     assert then.families and then.families[0].kind == "static"
-    assert 0.2 < now.unexplained.ordinary_mm < 0.4 and "ordinary imperfections of this robot: 0." in str(now)
+    assert (
+        0.2 < now.unexplained.ordinary_mm < 0.4
+        and "ordinary imperfections of this robot: 0." in str(now)
+    )
     assert then.unexplained.ordinary_mm is None
 
 
@@ -382,8 +450,12 @@ def test_at_most_four_families_are_taken(moved):
 
 
 def test_two_laws_of_two_families_are_found_together(monkeypatch):
-    """One after the other, a free static shape absorbs the share of both, and other laws are named."""
-    run = finger_run(["gain", "mount"], {"gain.factor[0]": 0.8, "gain.factor[1]": 0.8, "mount.shift_x": 2.0})
+    """One after the other, a free static shape absorbs the share of both, and other laws are
+    named.
+    """
+    run = finger_run(
+        ["gain", "mount"], {"gain.factor[0]": 0.8, "gain.factor[1]": 0.8, "mount.shift_x": 2.0}
+    )
     now = diagnose(builtin_model(), run)
     assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
     assert now.error.after < 0.3 * now.error.before
@@ -398,9 +470,14 @@ def test_two_laws_of_two_families_are_found_together(monkeypatch):
 
 
 def test_something_far_beyond_the_model_s_error_is_unknown_though_no_family_falls(moved):
-    run = finger_run(acting=lambda u: u + 2.0 * np.sin(3.0 * u[:, ::-1]))  # no column has so many waves
+    # no column has so many waves
+    run = finger_run(acting=lambda u: u + 2.0 * np.sin(3.0 * u[:, ::-1]))
     now, then = moved(run, ["gain", "backlash"], UNKNOWN_TIMES=1e3)
-    assert now.verdict == "partly_explained" and not now.effects and "remain unexplained" in now.sentence
+    assert (
+        now.verdict == "partly_explained"
+        and not now.effects
+        and "remain unexplained" in now.sentence
+    )
     assert then.verdict in ("nothing", "cannot_tell")
 
 
@@ -413,11 +490,15 @@ def test_servos_are_exchanged_only_where_the_model_is_far_off(moved):
 def test_an_effect_of_the_same_form_is_an_alternative_where_it_explains_enough(moved):
     run = finger_run(acting=lambda u: u * [0.85, 0.85])
     now, then = moved(run, ["gain", "tendon_stretch"], STANDS_FOR=2.0)
-    assert [a.effects for a in now.alternatives] == [("tendon_stretch",)] and then.alternatives == ()
+    assert [a.effects for a in now.alternatives] == [
+        ("tendon_stretch",)
+    ] and then.alternatives == ()
 
 
 def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved):
-    """A slow change can look like a gain where large commands are held long, and the gain leaves more than noise."""
+    """A slow change can look like a gain where large commands are held long, and the gain leaves
+    more than noise.
+    """
     run = finger_run(acting=lambda u: u * [0.85, 0.85] + 0.05 * np.sin(u[:, ::-1]))
     now, then = moved(run, None, MIMIC=2.0)
     assert [f.name for f in now.families] == ["static map"]
@@ -425,13 +506,19 @@ def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved
 
 
 def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():
-    """Wording has one factor of its own: a fault leads if it moves the body more than twice as far as any physics."""
+    """Wording has one factor of its own: a fault leads if it moves the body more than twice as far
+    as any physics.
+    """
     assert wording.GROSS == 2.0 and 0.1 < wording.UNTESTABLE_SHARE < 0.9
 
 
 def test_each_constant_of_the_decision_has_its_reason_beside_it():
     lines = Path(decision.__file__).read_text(encoding="utf-8").splitlines()
-    constants = [(above, line) for above, line in zip(lines, lines[1:]) if re.match(r"[A-Z][A-Z_, ]+ = ", line)]
+    constants = [
+        (above, line)
+        for above, line in zip(lines, lines[1:])
+        if re.match(r"[A-Z][A-Z_, ]+ = ", line)
+    ]
     assert 10 < len(constants) <= 20
     for above, line in constants:
         assert "#" in line or above.startswith("#"), line

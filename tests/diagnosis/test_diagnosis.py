@@ -1,7 +1,8 @@
-"""Diagnosis: what is hidden is named, silence and doubt are answers, documents survive a round trip.
+"""Diagnosis: what is hidden is named, silence and doubt are answers, documents survive a round
+trip.
 
-The arm of `arm.py` carries the statistics, the built-in finger what a run can do to a diagnosis; hidden effects of
-other forms on the simulated finger are judged elsewhere.
+The arm of `arm.py` carries the statistics, the built-in finger what a run can do to a diagnosis;
+hidden effects of other forms on the simulated finger are judged elsewhere.
 """
 
 import json
@@ -70,11 +71,14 @@ def test_pair_and_triple_are_found_whole():
 
 
 def test_form_error_is_not_physics(monkeypatch):
-    """A static error three times larger than what the model declares must not become an effect with a memory."""
+    """A static error three times larger than what the model declares must not become an effect with
+    a memory.
+    """
     for seed in range(2):
         found = diagnosed({}, seed=seed, warp=0.3)
         assert not named(found) & {"latency", "backlash", "creep"}
-    # For a model with zero model error, on a robot without imperfections, the same error is a discovery.
+    # For a model with zero model error, on a robot without imperfections, the same error is a
+    # discovery.
     monkeypatch.setattr(decision, "ORDINARY", 0.0)
     assert any(diagnosed({}, arm(form=1e-3), seed=seed, warp=0.3).families for seed in range(2))
 
@@ -98,7 +102,9 @@ def test_small_effects_are_below_the_floor():
 
 
 def test_unknown_effect_is_flagged():
-    """Without its true effect among the candidates the leftover is claimed, not hidden behind another name."""
+    """Without its true effect among the candidates the leftover is claimed, not hidden behind
+    another name.
+    """
     run = record_run({"creep.strength": 0.45, "creep.tau": 40.0}, seed=4)
     found = diagnose(arm(), run, effects=["gain", "payload", "mount"])
     assert found.verdict == "partly_explained" and not named(found)
@@ -145,7 +151,11 @@ def test_same_input_same_document_and_round_trip():
     assert back.to_dict() == first.to_dict() and back.model is None
     assert str(back) == str(first)
     assert str(first) == diagnosis_text(first.to_dict())  # one text, whoever asks
-    assert "Verdict: identified" in str(first) and "backlash.gap" in str(first) and "floor" in str(first)
+    assert (
+        "Verdict: identified" in str(first)
+        and "backlash.gap" in str(first)
+        and "floor" in str(first)
+    )
     assert list(first.to_dict())[0] == "schema"
     assert back.params_of("backlash")["backlash.gap"] == pytest.approx(1.2, rel=0.05)
 
@@ -173,7 +183,10 @@ def test_broken_documents_are_refused(broken, match):
         (lambda entry: entry["params"]["backlash.gap"].update(value=float("nan")), "backlash.gap"),
         (lambda entry: entry["params"]["backlash.gap"].update(value=10**400), "backlash.gap"),
         (lambda entry: entry["params"]["backlash.gap"].update(value=1e308), "allowed 0.04 to 32"),
-        (lambda entry: entry["params"]["backlash.gap"].update(value=-2.0), "backlash.gap is -2 in the diagnosis"),
+        (
+            lambda entry: entry["params"]["backlash.gap"].update(value=-2.0),
+            "backlash.gap is -2 in the diagnosis",
+        ),
         (lambda entry: entry["params"].clear(), "has no backlash.gap"),
     ],
 )
@@ -203,10 +216,14 @@ def test_wrong_use_is_an_error():
 
 
 def test_rod_frames_count_by_their_correlation():
-    """On a rod the error of the form is large and slow: a small true effect is not claimed on it."""
+    """On a rod the error of the form is large and slow: a small true effect is not claimed on
+    it.
+    """
     rod = arm(form=0.6, kind="rod")
     t, u = protocol()
-    assert named(diagnosed(HIDDEN["backlash"] | {"backlash.gap": 2.5}, rod, t=t, u=u, frames=1000)) == {"backlash"}
+    assert named(
+        diagnosed(HIDDEN["backlash"] | {"backlash.gap": 2.5}, rod, t=t, u=u, frames=1000)
+    ) == {"backlash"}
     assert not named(diagnosed({}, rod, t=t, u=u, frames=1000))
 
 
@@ -216,7 +233,8 @@ def test_rod_frames_count_by_their_correlation():
 LAWS = {
     "saturation": lambda u: np.clip(u, -8.0, 8.0),
     "dead_zone": lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0),
-    "eccentric_pulley": lambda u: u + 0.8 * (np.sin(u / 2.5 + 0.3) - np.sin(0.3)),  # 1.5 turns in the range
+    # 1.5 turns in the range
+    "eccentric_pulley": lambda u: u + 0.8 * (np.sin(u / 2.5 + 0.3) - np.sin(0.3)),
 }
 
 
@@ -236,11 +254,15 @@ def test_what_no_effect_explains_is_no_effect(name):
 
 
 def test_what_looks_alike_is_a_rival_where_it_can_do_it():
-    """Cables that stretch shorten all that is pulled: one factor below 1, and never one above it."""
+    """Cables that stretch shorten all that is pulled: one factor below 1, and never one above
+    it.
+    """
     runs = [finger_run(acting=lambda u, f=f: u * f) for f in ([0.85, 0.85], [1.19, 0.81])]
     less, either = (diagnose(builtin_model(), run) for run in runs)
     assert named(less) == named(either) == {"gain"}
-    assert [list(r.effects) for r in less.alternatives] == [["tendon_stretch"]] and less.verdict == "ambiguous"
+    assert [list(r.effects) for r in less.alternatives] == [
+        ["tendon_stretch"]
+    ] and less.verdict == "ambiguous"
     assert either.alternatives == () and either.verdict == "identified"
 
 
@@ -253,14 +275,20 @@ def test_what_looks_alike_is_a_rival_where_it_can_do_it():
     ids=["swap", "sign"],
 )
 def test_wrong_wiring_is_named_before_any_physics(acting, case, said):
-    """Swapped servos move the finger ten times as far off as the play behind them, and hide it not."""
+    """Swapped servos move the finger ten times as far off as the play behind them, and hide it
+    not.
+    """
     found = diagnose(builtin_model(), finger_run(acting=acting))
     assert found.verdict == "measurement_fault" and found.effects == ()
     assert found.faults[0].params["servo_swap.case"].value == case
     assert "measurement is at fault" in found.sentence and f"servo_swap: {said}" in found.sentence
     assert f"{case}: {said}" in str(found) and said in found.next[0].block
-    behind = diagnose(builtin_model(), finger_run(["backlash"], {"backlash.gap": 1.0}, acting=acting))
-    assert [f.name for f in behind.faults] == ["servo_swap"] and [e.name for e in behind.effects] == ["backlash"]
+    behind = diagnose(
+        builtin_model(), finger_run(["backlash"], {"backlash.gap": 1.0}, acting=acting)
+    )
+    assert [f.name for f in behind.faults] == ["servo_swap"] and [
+        e.name for e in behind.effects
+    ] == ["backlash"]
     assert behind.error.after < 0.1 * behind.error.ladder[0].value
     assert behind.effects[0].params["backlash.gap"].value == pytest.approx(1.0, abs=0.02)
 
@@ -287,7 +315,9 @@ def test_finger_that_is_partly_seen():
     late[: run.frames // 2] = False
     base[:, model.rest[:, 2] > 8.0] = False
     found = diagnose(model, replace(run, visible=late))
-    assert named(found) == {"backlash"} and found.made_from["run"] == replace(run, visible=late).hash()
+    assert (
+        named(found) == {"backlash"} and found.made_from["run"] == replace(run, visible=late).hash()
+    )
     blind = diagnose(model, replace(run, visible=base))
     hidden = {row.name for row in blind.not_testable}
     physics = {e["name"] for e in _core.effects() if e["kind"] == "effect"}
@@ -309,10 +339,15 @@ def test_command_that_never_changes():
 def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     """A rival that repairs a wrong number is not told without the number."""
     run = finger_run(["backlash"], {"backlash.gap": 1.5})
-    wrong, right = (builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5))
+    wrong, right = (
+        builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5)
+    )
     found = diagnose(wrong, run)
     assert found.verdict == "ambiguous" and list(found.alternatives[0].effects) == ["backlash"]
-    assert "`softmap model refit` alone takes" in found.sentence and "softmap model refit" in found.next[0].block
+    assert (
+        "`softmap model refit` alone takes" in found.sentence
+        and "softmap model refit" in found.next[0].block
+    )
     found = diagnose(right, run)
     assert found.verdict == "nothing" and "refit" not in found.sentence
 
@@ -340,11 +375,15 @@ def test_a_name_with_two_alternatives_is_less_likely_than_not_and_not_identified
 
 
 def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_little():
-    """Forms of loads are off too far to rule one out by its fit; how much it does stands beside it."""
+    """Forms of loads are off too far to rule one out by its fit; how much it does stands beside
+    it.
+    """
     run = finger_run(["gravity"], {"gravity.density": 0.5, "gravity.tilt_x": 40.0})
     upright = run.gravity[np.searchsorted(run.t, run.t_seen)][:, 2] > 0.99
     found = diagnose(builtin_model(), replace(run.at(upright), gravity=np.array([0.0, 0.0, 1.0])))
-    assert found.verdict == "ambiguous" and [list(r.effects) for r in found.alternatives] == [["payload"]]
+    assert found.verdict == "ambiguous" and [list(r.effects) for r in found.alternatives] == [
+        ["payload"]
+    ]
     assert re.search(r"fitted here it does \d+ % of it", found.alternatives[0].why)
 
 
@@ -359,17 +398,24 @@ def late(samples):
 
 
 def test_what_lies_beyond_a_bound_is_never_identified():
-    """0.56 s of delay where the library allows 0.5: the number is at its bound, and this is reported."""
-    found = diagnose(builtin_model(), finger_run(acting=late(28)), effects=["latency", "gain", "backlash"])
+    """0.56 s of delay where the library allows 0.5: the number is at its bound, and this is
+    reported.
+    """
+    found = diagnose(
+        builtin_model(), finger_run(acting=late(28)), effects=["latency", "gain", "backlash"]
+    )
     assert found.verdict != "identified"
     if found.effects:
         assert found.effects[0].params["latency.delay"].at_bound
         assert "latency.delay is at its bound of 0.5 s" in found.sentence
-        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_DOUBT)  # the true law is not in the library
+        # the true law is not in the library
+        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_DOUBT)
 
 
 def test_what_lies_far_beyond_a_bound_is_an_unknown_law_of_its_family():
-    """A second of delay, twice the library's limit, still counts as a robot that follows its commands."""
+    """A second of delay, twice the library's limit, still counts as a robot that follows its
+    commands.
+    """
     found = diagnose(builtin_model(), finger_run(acting=late(50)))
     assert found.verdict == "partly_explained" and not found.faults
     assert (found.families[0].name, found.families[0].law) == ("delay", "unknown")
@@ -378,4 +424,7 @@ def test_what_lies_far_beyond_a_bound_is_an_unknown_law_of_its_family():
 def test_extrapolation_is_told():
     run = finger_run()
     assert "beyond the commands" not in diagnose(builtin_model(), run, effects=["gain"]).sentence
-    assert "beyond the commands" in diagnose(builtin_model(), replace(run, command=2 * run.command)).sentence
+    assert (
+        "beyond the commands"
+        in diagnose(builtin_model(), replace(run, command=2 * run.command)).sentence
+    )

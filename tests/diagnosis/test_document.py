@@ -1,4 +1,6 @@
-"""The document of a diagnosis: a round trip loses nothing, the earlier schema is read, damaged files are refused."""
+"""The document of a diagnosis: a round trip loses nothing, the earlier schema is read, damaged
+files are refused.
+"""
 
 import copy
 import dataclasses
@@ -37,25 +39,66 @@ WHOLE = Diagnosis(
     verdict="partly_explained",
     sentence="The model lacks backlash; 0.21 mm RMS (fitted) remain unexplained.",
     effects=(
-        Finding("backlash", {"backlash.gap": GAP}, "memory", "transmission", Displacement(1.8, 1.5), 0.9, 0.97,
-                Refitted({"backlash.stiffness": Number(0.1, 0.02)}, (0.1, 0.2))),
+        Finding(
+            "backlash",
+            {"backlash.gap": GAP},
+            "memory",
+            "transmission",
+            Displacement(1.8, 1.5),
+            0.9,
+            0.97,
+            Refitted({"backlash.stiffness": Number(0.1, 0.02)}, (0.1, 0.2)),
+        ),
     ),
-    faults=(Finding("servo_swap", {"servo_swap.case": Number(2.0, meaning="channel 1 runs the wrong way")}),),
-    families=(FamilyFinding("memory", "memory", "resolved", ("backlash",), 0.9, 1.8, 0.98, ("u³",), ("delay",)),),
+    faults=(
+        Finding(
+            "servo_swap", {"servo_swap.case": Number(2.0, meaning="channel 1 runs the wrong way")}
+        ),
+    ),
+    families=(
+        FamilyFinding(
+            "memory", "memory", "resolved", ("backlash",), 0.9, 1.8, 0.98, ("u³",), ("delay",)
+        ),
+    ),
     alternatives=(Alternative(("friction",), "fits as well", "backlash", "memory"),),
     not_testable=(Untestable("thermal_softening", "no temperature", "a warm-up", 15.0),),
-    where=Where({"speed": (Bin("still", None, 1.0, 9, 1.0),)}, {"speed": (Bin("still", None, 1.0, 9, 0.2),)}),
-    error=ErrorLadder(2.4, 1.9, (Rung("backlash", 0.9),), 0.3, (0.2, 0.4), noise_floor=0.1, model_floor=0.2, floor=0.2),
+    where=Where(
+        {"speed": (Bin("still", None, 1.0, 9, 1.0),)}, {"speed": (Bin("still", None, 1.0, 9, 0.2),)}
+    ),
+    error=ErrorLadder(
+        2.4,
+        1.9,
+        (Rung("backlash", 0.9),),
+        0.3,
+        (0.2, 0.4),
+        noise_floor=0.1,
+        model_floor=0.2,
+        floor=0.2,
+    ),
     unexplained=Unexplained(0.21, 1.8, 0.22, "dwell", 0.24),
     next=(NextBlock("staircase", 2.5, ("creep",), 42.0),),
     made_from={"seed": 1, "run": "abc"},
-    servo=(ServoFinding(1, "mm", (ServoEffect("latency", {"latency.delay": Number(0.18)}),), ServoError(0.4, 0.1)),),
+    servo=(
+        ServoFinding(
+            1,
+            "mm",
+            (ServoEffect("latency", {"latency.delay": Number(0.18)}),),
+            ServoError(0.4, 0.1),
+        ),
+    ),
     remarks=("frames 3 and 4 are left out",),
     learned_in=(
-        LearnedIn("friction", "memory", "open", 3.1, 0.4, (LearnedNumber("friction.width", 0.2, 0.1, "mm", True),),
-                  (LearnedAlternative("", "rate", 0.5),)),
+        LearnedIn(
+            "friction",
+            "memory",
+            "open",
+            3.1,
+            0.4,
+            (LearnedNumber("friction.width", 0.2, 0.1, "mm", True),),
+            (LearnedAlternative("", "rate", 0.5),),
+        ),
     ),
-)  # fmt: skip
+)
 TEXT = json.dumps(WHOLE.to_dict(), allow_nan=False)
 
 
@@ -68,8 +111,14 @@ def test_a_round_trip_loses_nothing():
     back = Diagnosis.from_dict(fresh())
     for field in dataclasses.fields(Diagnosis):
         if field.name != "model":
-            assert getattr(back, field.name) == getattr(WHOLE, field.name) != field.default, field.name
-    assert json.dumps(back.to_dict()) == TEXT and list(fresh())[0] == "schema" and fresh()["schema"] == SCHEMA
+            assert getattr(back, field.name) == getattr(WHOLE, field.name) != field.default, (
+                field.name
+            )
+    assert (
+        json.dumps(back.to_dict()) == TEXT
+        and list(fresh())[0] == "schema"
+        and fresh()["schema"] == SCHEMA
+    )
     assert str(back) == str(WHOLE)
 
 
@@ -87,13 +136,20 @@ def test_unknown_keys_are_passed_over():
 
 
 def test_the_schema_before_is_read():
-    """A document as the earlier version wrote it: rivals, no families, an experiment for each rival."""
+    """A document as the earlier version wrote it: rivals, no families, an experiment for each
+    rival.
+    """
     old = fresh() | {"schema": BEFORE}
-    old["rivals"] = [{"member": "backlash", "effects": ["friction"], "why": "near", "experiment": ["loops", 2.0]}]
+    old["rivals"] = [
+        {"member": "backlash", "effects": ["friction"], "why": "near", "experiment": ["loops", 2.0]}
+    ]
     for key in ("alternatives", "families"):
         del old[key]
     found = Diagnosis.from_dict(old)
-    assert found.alternatives == (Alternative(("friction",), "near", "backlash"),) and found.families == ()
+    assert (
+        found.alternatives == (Alternative(("friction",), "near", "backlash"),)
+        and found.families == ()
+    )
     assert found.effects == WHOLE.effects and found.to_dict()["schema"] == SCHEMA
     assert "friction" in str(found)
 
@@ -111,7 +167,10 @@ def test_every_verdict_is_read_and_printed(verdict):
         ({}, "not a diagnosis: schema is None"),
         ({"schema": "softmap.diagnosis/9"}, "'softmap.diagnosis/2' is read"),
         ({"schema": SCHEMA}, "diagnosis has no 'verdict'"),
-        ({"schema": SCHEMA, "verdict": "maybe"}, "unknown verdict 'maybe'; there are identified, ambiguous"),
+        (
+            {"schema": SCHEMA, "verdict": "maybe"},
+            "unknown verdict 'maybe'; there are identified, ambiguous",
+        ),
     ],
 )
 def test_what_is_no_diagnosis_is_refused(document, match):
@@ -150,10 +209,14 @@ def test_a_damaged_document_gives_one_error_that_says_where(where, value, match)
     spoil(document, where, value)
     with pytest.raises(ReportError, match=match) as fault:
         Diagnosis.from_dict(document)
-    assert str(fault.value).startswith("damaged diagnosis: ") and str(fault.value).endswith("; diagnose again")
+    assert str(fault.value).startswith("damaged diagnosis: ") and str(fault.value).endswith(
+        "; diagnose again"
+    )
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400], ids=["nan", "inf", "-inf", "googol"])
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, -math.inf, 10**400], ids=["nan", "inf", "-inf", "googol"]
+)
 def test_numbers_that_are_not_finite_are_refused(value, tmp_path):
     """Python's JSON allows NaN and integers beyond any float; a fit has neither."""
     for where in (
@@ -165,12 +228,17 @@ def test_numbers_that_are_not_finite_are_refused(value, tmp_path):
         spoil(document, where, value)
         path = tmp_path / "d.json"
         path.write_text(json.dumps(document))
-        with pytest.raises(SoftmapError, match=rf"{where[-1] if isinstance(where[-1], str) else where[-2]}.* finite"):
+        with pytest.raises(
+            SoftmapError,
+            match=rf"{where[-1] if isinstance(where[-1], str) else where[-2]}.* finite",
+        ):
             Diagnosis.load(path)
 
 
 def test_every_leaf_in_turn_becomes_junk():
-    """The document is read, or refused with one error: no other exception, and missing entries are reported."""
+    """The document is read, or refused with one error: no other exception, and missing entries are
+    reported.
+    """
     refused = 0
     for where in leaves(fresh()):
         for junk in ("x", None, [], {}, -1):
@@ -207,8 +275,12 @@ def test_records_are_frozen():
 
 
 def test_parts_are_read_by_their_annotations():
-    assert read(Number, {"value": 1}, "n") == Number(1.0) and isinstance(read(Number, {"value": 1}, "n").value, float)
-    assert read(Bin, {"label": "x", "low": None, "high": 2, "n": 3, "rms_mm": 1}, "b") == Bin("x", None, 2.0, 3, 1.0)
+    assert read(Number, {"value": 1}, "n") == Number(1.0) and isinstance(
+        read(Number, {"value": 1}, "n").value, float
+    )
+    assert read(Bin, {"label": "x", "low": None, "high": 2, "n": 3, "rms_mm": 1}, "b") == Bin(
+        "x", None, 2.0, 3, 1.0
+    )
     with pytest.raises(ReportError, match="n is list, expected an object"):
         read(Number, [1.0], "n")
 

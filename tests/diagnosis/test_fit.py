@@ -35,12 +35,14 @@ def test_recovers_what_was_hidden(hidden):
     fit = Fits(problem, NAMES).get((name,))
     assert problem.null().chi2 - fit.chi2 > 100.0  # doing nothing explains nothing
     for label, value in hidden.items():
-        # Noise of 0.02 mm on 350 frames. A gain could partly be form error (0.26 mm), so the weak prior pulls it most.
+        # Noise of 0.02 mm on 350 frames. A gain could partly be form error (0.26 mm), so the weak
+        # prior pulls it most.
         assert fit.params[label] == pytest.approx(value, rel=0.08 if name == "gain" else 0.02)
 
 
 def test_bounds_hold_and_are_reached():
-    problem = problem_with({"mount.shift_x": 9.0}, noise=0.05, warp=0.0)  # beyond the high end of 6 mm
+    # beyond the high end of 6 mm
+    problem = problem_with({"mount.shift_x": 9.0}, noise=0.05, warp=0.0)
     fit = problem.fit(("mount",), [problem.space(("mount",)).start])
     assert fit.params["mount.shift_x"] == pytest.approx(6.0, abs=1e-9)
 
@@ -48,12 +50,14 @@ def test_bounds_hold_and_are_reached():
 def test_deviations_are_honest():
     found = []
     for seed in range(12):
-        problem = problem_with({"gain.factor[0]": 1.06, "gain.factor[1]": 1.06}, seed=seed, noise=0.3, warp=0.0)
+        problem = problem_with(
+            {"gain.factor[0]": 1.06, "gain.factor[1]": 1.06}, seed=seed, noise=0.3, warp=0.0
+        )
         fit = problem.fit(("gain",), [problem.space(("gain",)).start])
         sigma = problem.uncertainty(fit, 1.0)
         found += list((fit.space.values(fit.x) - 1.06) / sigma)
-    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the form error that is allowed for
-    # and absent here makes the deviations too wide, never too narrow.
+    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the form error
+    # that is allowed for and absent here makes the deviations too wide, never too narrow.
     assert 0.05 < np.sqrt(np.mean(np.square(found))) < 1.5
 
 
@@ -98,7 +102,9 @@ def test_folds_hold_out_blocks_of_time():
 
 
 def test_folds_hold_out_whole_labels_where_there_are_enough():
-    """Six pulls after one another, as on a nine-tendon robot: a block of time holds them all, a fold by label one."""
+    """Six pulls after one another, as on a nine-tendon robot: a block of time holds them all, a
+    fold by label one.
+    """
     names = [f"pull {k}" for k in range(6)] + [f"circle {k}" for k in range(12)]
     labels, t = np.repeat(names, 20), np.arange(360) * 0.5
     folds = run_folds(t, labels)
@@ -114,9 +120,13 @@ def test_folds_hold_out_whole_labels_where_there_are_enough():
 
 @pytest.mark.parametrize("labels", [None, np.repeat(np.arange(10), 20), np.zeros(200, int)])
 def test_few_labels_leave_blocks_of_time(labels):
-    """The standard protocol has ten: what a diagnosis decided before there were labels, it decides still."""
+    """The standard protocol has ten: what a diagnosis decided before there were labels, it decides
+    still.
+    """
     t = np.arange(200) * 0.5
-    for (train, test), (old_train, old_test) in zip(run_folds(t, labels), run_folds(t), strict=True):
+    for (train, test), (old_train, old_test) in zip(
+        run_folds(t, labels), run_folds(t), strict=True
+    ):
         assert np.array_equal(train, old_train) and np.array_equal(test, old_test)
     assert len(np.unique(standard_protocol(2).block)) < 2 * FOLDS
 
@@ -142,7 +152,8 @@ def test_held_out_loss_knows_overfitting():
     null = problem.null()
     held = problem.fold_losses(problem.fold_predictions(null)).sum()
     fit = problem.fit(
-        ("mount", "offset", "gain", "payload"), [problem.space(("mount", "offset", "gain", "payload")).start]
+        ("mount", "offset", "gain", "payload"),
+        [problem.space(("mount", "offset", "gain", "payload")).start],
     )
     assert fit.chi2 < null.chi2
     assert problem.fold_losses(problem.fold_predictions(fit)).sum() > 0.995 * held

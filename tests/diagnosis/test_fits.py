@@ -1,4 +1,6 @@
-"""Fits of sets of effects: each made once, from starts that find the hidden effects, with the share of each member."""
+"""Fits of sets of effects: each made once, from starts that find the hidden effects, with the share
+of each member.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ def finger_fits(acting, names, noise=0.2):
     """Fits on a run of the built-in finger with another effective command."""
     protocol, model = standard_protocol(), builtin_model()
     rest = np.broadcast_to(model.rest, (protocol.frames, *model.rest.shape))
-    points = model.predict(Run(protocol.t, acting(protocol.command), protocol.t_seen, vertices=rest))
+    points = model.predict(
+        Run(protocol.t, acting(protocol.command), protocol.t_seen, vertices=rest)
+    )
     points = points + noise * np.random.default_rng(0).normal(size=points.shape)
     run = Run(protocol.t, protocol.command, protocol.t_seen, vertices=points)
     return Fits(problem_of(Record(model, run), names), names)
@@ -37,7 +41,9 @@ def test_the_hidden_effect_fits_best_and_exactly(label):
     name = label.split(".")[0]
     assert min(costs, key=costs.get) == name
     found = fits.get([name])
-    sigma = dict(zip(found.space.free_labels, fits.problem.uncertainty(found, fits.dispersion(found))))
+    sigma = dict(
+        zip(found.space.free_labels, fits.problem.uncertainty(found, fits.dispersion(found)))
+    )
     assert abs(found.params[label] - HIDDEN[label]) < 4 * sigma[label]
 
 
@@ -56,7 +62,9 @@ def test_behind_a_fit_the_other_hidden_effect_fits_best(first, second):
 def test_a_set_is_fitted_once_whatever_the_order_of_its_names(monkeypatch):
     fits, made = arm_fits({"backlash.gap": 2.0}), []
     fit = fits.problem.fit
-    monkeypatch.setattr(fits.problem, "fit", lambda effects, *a, **k: made.append(effects) or fit(effects, *a, **k))
+    monkeypatch.setattr(
+        fits.problem, "fit", lambda effects, *a, **k: made.append(effects) or fit(effects, *a, **k)
+    )
     pair = fits.get(["gain", "backlash"])
     assert fits.get(("backlash", "gain")) is pair and fits.get(frozenset(pair.effects)) is pair
     assert len(made) == 2  # the pair, and one member that it was built from
@@ -69,9 +77,12 @@ def test_what_a_member_does_and_its_share_of_what_is_explained():
     both = fits.get(["backlash", "payload"])
     done = fits.displacement(both, "payload")
     assert fits.problem.record.rms_mm(done) > 0.3
-    params = fits.problem.record.layout(("payload",)).values({"payload.mass": both.params["payload.mass"]})
+    params = fits.problem.record.layout(("payload",)).values(
+        {"payload.mass": both.params["payload.mass"]}
+    )
     alone = fits.problem.record.predict(("payload",), params[None])[0] - fits.null.predicted
-    assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()  # the load has the same effect behind a play
+    # the load has the same effect behind a play
+    assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()
     shares = [fits.share(both, name) for name in both.effects]
     assert all(0.2 < share < 2.0 for share in shares)  # above 1 if the other does harm without it
     assert fits.share(fits.get(["backlash", "payload", "latency"]), "latency") < 0.02
@@ -81,7 +92,10 @@ def test_held_out_error_falls_to_the_noise_with_the_true_set_alone():
     fits = arm_fits({"backlash.gap": 2.0})
     noise = fits.problem.noise.rms_mm(fits.problem.record.positions)
     assert fits.held_out_mm(fits.get(["backlash"])) < 1.3 * noise
-    assert fits.held_out_mm(fits.null) > 3.0 * noise and fits.held_out_mm(fits.get(["mount"])) > 3.0 * noise
+    assert (
+        fits.held_out_mm(fits.null) > 3.0 * noise
+        and fits.held_out_mm(fits.get(["mount"])) > 3.0 * noise
+    )
 
 
 def test_numbers_for_each_channel_are_fitted_from_the_number_for_all():
@@ -116,31 +130,42 @@ def test_what_happens_once_is_looked_for_at_instants_all_over_the_run():
     at = [space.values(start)[space.instant] for start in starts(fits.problem, "anchor_slip")]
     low, high = (space.values(end)[space.instant] for end in (space.low, space.high))
     spread = np.unique(np.round([float(v[0]) for v in at], 6))
-    assert len(spread) >= INSTANTS and np.diff(spread).max() < 1.5 * float(high[0] - low[0]) / INSTANTS
+    assert (
+        len(spread) >= INSTANTS and np.diff(spread).max() < 1.5 * float(high[0] - low[0]) / INSTANTS
+    )
 
 
 def test_a_limit_that_is_hardly_reached_is_found():
-    """From the declared start of 8 mm every step makes the fit worse; a start closer to no limit improves it."""
+    """From the declared start of 8 mm every step makes the fit worse; a start closer to no limit
+    improves it.
+    """
     most = 0.93 * np.abs(standard_protocol().command).max()
     fits = finger_fits(lambda u: np.clip(u, -most, most), ["saturation", "gain"])
     found = fits.get(["saturation"])
-    assert found.cost < 0.5 * fits.null.cost and found.space.values(found.x) == pytest.approx(most, rel=0.02)
+    assert found.cost < 0.5 * fits.null.cost and found.space.values(found.x) == pytest.approx(
+        most, rel=0.02
+    )
     assert fits.get(["gain"]).cost > 2.0 * found.cost
 
 
 @pytest.mark.parametrize("signs", [(-1, -1, -1, 1), (1, -1, -1, -1), (-1, 1, 1, -1)])
 def test_a_pulley_is_found_whatever_its_signs(signs):
-    """A radius is compared at the signs that fit it: at other signs the right one would look worst."""
+    """A radius is compared at the signs that fit it: at other signs the right one would look
+    worst.
+    """
     sine, cosine = np.array([1.5, 1.2]) * signs[:2], np.array([0.8, 1.3]) * signs[2:]
     radius = 2.2
     fits = finger_fits(
-        lambda u: u + sine * np.sin(u / radius) + cosine * (np.cos(u / radius) - 1.0), ["gain", "eccentric_pulley"]
+        lambda u: u + sine * np.sin(u / radius) + cosine * (np.cos(u / radius) - 1.0),
+        ["gain", "eccentric_pulley"],
     )
     found = fits.get(["eccentric_pulley"]).params
     assert found["eccentric_pulley.radius"] == pytest.approx(radius, rel=0.02)
     for channel in range(2):
         assert found[f"eccentric_pulley.sine[{channel}]"] == pytest.approx(sine[channel], abs=0.1)
-        assert found[f"eccentric_pulley.cosine[{channel}]"] == pytest.approx(cosine[channel], abs=0.1)
+        assert found[f"eccentric_pulley.cosine[{channel}]"] == pytest.approx(
+            cosine[channel], abs=0.1
+        )
 
 
 def test_slopes_of_old_fits_are_dropped_and_found_again(monkeypatch):

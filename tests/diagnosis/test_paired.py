@@ -1,4 +1,6 @@
-"""Paired replay: a reference run of the same commands takes the model's own error away; others are refused."""
+"""Paired replay: a reference run of the same commands takes the model's own error away; others are
+refused.
+"""
 
 import json
 from dataclasses import replace
@@ -19,7 +21,17 @@ from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
 MODEL = builtin_model()
-WANTED = ["offset", "gain", "latency", "backlash", "hysteresis", "creep", "gravity", "payload", "mount"]
+WANTED = [
+    "offset",
+    "gain",
+    "latency",
+    "backlash",
+    "hysteresis",
+    "creep",
+    "gravity",
+    "payload",
+    "mount",
+]
 PAYLOAD = {"payload.mass": 60.0}
 
 
@@ -37,11 +49,17 @@ def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alon
         Truth(4, (HiddenEffect(memory, 0.0), HiddenEffect(TipWeight(14.0), 0.0))),
     )
     reference, run = bare.measure(shown), heavy.measure(shown, seed=1)
-    alone, paired = diagnose(MODEL, run, effects=WANTED), diagnose(MODEL, run, effects=WANTED, reference=reference)
+    alone, paired = (
+        diagnose(MODEL, run, effects=WANTED),
+        diagnose(MODEL, run, effects=WANTED, reference=reference),
+    )
     assert set(names(alone)) == {"hysteresis", "payload"}
     assert names(paired) == ["payload"] and paired.verdict == "identified"
     assert "relative to the reference run" in paired.sentence and "cancels out" in paired.sentence
-    assert paired.made_from["reference"]["run"] == reference.hash() and paired.made_from["run"] == run.hash()
+    assert (
+        paired.made_from["reference"]["run"] == reference.hash()
+        and paired.made_from["run"] == run.hash()
+    )
     assert alone.made_from["reference"] is None
     assert paired.effects[0].params["payload.mass"].value == pytest.approx(14.0, rel=0.15)
     error = paired.error
@@ -64,14 +82,18 @@ def test_a_static_error_of_the_model_goes_away_with_the_reference():
 
 
 def replace_noise(run, seed):
-    return replace(run, markers=run.markers + 0.05 * np.random.default_rng(seed).normal(size=run.markers.shape))
+    return replace(
+        run, markers=run.markers + 0.05 * np.random.default_rng(seed).normal(size=run.markers.shape)
+    )
 
 
 def test_the_noise_is_that_of_a_difference():
     run, clean = finger_run(), finger_run(noise=0.0)
     other = clean.vertices + 0.25 * np.random.default_rng(7).normal(size=run.vertices.shape)
     reference = replace(run, vertices=other)
-    alone, paired = (diagnose(MODEL, run, effects=["offset", "payload"], reference=r) for r in (None, reference))
+    alone, paired = (
+        diagnose(MODEL, run, effects=["offset", "payload"], reference=r) for r in (None, reference)
+    )
     assert paired.error.noise_floor == pytest.approx(np.sqrt(2) * alone.error.noise_floor, rel=0.1)
     assert paired.verdict == "nothing"
 
@@ -99,12 +121,18 @@ def test_hidden_points_of_either_run_are_no_numbers():
     hidden = np.ones(run.vertices.shape[:2], bool)
     hidden[10, MODEL.rest[:, 2] > 60.0] = False
     seen = Record(MODEL, run, replace(free, visible=hidden)).seen
-    assert np.isfinite(seen[11]).all() and not np.isfinite(seen[10]).all() and np.isfinite(seen[10]).any()
+    assert (
+        np.isfinite(seen[11]).all()
+        and not np.isfinite(seen[10]).all()
+        and np.isfinite(seen[10]).any()
+    )
 
 
 def test_what_is_no_replay_is_refused_with_numbers():
     run = finger_run()
-    with pytest.raises(SoftmapError, match=r"channel 0 differs by .* mm RMS, .* % of its range, allowed are 1 %"):
+    with pytest.raises(
+        SoftmapError, match=r"channel 0 differs by .* mm RMS, .* % of its range, allowed are 1 %"
+    ):
         diagnose(MODEL, run, reference=replace(run, command=run.command[:, ::-1]))
     with pytest.raises(SoftmapError, match="does not play the commands"):
         diagnose(MODEL, run, reference=replace(run, command=1.2 * run.command))
@@ -122,18 +150,25 @@ def test_what_is_no_replay_is_refused_with_numbers():
 
 
 def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
-    """A static error of 0.6 mm buries the weight in the raw run of other commands too; relative, it goes away."""
+    """A static error of 0.6 mm buries the weight in the raw run of other commands too; relative, it
+    goes away.
+    """
     alike = dict(warp=0.6, noise=0.05)
     reference, run = record_run({}, seed=4, **alike), record_run(PAYLOAD, seed=4, **alike)
     free, loaded = (record_run(hidden, seed=4, other=True, **alike) for hidden in ({}, PAYLOAD))
     loaded = replace_noise(loaded, 9)
     found = diagnose(arm(), run, loaded, effects=NAMES, reference=[reference, free])
     error = found.error
-    assert names(found) == ["payload"] and error.held_out_on == "an independent run, relative to the reference"
+    assert (
+        names(found) == ["payload"]
+        and error.held_out_on == "an independent run, relative to the reference"
+    )
     assert error.before > 1.0 and error.after < 0.15  # 0.05 a coordinate
     raw = diagnose(arm(), run, loaded, effects=NAMES).error
     assert raw.after > 0.3
-    with pytest.raises(SoftmapError, match=r"the held-out run needs .* channel . differs by .*--held-out out"):
+    with pytest.raises(
+        SoftmapError, match=r"the held-out run needs .* channel . differs by .*--held-out out"
+    ):
         diagnose(arm(), run, loaded, effects=NAMES, reference=reference)
     with pytest.raises(SoftmapError, match="none of the 2 reference runs stands for this run"):
         diagnose(arm(), run, effects=NAMES, reference=[free, free])
@@ -147,7 +182,9 @@ def test_what_was_found_relative_to_a_reference_is_not_expected_of_it_again():
     assert again.verdict == "nothing" and again.made_from["reference"]["absent"] == ("payload",)
     assert "the model's own payload is taken as absent there" in again.sentence
     # In both runs it is expected of both.
-    both = diagnose(heavy, replace_noise(record_run(PAYLOAD, **alike), 9), effects=NAMES, reference=run)
+    both = diagnose(
+        heavy, replace_noise(record_run(PAYLOAD, **alike), 9), effects=NAMES, reference=run
+    )
     assert both.verdict == "nothing" and both.made_from["reference"]["absent"] == ()
 
 
@@ -161,32 +198,61 @@ def test_the_next_experiment_is_chosen_for_a_difference():
     assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
     told = found.made_from
     raw = next_experiment(MODEL, replace(found, made_from=told | {"reference": None}), [run])[0]
-    # The noise of a difference is twice that of a run, the form error a fifth: it is another number.
+    # The noise of a difference is twice that of a run, the form error a fifth: it is another
+    # number.
     assert abs(paired.separation / raw.separation - 1.0) > 0.05
-    with pytest.raises(SoftmapError, match="relative to a reference run; give that run too, with --reference"):
+    with pytest.raises(
+        SoftmapError, match="relative to a reference run; give that run too, with --reference"
+    ):
         next_experiment(MODEL, found, [run])
-    with pytest.raises(SoftmapError, match=r"relative to 1 other reference run\(s\) than the 1 given"):
+    with pytest.raises(
+        SoftmapError, match=r"relative to 1 other reference run\(s\) than the 1 given"
+    ):
         next_experiment(MODEL, found, [run], references=[run])
     with pytest.raises(SoftmapError, match="not relative to a reference run"):
-        next_experiment(MODEL, replace(found, made_from=told | {"reference": None}), [run], references=[free])
+        next_experiment(
+            MODEL, replace(found, made_from=told | {"reference": None}), [run], references=[free]
+        )
 
 
 def test_the_verb_takes_a_reference(tmp_path, capsys):
     finger_run(["payload"], {"payload.mass": 15.0}).save(tmp_path / "b.npz")
     finger_run().save(tmp_path / "a.npz")
-    argv = ["diagnose", str(tmp_path / "b.npz"), "--reference", str(tmp_path / "a.npz"), "--effects", "payload,offset"]
+    argv = [
+        "diagnose",
+        str(tmp_path / "b.npz"),
+        "--reference",
+        str(tmp_path / "a.npz"),
+        "--effects",
+        "payload,offset",
+    ]
     assert main([*argv, "--out", str(tmp_path / "d.json")]) == 0
     assert "relative to the reference run" in " ".join(capsys.readouterr().out.split())
     document = json.loads((tmp_path / "d.json").read_text())
-    assert document["effects"][0]["name"] == "payload" and document["made_from"]["reference"]["share"] == 0.0
+    assert (
+        document["effects"][0]["name"] == "payload"
+        and document["made_from"]["reference"]["share"] == 0.0
+    )
     assert main([*argv[:3], str(tmp_path / "none.npz")]) == 2
     capsys.readouterr()
     # What was added says what it is relative to, and what comes next is recorded twice.
-    assert main(["add", "payload", "--from", str(tmp_path / "d.json"), "--out", str(tmp_path / "with")]) == 0
+    assert (
+        main(
+            ["add", "payload", "--from", str(tmp_path / "d.json"), "--out", str(tmp_path / "with")]
+        )
+        == 0
+    )
     assert "relative to a reference run" in capsys.readouterr().out
     document["not_testable"] = [{"name": "hysteresis", "why": "for the test", "experiment": ""}]
     (tmp_path / "d.json").write_text(json.dumps(document))
-    argv = ["next", str(tmp_path / "d.json"), "--run", str(tmp_path / "b.npz"), "--reference", str(tmp_path / "a.npz")]
+    argv = [
+        "next",
+        str(tmp_path / "d.json"),
+        "--run",
+        str(tmp_path / "b.npz"),
+        "--reference",
+        str(tmp_path / "a.npz"),
+    ]
     assert main(argv) == 0
     told = capsys.readouterr().out
     assert "play it twice" in told and "--reference NEW_REFERENCE" in told

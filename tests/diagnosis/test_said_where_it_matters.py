@@ -1,4 +1,6 @@
-"""A plane of markers, short blocks and channels that move one at a time are reported by check, learn and compare."""
+"""A plane of markers, short blocks and channels that move one at a time are reported by check,
+learn and compare.
+"""
 
 from dataclasses import replace
 
@@ -61,17 +63,28 @@ def test_a_plane_of_markers_is_reported_by_check_learn_and_compare(run, told, tm
 
 def test_points_in_space_and_outputs_lie_in_no_plane():
     flat = planar()
-    noisy = replace(flat, markers=flat.markers + np.random.default_rng(1).normal(0, 0.01, flat.markers.shape))
-    one_channel = run_of(np.stack([9.0 * np.sin(np.arange(0, 60, 0.05))], axis=1), np.arange(0, 60, 0.05))
+    noisy = replace(
+        flat, markers=flat.markers + np.random.default_rng(1).normal(0, 0.01, flat.markers.shape)
+    )
+    one_channel = run_of(
+        np.stack([9.0 * np.sin(np.arange(0, 60, 0.05))], axis=1), np.arange(0, 60, 0.05)
+    )
     for run in (noisy, one_channel, recorded(seconds=20.0), Run(t=np.arange(3.0))):
         assert plane_of(run) is None
     line = replace(flat, markers=flat.markers * [0.0, 0.0, 1.0])
     assert plane_of(line) is None  # a line has its own sentence
     half = np.zeros((flat.frames, 3), bool)
     half[:, :2] = True
-    assert plane_of(replace(flat, markers=np.where(half[..., None], flat.markers, np.nan), visible=half)) is not None
+    assert (
+        plane_of(
+            replace(flat, markers=np.where(half[..., None], flat.markers, np.nan), visible=half)
+        )
+        is not None
+    )
     t = np.arange(60) * 0.1
-    outputs = Run.of_outputs(np.stack([np.sin(t), np.cos(t)], axis=1), "N", t_seen=t, t=t, command=np.sin(t)[:, None])
+    outputs = Run.of_outputs(
+        np.stack([np.sin(t), np.cos(t)], axis=1), "N", t_seen=t, t=t, command=np.sin(t)[:, None]
+    )
     assert plane_of(outputs) is None
 
 
@@ -83,11 +96,16 @@ def test_blocks_shorter_than_the_gap_are_reported_by_check_learn_and_diagnose():
     short = replace(run, block=np.arange(count) // 4 % 20)  # 20 labels that change every 0.4 s
     long = replace(run, block=np.arange(count) // 80)
     brief = run_of(wander(t[:50], 9.0), t[:50])
-    alternate = replace(run, block=np.where(np.arange(count) // 3 % 2, "a", "b"))  # too few labels: spans of time
+    # too few labels: spans of time
+    alternate = replace(run, block=np.where(np.arange(count) // 3 % 2, "a", "b"))
     assert any("no gap of 1 s" in text for text in words(short, "folds"))
     assert any("no gap of 1 s" in text for text in words(brief, "folds"))
     assert not words(long, "folds") and not words(run, "folds") and not words(alternate, "folds")
-    found = diagnose(learn_model(run, static=True), replace(short, markers=short.markers + 0.01), effects=["offset"])
+    found = diagnose(
+        learn_model(run, static=True),
+        replace(short, markers=short.markers + 0.01),
+        effects=["offset"],
+    )
     assert any("no gap of 1 s" in remark for remark in found.remarks)
     assert any("short for the gap of 2 s" in note for note in notes(brief))
     assert not any("short for the gap" in note for note in [*notes(run), *notes(brief, gap_s=0.1)])
@@ -131,7 +149,11 @@ def test_a_reference_of_one_axis_at_a_time_is_reported_by_check_learn_and_compar
     assert not words(run_of(together(2), np.arange(900) * 0.05), "together")
     model = learn_model(run, static=True)
     assert any("commands 1 and 2 are never far" in note for note in model.made_from["notes"])
-    corner = run_of(np.tile([[7.0, 7.0]], (40, 1)) * np.linspace(0.9, 1.0, 40)[:, None], np.arange(40) * 0.05)
+    corner = run_of(
+        np.tile([[7.0, 7.0]], (40, 1)) * np.linspace(0.9, 1.0, 40)[:, None], np.arange(40) * 0.05
+    )
     (told,) = command_extrapolation(model, corner)
-    assert "each channel stays within its range, but they were never moved together like this" in told
+    assert (
+        "each channel stays within its range, but they were never moved together like this" in told
+    )
     assert command_extrapolation(model, run) == []

@@ -1,4 +1,6 @@
-"""`next` separates families first, then laws: the block that varies what only one of two families depends on."""
+"""`next` separates families first, then laws: the block that varies what only one of two families
+depends on.
+"""
 
 import pytest
 from played_blocks import LIMITS, MODEL, document, played
@@ -39,7 +41,10 @@ def test_every_family_is_separated_from_each_that_it_mimics():
 
 
 def test_families_of_effects_are_those_that_have_them_as_members():
-    assert families_of(["latency", "lag", "backlash"]) == ("delay", "memory") and families_of(["servo_swap"]) == ()
+    assert (
+        families_of(["latency", "lag", "backlash"]) == ("delay", "memory")
+        and families_of(["servo_swap"]) == ()
+    )
 
 
 def family(name, effects, alternatives=()):
@@ -52,10 +57,19 @@ def test_the_diagnosis_asks_between_families_before_it_asks_between_laws():
     hidden = Untestable("creep", "weak", "staircase", 2.0)
     found = [family("memory", ("backlash",), ("delay",))]
     blocks = next_blocks([within, between], [hidden], REGISTRY, ["backlash"], found)
-    assert blocks[0].block == separating("memory", "delay")[0] and blocks[0].settles == ("memory", "delay")
-    assert any("hysteresis" in block.settles for block in blocks[1:]) and blocks[-1].settles == ("creep",)
-    # An alternative alone, without the list of the family, asks the same; one of the same family asks nothing first.
-    assert next_blocks([between], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])[0] == blocks[0]
+    assert blocks[0].block == separating("memory", "delay")[0] and blocks[0].settles == (
+        "memory",
+        "delay",
+    )
+    assert any("hysteresis" in block.settles for block in blocks[1:]) and blocks[-1].settles == (
+        "creep",
+    )
+    # An alternative alone, without the list of the family, asks the same; one of the same family
+    # asks nothing first.
+    assert (
+        next_blocks([between], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])[0]
+        == blocks[0]
+    )
     alone = next_blocks([within], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])
     assert alone[0].block == REGISTRY["backlash"].experiment[0]
 
@@ -67,10 +81,16 @@ def experiment(name, questions, minutes=1.0):
 def test_a_block_that_separates_families_is_recorded_before_a_better_one_that_separates_laws():
     law = OpenQuestion(("backlash",), ("hysteresis",))
     apart = OpenQuestion(("backlash",), ("latency",), families=("memory", "delay"))
-    quick, slow = experiment("quick", [(law, 1e4)]), experiment("slow", [(apart, 30.0)], minutes=3.0)
+    quick, slow = (
+        experiment("quick", [(law, 1e4)]),
+        experiment("slow", [(apart, 30.0)], minutes=3.0),
+    )
     assert [one.block for one in program([quick, slow])] == ["slow", "quick"]
-    plain = OpenQuestion(("backlash",), ("latency",))  # without the families, the order in which they were given
-    assert [one.block for one in program([quick, experiment("slow", [(plain, 30.0)], minutes=3.0)])][0] == "quick"
+    # without the families, the order in which they were given
+    plain = OpenQuestion(("backlash",), ("latency",))
+    assert [
+        one.block for one in program([quick, experiment("slow", [(plain, 30.0)], minutes=3.0)])
+    ][0] == "quick"
 
 
 def proposed(named):
@@ -81,16 +101,33 @@ def proposed(named):
         {"effects": ["hysteresis"], "why": "", "member": "backlash", "family": "memory"},
         {"effects": ["latency"], "why": "", "member": "backlash", "family": "delay"},
     ]
-    asked = document(effects=[{"name": "backlash", "params": stated}], families=named, alternatives=rows)
+    asked = document(
+        effects=[{"name": "backlash", "params": stated}], families=named, alternatives=rows
+    )
     return [one for one in next_experiment(MODEL, asked, [run]) if one.separation is not None]
 
 
 def test_the_first_block_that_is_proposed_is_best_for_the_family():
-    """Hysteresis is another law of the family, delay another family: two speeds come before amplitudes."""
-    row = {"name": "memory", "kind": "memory", "law": "resolved", "effects": ["backlash"], "share": 1, "moved_mm": 1}
+    """Hysteresis is another law of the family, delay another family: two speeds come before
+    amplitudes.
+    """
+    row = {
+        "name": "memory",
+        "kind": "memory",
+        "law": "resolved",
+        "effects": ["backlash"],
+        "share": 1,
+        "moved_mm": 1,
+    }
     ranked = proposed([row])
     (question,) = {q for q, _ in ranked[0].answers if q.families == ("memory", "delay")}
-    rate = [dict(one.answers)[question] / one.minutes if question in one.settled() else 0.0 for one in ranked]
+    rate = [
+        dict(one.answers)[question] / one.minutes if question in one.settled() else 0.0
+        for one in ranked
+    ]
     assert rate == sorted(rate, reverse=True) and ranked[0].block == "fast and slow triangles"
-    assert program(ranked)[0] is ranked[0] and program(ranked)[1].block == "triangles of growing size"
-    assert proposed([])[0].block == "triangles of growing size"  # where no family is known, all questions count alike
+    assert (
+        program(ranked)[0] is ranked[0] and program(ranked)[1].block == "triangles of growing size"
+    )
+    # where no family is known, all questions count alike
+    assert proposed([])[0].block == "triangles of growing size"

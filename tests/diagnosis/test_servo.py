@@ -14,7 +14,9 @@ STEP = 0.015  # mm: a tick of a spool of 10 mm
 
 
 def encoders(run, delay, gain=1.0):
-    """What encoders say, in ticks, behind servos that follow late; written apart from the library."""
+    """What encoders say, in ticks, behind servos that follow late; written apart from the
+    library.
+    """
     late = [np.interp(run.t - d, run.t, c) for d, c in zip(delay, run.command.T)]
     return np.round(gain * np.stack(late, axis=1) / STEP) * STEP
 
@@ -24,7 +26,9 @@ def test_servo_delay_is_not_the_tendon_s():
     present = encoders(run, [0.18, 0.18])
     seen = finger_run(["backlash"], {"backlash.gap": 1.0}, acting=lambda u: present)
     run = replace(seen, present=present)
-    found = diagnose(builtin_model(), run, effects=["latency", "lag", "gain", "backlash", "hysteresis"])
+    found = diagnose(
+        builtin_model(), run, effects=["latency", "lag", "gain", "backlash", "hysteresis"]
+    )
     assert [e.name for e in found.effects] == ["backlash"]
     assert [row.channel for row in found.servo] == [0, 1]
     for row in found.servo:
@@ -42,7 +46,9 @@ def test_servo_delay_is_not_the_tendon_s():
 
 def test_each_servo_for_itself_and_silence():
     run = finger_run()
-    mixed = np.stack([encoders(run, [0.0, 0.0])[:, 0], encoders(run, [0.3, 0.3], 0.8)[:, 1]], axis=1)
+    mixed = np.stack(
+        [encoders(run, [0.0, 0.0])[:, 0], encoders(run, [0.3, 0.3], 0.8)[:, 1]], axis=1
+    )
     first, second = servos(replace(run, present=mixed), ["latency", "lag", "gain", "offset"])
     assert first.effects == () and first.error.model < STEP
     assert {e.name for e in second.effects} == {"latency", "gain"}

@@ -1,4 +1,6 @@
-"""Several runs of one robot are diagnosed together: shared effects, a camera frame of its own for each run."""
+"""Several runs of one robot are diagnosed together: shared effects, a camera frame of its own for
+each run.
+"""
 
 from dataclasses import replace
 
@@ -47,24 +49,34 @@ def test_some_frames_of_runs_are_those_frames_of_all_of_them():
     few = both.some(rows)
     assert [part.frames for part in few.parts] == [25, 2, 25] and few._within == both._within
     params = np.random.default_rng(0).normal(size=(2, len(both.layout(names).labels))) * 0.1
-    np.testing.assert_allclose(few.predict(names, params), both.predict(names, params)[:, rows], atol=1e-12)
+    np.testing.assert_allclose(
+        few.predict(names, params), both.predict(names, params)[:, rows], atol=1e-12
+    )
     np.testing.assert_array_equal(few.seen, both.seen[rows])
 
 
-@pytest.mark.parametrize("names", [(), ("backlash", "payload"), ("camera_drift", "lag")], ids="+".join)
+@pytest.mark.parametrize(
+    "names", [(), ("backlash", "payload"), ("camera_drift", "lag")], ids="+".join
+)
 def test_frames_of_which_little_is_seen_are_told_with_the_others(names):
-    """Sections that are hidden in some frames leave the same residual, predicted by forms or by all features."""
+    """Sections that are hidden in some frames leave the same residual, predicted by forms or by all
+    features.
+    """
     run = finger_run(["backlash"], {"backlash.gap": 1.0})
     dark = np.ones((run.frames, run.vertices.shape[1]), bool)
     dark[3::29, :90] = dark[-1, 40:160] = False
     for runs in (replace(run, visible=dark), [replace(run, visible=dark), run]):
-        problem = problem_of(record_of(builtin_model(), runs), ["backlash", "payload", "camera_drift", "lag"])
+        problem = problem_of(
+            record_of(builtin_model(), runs), ["backlash", "payload", "camera_drift", "lag"]
+        )
         hidden = ~np.isfinite(problem.record.seen).all(axis=1)
         assert 5 < hidden.sum() < 0.25 * len(hidden) and problem._projected().few is not None
         space = problem.space(names)
         x = np.stack([space.start, 0.7 * space.start][: 2 if names else 1])
         whole = problem.modes(problem.record.predict(space.names, space.params(x)))
-        np.testing.assert_allclose(problem.at(space, x), whole, rtol=0, atol=1e-7 * np.abs(whole).max())
+        np.testing.assert_allclose(
+            problem.at(space, x), whole, rtol=0, atol=1e-7 * np.abs(whole).max()
+        )
 
 
 def test_shared_effect_and_a_camera_frame_for_each_run():
@@ -72,14 +84,19 @@ def test_shared_effect_and_a_camera_frame_for_each_run():
     run = finger_run(["backlash"], {"backlash.gap": 1.0})
     runs = [turned(run, 2.0, [0.0, 1.0, 0.0]), turned(run, -3.0, [1.5, 0.0, 0.0])]
     found = diagnose(builtin_model(), runs, effects=["backlash", "hysteresis", "gain", "mount"])
-    assert [e.name for e in found.effects] == ["backlash"] and [f.name for f in found.faults] == ["mount"]
+    assert [e.name for e in found.effects] == ["backlash"] and [f.name for f in found.faults] == [
+        "mount"
+    ]
     params = {k: p.value for k, p in found.faults[0].params.items()}
-    assert params["mount.turn_z"] == pytest.approx(2.0, abs=0.3) and params["mount.turn_z@2"] == pytest.approx(
-        -3.0, abs=0.3
-    )
+    assert params["mount.turn_z"] == pytest.approx(2.0, abs=0.3) and params[
+        "mount.turn_z@2"
+    ] == pytest.approx(-3.0, abs=0.3)
     assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.0, abs=0.05)
     assert found.made_from["run"] == [r.hash() for r in runs]
-    assert found.model.params["mount.turn_z"] == params["mount.turn_z"] and len(found.model.params) == 7
+    assert (
+        found.model.params["mount.turn_z"] == params["mount.turn_z"]
+        and len(found.model.params) == 7
+    )
     again = Diagnosis.from_dict(found.to_dict())
     assert set(again.params_of("mount")) == {label for label in params if "@" not in label}
 

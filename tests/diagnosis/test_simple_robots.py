@@ -1,7 +1,7 @@
 """Robots that are a few lines of kinematics: learned from one log, diagnosed on another.
 
-Nothing here comes from the library: a planar arm of constant curvature, an angle over a pressure, a force over a
-displacement.
+Nothing here comes from the library: a planar arm of constant curvature, an angle over a pressure, a
+force over a displacement.
 """
 
 import contextlib
@@ -55,7 +55,9 @@ def play(u, gap):
 
 
 def arm(u):
-    """Markers (K, 4, 3) mm of an arm that bends by up to 70 deg about either axis, a little less the farther it is."""
+    """Markers (K, 4, 3) mm of an arm that bends by up to 70 deg about either axis, a little less
+    the farther it is.
+    """
     bend = 1.2 * u * (1.0 - 0.06 * (u**2).sum(axis=1, keepdims=True))
     angle = np.maximum(np.linalg.norm(bend, axis=1), 1e-9)
     along, places = bend / angle[:, None], []
@@ -69,9 +71,18 @@ def arm_run(seed, change=lambda u: u, seconds=90.0, points=slice(None), more=lam
     """A run in degrees of two servos, ±50; `change` acts on the commands, `more` on the markers."""
     t, u = moves(seed, seconds)
     seen = (
-        more(arm(change(u)))[:, points] + 0.1 * np.random.default_rng(seed + 99).normal(size=(len(t), 4, 3))[:, points]
+        more(arm(change(u)))[:, points]
+        + 0.1 * np.random.default_rng(seed + 99).normal(size=(len(t), 4, 3))[:, points]
     )
-    return Run(t, 50.0 * u, t, command_unit="deg", markers=seen, robot="arm", gravity=np.array([0.0, 0.0, 1.0]))
+    return Run(
+        t,
+        50.0 * u,
+        t,
+        command_unit="deg",
+        markers=seen,
+        robot="arm",
+        gravity=np.array([0.0, 0.0, 1.0]),
+    )
 
 
 def pressure_run(seed, change, reach=100.0, seconds=60.0):
@@ -98,10 +109,14 @@ def learned():
     ],
 )
 def test_what_differs_from_day_to_day_is_no_discovery(learned, change):
-    """A learned map has no error of its own, so 1 % of the motion is seen clearly; it is still ordinary."""
+    """A learned map has no error of its own, so 1 % of the motion is seen clearly; it is still
+    ordinary.
+    """
     found = diagnose(learned, arm_run(2, **change))
     assert found.verdict in SILENT and not found.effects and not found.faults and not found.families
-    assert found.error.before > 2.0 * found.error.floor and "ordinary imperfections" in found.sentence
+    assert (
+        found.error.before > 2.0 * found.error.floor and "ordinary imperfections" in found.sentence
+    )
     assert found.unexplained.ordinary_mm > 0.1
 
 
@@ -115,14 +130,18 @@ def test_what_differs_from_day_to_day_is_no_discovery(learned, change):
 )
 def test_a_static_effect_beyond_that_is_named_first(learned, names, change):
     found = diagnose(learned, arm_run(3, change))
-    assert [effect.name for effect in found.effects[:1]] == names and found.families[0].kind == "static"
+    assert [effect.name for effect in found.effects[:1]] == names and found.families[
+        0
+    ].kind == "static"
 
 
 def test_a_gain_of_one_channel_is_no_hysteresis():
     """Triangles of one channel: a hysteresis whose reach is beyond the range is a gain."""
     run = pressure_run(5, lambda x: 1.08 * x)
     found = diagnose(learn_model(pressure_run(4, lambda x: x)), run)
-    assert found.families[0].kind == "static" and "hysteresis" not in [e.name for e in found.effects]
+    assert found.families[0].kind == "static" and "hysteresis" not in [
+        e.name for e in found.effects
+    ]
 
 
 def test_a_parabola_is_no_asymmetry(learned):
@@ -132,9 +151,14 @@ def test_a_parabola_is_no_asymmetry(learned):
 
 def test_play_in_one_servo_is_identified(learned):
     found = diagnose(learned, arm_run(7, lambda u: np.column_stack([u[:, 0], play(u[:, 1], 0.16)])))
-    assert found.verdict == "identified" and [effect.name for effect in found.effects] == ["backlash"]
+    assert found.verdict == "identified" and [effect.name for effect in found.effects] == [
+        "backlash"
+    ]
     gaps = found.effects[0].params
-    assert gaps["backlash.gap[1]"].value == pytest.approx(8.0, rel=0.05) and not gaps["backlash.gap[0]"].at_bound
+    assert (
+        gaps["backlash.gap[1]"].value == pytest.approx(8.0, rel=0.05)
+        and not gaps["backlash.gap[0]"].at_bound
+    )
 
 
 def both(first, second):
@@ -148,9 +172,13 @@ def test_play_in_one_servo_is_learned_as_identified_and_refit_comes_first_when_i
     assert (law.name, law.law) == ("backlash", "identified") and not none.at_bound
     assert gap.value == pytest.approx(6.0, rel=0.05) and none.sigma >= none.value
     same = diagnose(model, arm_run(9, both(0.0, 0.12)))
-    assert same.verdict == "nothing" and not same.effects  # a limit of the model is none of the data
+    # a limit of the model is none of the data
+    assert same.verdict == "nothing" and not same.effects
     changed = diagnose(model, arm_run(10, both(0.0, 0.24)))
-    assert changed.sentence.startswith("Refit first: the model's own backlash") and changed.verdict == "ambiguous"
+    assert (
+        changed.sentence.startswith("Refit first: the model's own backlash")
+        and changed.verdict == "ambiguous"
+    )
     again, _ = refit(model, arm_run(10, both(0.0, 0.24)))
     assert again.learned_in[0].params[1].value == pytest.approx(12.0, rel=0.05)
     assert not diagnose(again, arm_run(20, both(0.0, 0.24))).effects
@@ -173,7 +201,9 @@ def test_a_marker_that_is_never_seen_says_nothing(learned):
 
 
 def test_a_limit_near_the_end_of_a_drive_that_pulls_only_is_found():
-    found = diagnose(learn_model(pressure_run(13, lambda x: x)), pressure_run(14, lambda x: np.minimum(x, 88.0)))
+    found = diagnose(
+        learn_model(pressure_run(13, lambda x: x)), pressure_run(14, lambda x: np.minimum(x, 88.0))
+    )
     assert [effect.name for effect in found.effects] == ["saturation"]
     assert found.effects[0].params["saturation.above"].value == pytest.approx(88.0, rel=0.01)
 
@@ -184,9 +214,18 @@ def test_logs_of_one_output_with_other_ranges_are_learned_together():
     model = learn_model(runs)
     assert model.output == runs[0].output
     assert diagnose(model, pressure_run(17, lambda x: x)).verdict in SILENT
-    with pytest.raises(RunError, match="run 2 has angle in rad as its outputs, the first run output 1 in deg"):
-        other = Run.of_outputs(runs[1].output.values(runs[1].markers), "rad", ("angle",), t=runs[1].t,
-                               command=runs[1].command, command_unit="kPa", t_seen=runs[1].t)  # fmt: skip
+    with pytest.raises(
+        RunError, match="run 2 has angle in rad as its outputs, the first run output 1 in deg"
+    ):
+        other = Run.of_outputs(
+            runs[1].output.values(runs[1].markers),
+            "rad",
+            ("angle",),
+            t=runs[1].t,
+            command=runs[1].command,
+            command_unit="kPa",
+            t_seen=runs[1].t,
+        )
         learn_model([runs[0], other])
 
 
@@ -197,8 +236,12 @@ def test_a_recording_given_twice_teaches_nothing_more():
 
 
 def test_a_zero_that_drifts_is_no_fault_of_the_camera(learned):
-    """Steadily, by a tenth of the half range in all: neither a camera that moves nor a slip is named first."""
-    found = diagnose(learned, arm_run(18, lambda u: u + np.linspace(0.0, 0.15, len(u))[:, None] * [1.0, -1.0]))
+    """Steadily, by a tenth of the half range in all: neither a camera that moves nor a slip is
+    named first.
+    """
+    found = diagnose(
+        learned, arm_run(18, lambda u: u + np.linspace(0.0, 0.15, len(u))[:, None] * [1.0, -1.0])
+    )
     assert [effect.name for effect in found.effects] == ["zero_drift"] and not found.faults
     rates = [found.effects[0].params[f"zero_drift.rate[{c}]"].value for c in (0, 1)]
     assert rates == pytest.approx([5.0, -5.0], rel=0.06)  # deg/min
@@ -215,7 +258,8 @@ def test_a_camera_that_is_hit_is_no_slip_of_a_tendon(learned):
 def test_commands_of_the_other_sign_are_no_turned_frame_alone(learned):
     run = arm_run(21)
     with pytest.raises(
-        RunError, match=r"turned by 1[78].*set sign = -1 in the mapping, with which the commands explain"
+        RunError,
+        match=r"turned by 1[78].*set sign = -1 in the mapping, with which the commands explain",
     ):
         diagnose(learned, replace(run, command=-run.command))
 
@@ -230,24 +274,33 @@ def sticks(u, width=0.25):
 
 
 def test_a_learned_law_that_leaves_much_of_the_error_is_open():
-    """The play that is nearest to stick-slip leaves its jumps; a map that fits badly would leave as much."""
+    """The play that is nearest to stick-slip leaves its jumps; a map that fits badly would leave as
+    much.
+    """
     model = learn_model(arm_run(22, sticks, seconds=150.0))
     assert model.learned_in and all(one.law != "identified" for one in model.learned_in)
 
 
 def test_noise_that_was_measured_is_not_called_guessed(learned):
     found = diagnose(learned, arm_run(23))
-    assert found.verdict == "nothing" and not any("to estimate the noise" in remark for remark in found.remarks)
+    assert found.verdict == "nothing" and not any(
+        "to estimate the noise" in remark for remark in found.remarks
+    )
 
 
 def test_all_that_a_diagnosis_names_is_added_unless_it_names_nothing(learned, tmp_path, capsys):
     run = arm_run(24, lambda u: np.column_stack([u[:, 0], play(u[:, 1], 0.16)]))
     save_bundle(learned, tmp_path / "arm")
     for name, one in (("d", run), ("n", arm_run(25))):
-        (tmp_path / f"{name}.json").write_text(json.dumps(diagnose(learned, one).to_dict()), encoding="utf-8")
+        (tmp_path / f"{name}.json").write_text(
+            json.dumps(diagnose(learned, one).to_dict()), encoding="utf-8"
+        )
     words = ["--bundle", str(tmp_path / "arm"), "--out", str(tmp_path / "more")]
     assert main(["add", "--from", str(tmp_path / "n.json"), *words]) == 2
-    assert "names no effect (verdict nothing)" in capsys.readouterr().err and not (tmp_path / "more").exists()
+    assert (
+        "names no effect (verdict nothing)" in capsys.readouterr().err
+        and not (tmp_path / "more").exists()
+    )
     assert main(["add", "--from", str(tmp_path / "d.json"), *words]) == 0
     assert load_bundle(tmp_path / "more").chain_names == ("backlash",)
 
@@ -257,7 +310,9 @@ def test_gravity_is_asked_for_another_orientation_and_a_limit_of_the_model_for_n
     found = diagnose(learned, run)
     assert {row.name for row in found.not_testable if row.of_model} >= {"kink", "twist", "routing"}
     ranked = next_experiment(learned, found, [run])
-    assert {one.block for one in ranked if one.plan and "gravity" in one.settles} == {"another orientation"}
+    assert {one.block for one in ranked if one.plan and "gravity" in one.settles} == {
+        "another orientation"
+    }
     assert not {"kink", "twist", "routing"} & {name for one in ranked for name in one.settles}
 
 
@@ -278,7 +333,9 @@ def test_a_page_is_written_though_its_reader_closes_the_pipe(learned, tmp_path, 
 
 @pytest.mark.parametrize("rate", [5.0, 4.9])
 def test_frames_at_twice_a_frequency_show_no_hum(rate):
-    """At half the rate of the frames a wave may vanish in all of them: no amplitude follows from that."""
+    """At half the rate of the frames a wave may vanish in all of them: no amplitude follows from
+    that.
+    """
     t = np.arange(200) / rate
     level = motion_at_rest._levels([np.arange(100), np.arange(100, 200)], 200)
     values = np.random.default_rng(0).normal(size=(200, 2))
@@ -289,24 +346,34 @@ def test_frames_at_twice_a_frequency_show_no_hum(rate):
 def test_colours_reach_three_times_the_noise(learned, monkeypatch):
     """A model that leaves only noise is pale, not as dark as the worst."""
     seen = []
-    monkeypatch.setattr(figures, "Normalize", lambda low, high: seen.append(high) or Normalize(low, high))
+    monkeypatch.setattr(
+        figures, "Normalize", lambda low, high: seen.append(high) or Normalize(low, high)
+    )
     shown = series(arm_run(28), learned, kind="measured")
     figures.body(shown)
-    assert seen[0] == pytest.approx(3.0 * shown.noise_floor_mm) and seen[0] > 2.0 * shown.point_before.max()
+    assert (
+        seen[0] == pytest.approx(3.0 * shown.noise_floor_mm)
+        and seen[0] > 2.0 * shown.point_before.max()
+    )
 
 
 def test_a_fault_that_physics_may_explain_is_not_the_verdict():
     known = registry()
-    drift, time = Alternative((), "", "camera_drift", "frame drift"), Alternative((), "", "camera_drift", "time")
+    drift, time = (
+        Alternative((), "", "camera_drift", "frame drift"),
+        Alternative((), "", "camera_drift", "time"),
+    )
     assert not conclusion._physical([drift], known) and conclusion._physical([drift, time], known)
 
 
-# --- what tests with a finger in a physics engine found --------------------------------------------
+# --- what tests with a finger in a physics engine found -------------------------------------------
 
 
 @pytest.mark.parametrize("gains", [(1.01, 1.01), (0.99, 1.015), (1.012, 0.99), (0.985, 1.004)])
 def test_gains_that_differ_a_little_from_day_to_day_are_no_creep(learned, gains):
-    """So near the noise, slow columns do as well as a static map by chance; what a static map can do is ordinary."""
+    """So near the noise, slow columns do as well as a static map by chance; what a static map can
+    do is ordinary.
+    """
     found = diagnose(learned, arm_run(50 + int(1000 * gains[0]) % 7, lambda u: np.array(gains) * u))
     assert found.verdict == "nothing" and not found.families and found.unexplained.ordinary_mm > 0.1
 
@@ -326,10 +393,14 @@ def rarely(u):
 
 
 def test_a_stop_that_one_block_alone_shows_is_kept(learned):
-    """The blocks without it say nothing of where it is, so there it stays where all blocks put it."""
+    """The blocks without it say nothing of where it is, so there it stays where all blocks put
+    it.
+    """
     (t, u), run = moves(32, 90.0), arm_run(32)
     u = rarely(np.column_stack([u[:, 0], np.sin(t)]))
-    seen = arm(np.clip(u, [-0.75, -0.85], [0.75, 0.85])) + 0.1 * np.random.default_rng(131).normal(size=(len(t), 4, 3))
+    seen = arm(np.clip(u, [-0.75, -0.85], [0.75, 0.85])) + 0.1 * np.random.default_rng(131).normal(
+        size=(len(t), 4, 3)
+    )
     found = diagnose(learned, replace(run, command=50.0 * u, markers=seen))
     assert [effect.name for effect in found.effects] == ["saturation"]
     assert found.effects[0].params["saturation.above[1]"].value == pytest.approx(42.5, rel=0.03)
@@ -338,7 +409,9 @@ def test_a_stop_that_one_block_alone_shows_is_kept(learned):
 def turned(p):
     """Markers seen by a camera that leans by two degrees and stands 1 mm aside."""
     lean = np.radians(2.0)
-    return p @ np.array([[np.cos(lean), 0.0, -np.sin(lean)], [0.0, 1.0, 0.0], [np.sin(lean), 0.0, np.cos(lean)]]) + [
+    return p @ np.array(
+        [[np.cos(lean), 0.0, -np.sin(lean)], [0.0, 1.0, 0.0], [np.sin(lean), 0.0, np.cos(lean)]]
+    ) + [
         1,
         0,
         0,
@@ -347,7 +420,9 @@ def turned(p):
 
 @pytest.mark.parametrize(("lift", "verdict"), [(0.0, "ambiguous"), (0.8, "measurement_fault")])
 def test_a_camera_that_leans_may_be_a_body_that_bends_unless_it_is_lifted(learned, lift, verdict):
-    """A learned model has neither weight nor curvature at rest, so it cannot exclude them; neither lifts a body."""
+    """A learned model has neither weight nor curvature at rest, so it cannot exclude them; neither
+    lifts a body.
+    """
     found = diagnose(learned, arm_run(33, more=lambda p: turned(p) + [0.0, 0.0, lift]))
     assert [fault.name for fault in found.faults] == ["mount"] and found.verdict == verdict
     others = {name for one in found.alternatives for name in one.effects}
@@ -355,8 +430,12 @@ def test_a_camera_that_leans_may_be_a_body_that_bends_unless_it_is_lifted(learne
 
 
 def test_a_fast_drift_of_a_zero_is_no_camera(learned):
-    found = diagnose(learned, arm_run(34, lambda u: u + np.linspace(0.0, 0.3, len(u))[:, None] * [1.0, 0.0]))
-    assert found.verdict == "identified" and [effect.name for effect in found.effects] == ["zero_drift"]
+    found = diagnose(
+        learned, arm_run(34, lambda u: u + np.linspace(0.0, 0.3, len(u))[:, None] * [1.0, 0.0])
+    )
+    assert found.verdict == "identified" and [effect.name for effect in found.effects] == [
+        "zero_drift"
+    ]
 
 
 def late(u, seconds, rate=RATE):
@@ -365,7 +444,9 @@ def late(u, seconds, rate=RATE):
 
 
 def test_a_delay_of_one_servo_is_a_matter_of_the_model_s_own_delay():
-    """All servos were late alike when the model was learned; now one is later: the own delay is fitted for each."""
+    """All servos were late alike when the model was learned; now one is later: the own delay is
+    fitted for each.
+    """
     model = learn_model(arm_run(35, lambda u: late(u, (0.15, 0.15)), seconds=150.0))
     assert set(model.chain_names) == {"latency"}
     run = arm_run(36, lambda u: late(u, (0.15, 0.45)))

@@ -1,4 +1,5 @@
-"""A run that taught the model is recognised: the report says what was learned in, and what can still be found.
+"""A run that taught the model is recognised: the report says what was learned in, and what can
+still be found.
 
 The robot is that of tests/rod/test_learned_memory.py, simulated apart from the effect library.
 """
@@ -56,15 +57,23 @@ def test_play_that_was_learned_in_is_in_the_report_and_nothing_is_left(same):
     assert one.name == "backlash" and one.params[0].value == pytest.approx(GAP, rel=0.05)
     assert same.effects == same.faults == same.families == ()
     text = " ".join(str(same).split())
-    assert "Learned with the model" in text and "· backlash, gap 1.40 mm (memory, identified)" in text
+    assert (
+        "Learned with the model" in text and "· backlash, gap 1.40 mm (memory, identified)" in text
+    )
     assert "this run taught the model" in text and "no static effect can show" in text
     assert "memory was learned as well: backlash" in text
 
 
 def test_static_effects_cannot_be_found_in_a_run_that_taught_the_model(same, model):
     held = {one.name: one.why for one in same.not_testable if "learned from this run" in one.why}
-    assert {"gain", "offset", "payload", "mount"} <= set(held) and not {"backlash", "latency", "creep"} & set(held)
-    other = diagnose(model, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77)))
+    assert {"gain", "offset", "payload", "mount"} <= set(held) and not {
+        "backlash",
+        "latency",
+        "creep",
+    } & set(held)
+    other = diagnose(
+        model, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77))
+    )
     assert other.learned_in == same.learned_in
     assert not any("taught" in said for said in other.remarks)
     assert not any("learned from this run" in one.why for one in other.not_testable)
@@ -75,26 +84,38 @@ def test_learned_statically_the_play_is_named_first_by_the_diagnosis(bent):
     assert found.name == "backlash" and (family.name, family.law) == ("memory", "resolved")
     assert bent.verdict == "identified" and bent.learned_in == ()
     assert bent.error.after < 0.4 * bent.error.before
-    assert any("memory can, because the model was learned with --static" in said for said in bent.remarks)
+    assert any(
+        "memory can, because the model was learned with --static" in said for said in bent.remarks
+    )
     assert "without --static" in bent.next[0].block and bent.next[0].settles == ("backlash",)
 
 
-def test_without_solving_the_map_again_another_effect_is_named_beside_it(static, always, bent, monkeypatch):
-    """The play has bent the static map: with the map as it is, play alone does not explain what the family can."""
+def test_without_solving_the_map_again_another_effect_is_named_beside_it(
+    static, always, bent, monkeypatch
+):
+    """The play has bent the static map: with the map as it is, play alone does not explain what the
+    family can.
+    """
     monkeypatch.setattr("softmap_edge.diagnosis.families.MAPPED", ())
     found = diagnose(static, always)
     assert [one.name for one in found.effects] != ["backlash"] == [one.name for one in bent.effects]
 
 
 def test_another_run_of_that_robot_is_named_as_well(static, bent):
-    other = diagnose(static, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77)))
+    other = diagnose(
+        static, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77))
+    )
     assert [one.name for one in other.effects] == ["backlash"] == [one.name for one in bent.effects]
     assert not any("taught the model" in said for said in other.remarks)
-    assert "gain" in {one.name for one in other.not_testable if "learned while the memory acted" in one.why}
+    assert "gain" in {
+        one.name for one in other.not_testable if "learned while the memory acted" in one.why
+    }
 
 
 def test_a_static_change_is_still_found_with_a_model_learned_statically():
-    """Without memory, solving the map again finds nothing, and the search goes on with the map as it is."""
+    """Without memory, solving the map again finds nothing, and the search goes on with the map as
+    it is.
+    """
     before, after = recorded(seconds=60.0), recorded(seconds=60.0, seed=4)
     model = learned_model(before, learn(before, static=True))
     weaker = replace(after, command=after.command / 0.8)  # each command does 80 % of what it did
@@ -105,7 +126,9 @@ def test_a_static_change_is_still_found_with_a_model_learned_statically():
 def test_of_several_runs_those_that_taught_the_model_are_named(model, always):
     other = recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77))
     found = diagnose(model, [other, always])
-    assert any(said.startswith("run 2 taught the model: only the other runs") for said in found.remarks)
+    assert any(
+        said.startswith("run 2 taught the model: only the other runs") for said in found.remarks
+    )
     assert not any("taught the model" in one.why for one in found.not_testable)
 
 
@@ -127,7 +150,10 @@ def test_the_page_shows_it_with_what_a_file_says_escaped(same, tmp_path):
     evil = replace(same, learned_in=(replace(same.learned_in[0], name="<script>"),))
     page = write_html(tmp_path / "p.html", diagnosis=evil).read_text()
     assert LEARNED in page and "&lt;script&gt;" in page and "<script>" not in page
-    assert LEARNED not in write_html(tmp_path / "p.html", diagnosis=replace(same, learned_in=())).read_text()
+    assert (
+        LEARNED
+        not in write_html(tmp_path / "p.html", diagnosis=replace(same, learned_in=())).read_text()
+    )
 
 
 def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
@@ -135,7 +161,8 @@ def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
     teacher = TaughtRuns(runs=(1,), free=False)
     assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
     assert TaughtRuns(runs=(1,), free=True, static=True).remaps
-    assert not TaughtRuns(runs=(1,), free=True).remaps  # it was solved with the memory that was found
+    # it was solved with the memory that was found
+    assert not TaughtRuns(runs=(1,), free=True).remaps
 
 
 @pytest.mark.parametrize("name", ["vio000", "vio090", "arts_30lb_05hz_1in"])
@@ -149,12 +176,16 @@ def test_a_machine_whose_memory_was_learned_gets_no_other_name_and_no_fault(name
 
 
 def tugged(u, t, share=0.02):
-    """Commands (T, C) mm that a drag pulls back by the square of their speed: a law that is in no library."""
+    """Commands (T, C) mm that a drag pulls back by the square of their speed: a law that is in no
+    library.
+    """
     v = np.gradient(u, t, axis=0)
     return u - share * v * np.abs(v)
 
 
-def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_shows_nothing(tmp_path):
+def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_shows_nothing(
+    tmp_path,
+):
     t = np.arange(0.0, 90.0, 0.02)
     markers = arc(tugged(wander(t), t))[::3]
     markers = markers + np.random.default_rng(0).normal(0, 0.1, markers.shape)
@@ -162,11 +193,21 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
     save_bundle(learned_model(run, learn(run)), tmp_path / "dragged")
     model = load_bundle(tmp_path / "dragged")
     (one,) = model.learned_in
-    assert (one.name, one.law, model.chain_names) == ("", "unknown", ()) and one.after_mm < 0.9 * one.before_mm
+    assert (one.name, one.law, model.chain_names) == (
+        "",
+        "unknown",
+        (),
+    ) and one.after_mm < 0.9 * one.before_mm
     assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
-    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."}, TaughtRuns())
+    changes = with_unknown(
+        model, {"verdict": "nothing", "sentence": "Nothing is missing."}, TaughtRuns()
+    )
     (family,) = changes["families"]
-    assert (changes["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
+    assert (changes["verdict"], family.name, family.law) == (
+        "partly_explained",
+        one.family,
+        "unknown",
+    )
     sentence = changes["sentence"]
     assert sentence.startswith(f"An unknown law of the family {one.family}") and sentence.endswith(
         "Nothing is missing."
@@ -175,10 +216,16 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
     assert with_unknown(model, {"verdict": "identified", "sentence": ""}, TaughtRuns()) == {}
     other = {"verdict": "partly_explained", "sentence": "A delay.", "effects": (), "faults": ()}
     assert with_unknown(model, other, TaughtRuns()) == {}  # another run may show another one
-    again = with_unknown(model, other, TaughtRuns(runs=(1,)))  # the runs that taught the model cannot
+    # the runs that taught the model cannot
+    again = with_unknown(model, other, TaughtRuns(runs=(1,)))
     assert again["families"] == changes["families"] and "A delay." not in again["sentence"]
     kept = json.loads(json.dumps(one.to_dict()))
-    document = {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": "", "learned_in": [kept]}
+    document = {
+        "schema": "softmap.diagnosis/2",
+        "verdict": "nothing",
+        "sentence": "",
+        "learned_in": [kept],
+    }
     page = write_html(tmp_path / "p.html", diagnosis=document).read_text()
     assert f"unknown law of {one.family}, not in the model" in page
 
@@ -194,7 +241,11 @@ def test_a_piece_of_the_recording_that_taught_the_model_is_recognised(tmp_path):
     early, late = cut(run, end=40.0), cut(run, start=40.0)
     save_bundle(learn_model(early, static=True), tmp_path / "b")
     model = load_bundle(tmp_path / "b")
-    assert model.taught_by(early) and model.taught_by(run) and model.taught_by(cut(run, start=30.0, end=50.0))
+    assert (
+        model.taught_by(early)
+        and model.taught_by(run)
+        and model.taught_by(cut(run, start=30.0, end=50.0))
+    )
     assert model.taught_by(join_runs([late, early])) and not model.taught_by(late)
     assert not model.taught_by(arm(seconds=60.0, seed=8))
     assert learn_model(join_runs([early, late]), static=True).taught_by(run)

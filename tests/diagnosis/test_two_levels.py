@@ -1,8 +1,9 @@
-"""Two levels: the missing family is found first, then its law; laws outside the library are unknown or open.
+"""Two levels: the missing family is found first, then its law; laws outside the library are unknown
+or open.
 
-Runs are of the built-in finger with the standard protocol and camera noise of 0.25 mm a coordinate. Hidden laws act on
-the command and are written here, apart from the library. The rules of level 2 are tested on laws given as rows of
-held-out losses.
+Runs are of the built-in finger with the standard protocol and camera noise of 0.25 mm a coordinate.
+Hidden laws act on the command and are written here, apart from the library. The rules of level 2
+are tested on laws given as rows of held-out losses.
 """
 
 import sys
@@ -16,7 +17,14 @@ from two_levels import judged, law, played
 from softmap_edge import _core, builtin_model, diagnose
 from softmap_edge.diagnosis import acceptance, search, together
 from softmap_edge.diagnosis.decision import in_one_fold
-from softmap_edge.diagnosis.families import FeatureBody, State, applied, families, linearised, ranked
+from softmap_edge.diagnosis.families import (
+    FeatureBody,
+    State,
+    applied,
+    families,
+    linearised,
+    ranked,
+)
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import capped_at_events, law_of
 from softmap_edge.diagnosis.outcome import Outcome, Step
@@ -40,7 +48,11 @@ def names(found):
 
 def claims(found):
     """The reported missing effects: names that are more likely than not."""
-    return {e.name for e in (*found.effects, *found.faults) if e.probability is None or e.probability >= 0.5}
+    return {
+        e.name
+        for e in (*found.effects, *found.faults)
+        if e.probability is None or e.probability >= 0.5
+    }
 
 
 # --- hidden laws --------------------------------------------------------------------------------
@@ -48,7 +60,12 @@ def claims(found):
 
 def test_nothing_hidden_nothing_found():
     found = diagnose(MODEL, finger_run())
-    assert found.verdict == "nothing" and not names(found) and found.families == () and found.alternatives == ()
+    assert (
+        found.verdict == "nothing"
+        and not names(found)
+        and found.families == ()
+        and found.alternatives == ()
+    )
     assert found.error.ladder == () and found.error.before < 2.0 * found.error.floor
 
 
@@ -58,9 +75,16 @@ def test_play_is_named_with_its_gap():
     assert found.verdict == "identified" and names(found) == {"backlash"}
     assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.2, rel=0.05)
     (family,) = found.families
-    assert (family.name, family.kind, family.law, family.effects) == ("memory", "memory", "resolved", ("backlash",))
+    assert (family.name, family.kind, family.law, family.effects) == (
+        "memory",
+        "memory",
+        "resolved",
+        ("backlash",),
+    )
     assert family.share > 0.9 and family.law_share > 0.9 and family.moved_mm > 0.2
-    assert found.error.after < 0.4 * found.error.before and found.error.after < 1.2 * found.error.floor
+    assert (
+        found.error.after < 0.4 * found.error.before and found.error.after < 1.2 * found.error.floor
+    )
     # Without it no other effect takes its place, and the error remains.
     others = [e["name"] for e in _core.effects() if e["name"] not in MEMORY]
     without = diagnose(MODEL, run, effects=others)
@@ -86,7 +110,9 @@ def test_unequal_slack_is_named_with_a_number_for_each_cable():
     found = diagnose(MODEL, finger_run(acting=acting))
     assert names(found) == {"dead_zone"} and found.families[0].law == "resolved"
     for cable, wanted in slack.items():
-        assert found.effects[0].params[f"dead_zone.slack[{cable}]"].value == pytest.approx(wanted, rel=0.05)
+        assert found.effects[0].params[f"dead_zone.slack[{cable}]"].value == pytest.approx(
+            wanted, rel=0.05
+        )
 
 
 ODD = {
@@ -140,9 +166,16 @@ def test_a_known_play_is_found_beside_an_unknown_coupling():
 
 
 def test_a_large_coupling_is_no_change_of_the_body():
-    """It moves the command by up to 6 mm, far from linear: free shapes would follow it further than linear columns."""
-    found = diagnose(MODEL, finger_run(acting=lambda u: u + 0.042 * np.stack([u[:, 1] ** 2, 0.0 * u[:, 0]], axis=1)))
-    assert found.families[0].name == "coupling" and found.families[0].share > 0.8 and not claims(found)
+    """It moves the command by up to 6 mm, far from linear: free shapes would follow it further than
+    linear columns.
+    """
+    found = diagnose(
+        MODEL,
+        finger_run(acting=lambda u: u + 0.042 * np.stack([u[:, 1] ** 2, 0.0 * u[:, 0]], axis=1)),
+    )
+    assert (
+        found.families[0].name == "coupling" and found.families[0].share > 0.8 and not claims(found)
+    )
 
 
 def test_a_channel_that_drags_the_play_of_another_is_an_unknown_memory():
@@ -171,7 +204,13 @@ def play():
 def test_the_family_of_what_is_hidden_falls_furthest(play):
     _, state, ranking = play
     assert ranking.rows[0].family.name == "memory"
-    assert {row.family.name for row in ranking.rows} >= {"static map", "coupling", "delay", "creep", "frame"}
+    assert {row.family.name for row in ranking.rows} >= {
+        "static map",
+        "coupling",
+        "delay",
+        "creep",
+        "frame",
+    }
     second = ranking.rows[1]
     assert ranking.rows[0].loss.sum() < 0.7 * second.loss.sum() < ranking.before.sum()
     np.testing.assert_array_equal(ranking.before, ranking.found)  # no family is accepted yet
@@ -197,7 +236,10 @@ def test_a_family_that_was_taken_stands_beside_the_others(play):
     fits, state, ranking = play
     memory = ranking.rows[0].family
     again = ranked(State(state.body, fits.get(["backlash"])), families(), [memory])
-    assert memory not in [row.family for row in again.rows] and again.found.sum() < 0.5 * ranking.found.sum()
+    assert (
+        memory not in [row.family for row in again.rows]
+        and again.found.sum() < 0.5 * ranking.found.sum()
+    )
     assert again.before.sum() <= again.found.sum()
 
 
@@ -205,7 +247,9 @@ def test_a_family_that_was_taken_stands_beside_the_others(play):
 
 
 def test_the_simplest_law_that_reaches_stands_for_the_family():
-    found = judged(law("asymmetry", 101, 3), law("gain", 105, 1), law("offset", 400, 1), law("(u³)", 500, 1))
+    found = judged(
+        law("asymmetry", 101, 3), law("gain", 105, 1), law("offset", 400, 1), law("(u³)", 500, 1)
+    )
     assert found.law.name == "gain" and found.resolved and found.equals == ()
     assert [one.name for one in found.reaching] == ["gain", "asymmetry"] and len(found.tried) == 4
     assert found.loss.sum() == pytest.approx(105) and found.numbers == 1
@@ -214,19 +258,25 @@ def test_the_simplest_law_that_reaches_stands_for_the_family():
 def test_where_no_law_reaches_it_is_unknown():
     found = judged(law("gain", 700, 1), law("offset+gain", 550, 2))
     assert found.law is None and not found.open and not found.resolved and found.reaching == ()
-    assert found.loss.sum() == pytest.approx(100) and found.numbers == 9.0  # the representative stays
+    # the representative stays
+    assert found.loss.sum() == pytest.approx(100) and found.numbers == 9.0
 
 
 def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_one():
-    """Imperfections of the robot may hide its form. The law of a memory is unknown then, and its nearest is named."""
+    """Imperfections of the robot may hide its form. The law of a memory is unknown then, and its
+    nearest is named.
+    """
     laws = law("gain", 300, 1), law("offset", 310, 1), law("asymmetry", 290, 3), law("(u³)", 500, 1)
     found = judged(*laws)
-    assert found.open and found.law.name == "gain" and found.equals == ()  # near the best, with fewer numbers
+    # near the best, with fewer numbers
+    assert found.open and found.law.name == "gain" and found.equals == ()
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
     assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
-    assert judged(*laws, kind="memory", noisy=True).law is None  # its own error is part of its noise
-    assert judged(law("gain", 500, 1), kind="memory").law is None  # it explains less than 0.6 of what the family does
+    # its own error is part of its noise
+    assert judged(*laws, kind="memory", noisy=True).law is None
+    # it explains less than 0.6 of what the family does
+    assert judged(law("gain", 500, 1), kind="memory").law is None
     pulley = law("eccentric_pulley", 110, 5, **{"eccentric_pulley.radius": 8.0})
     assert judged(pulley, *laws).law.name == "gain"  # less than a turn of a sine is any smooth map
 
@@ -234,13 +284,16 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
 def test_a_generic_law_that_is_as_simple_opens_it():
     found = judged(law("gain", 105, 2), law("(u|u|)", 104, 2))
     assert found.open and not found.resolved and found.law.name == "gain"  # the best candidate
-    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved  # one with more numbers does not
+    # one with more numbers does not
+    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved
     none = judged(law("gain", 700, 1), law("(u³)", 104, 1))
     assert none.open and none.law is None
 
 
 def test_numbers_for_single_cables_are_no_simpler_than_a_generic_law():
-    """They follow any smooth map, so a generic law that does as well opens them whatever numbers it has."""
+    """They follow any smooth map, so a generic law that does as well opens them whatever numbers it
+    has.
+    """
     cables = {"gain.factor[0+]": 1.0, "gain.factor[0-]": 0.8}
     assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved
     found = judged(law("gain", 105, 2, **cables), law("(u, u³)", 104, 4))
@@ -256,44 +309,61 @@ def test_a_law_that_is_better_than_the_representative_is_the_measure():
 
 def test_members_that_do_as_well_are_equals_and_the_first_to_act_comes_first():
     found = judged(law("offset", 102, 1), law("gain", 103, 1))
-    assert found.resolved and found.law.name == "gain" and [one.name for one in found.equals] == ["offset"]
-    better = judged(law("offset", 100, 1), law("gain", 104, 1))  # by more than the least fall of a family
+    assert (
+        found.resolved
+        and found.law.name == "gain"
+        and [one.name for one in found.equals] == ["offset"]
+    )
+    # by more than the least fall of a family
+    better = judged(law("offset", 100, 1), law("gain", 104, 1))
     assert better.law.name == "offset" and [one.name for one in better.equals] == ["gain"]
     pair = judged(law("gain", 101, 2), law("gain+offset", 102, 2))
-    assert pair.law.name == "gain" and pair.equals == ()  # a larger set is no alternative to its part
+    # a larger set is no alternative to its part
+    assert pair.law.name == "gain" and pair.equals == ()
 
 
 def test_a_body_that_settles_late_does_not_move_at_rest_once_its_lag_is_known():
     found = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 0.5}))
     assert found.verdict == "identified" and [e.name for e in found.effects] == ["lag"]
     assert "while the commands stand" not in found.sentence
-    rest = [e["name"] for e in _core.effects() if e["family"] != "delay" and e["name"] not in ("lag", "creep")]
+    rest = [
+        e["name"]
+        for e in _core.effects()
+        if e["family"] != "delay" and e["name"] not in ("lag", "creep")
+    ]
     left = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 0.5}), effects=rest)
     assert left.verdict == "partly_explained"
 
 
 def test_the_nearest_law_of_an_unknown_memory_is_a_candidate():
-    """A play that is wider where it is pulled far is no law of the library; a play explains most of it."""
+    """A play that is wider where it is pulled far is no law of the library; a play explains most of
+    it.
+    """
 
     def widening(u):
         far = np.abs(played(u, [1.0, 1.0])) / 12.0
         return (1.0 - far) * played(u, [1.0, 1.0]) + far * played(u, [2.6, 2.6])
 
     found = diagnose(MODEL, finger_run(acting=widening), effects=["backlash", "lag", "creep"])
-    assert found.verdict == "partly_explained" and [f.name for f in found.families][:1] == ["memory"]
+    assert found.verdict == "partly_explained" and [f.name for f in found.families][:1] == [
+        "memory"
+    ]
     assert found.families[0].law == "unknown" and found.families[0].effects == ("backlash",)
     assert [e.name for e in found.effects] == ["backlash"] and found.effects[0].probability < 0.5
     assert (
-        "n unknown law of the family memory" in found.sentence and "(nearest in the library: backlash" in found.sentence
+        "n unknown law of the family memory" in found.sentence
+        and "(nearest in the library: backlash" in found.sentence
     )
     assert "the model lacks" not in found.sentence and found.error.after < 0.9 * found.error.before
 
 
 def test_a_family_whose_laws_are_all_dropped_stays_as_an_unknown_one(monkeypatch):
     """Each law may fail on blocks that were not fitted; the family was detected all the same."""
-    monkeypatch.setattr(sys.modules["softmap_edge.diagnosis.diagnose"], "_demote", lambda fits, fit, *_: (
-        fits.null, list(fit.effects)
-    ))  # fmt: skip
+    monkeypatch.setattr(
+        sys.modules["softmap_edge.diagnosis.diagnose"],
+        "_demote",
+        lambda fits, fit, *_: (fits.null, list(fit.effects)),
+    )
     found = diagnose(MODEL, finger_run(acting=lambda u: played(u, [1.2, 1.2])))
     assert found.verdict == "partly_explained" and not names(found) and "Dropped" in found.sentence
     assert [(family.law, family.effects) for family in found.families] == [("unknown", ())]
@@ -301,23 +371,34 @@ def test_a_family_whose_laws_are_all_dropped_stays_as_an_unknown_one(monkeypatch
 
 
 def test_an_event_that_one_block_alone_shows_is_not_taken():
-    """A stop that is softer than the library's leaves an error where one block reaches farthest: no tendon slipped."""
+    """A stop that is softer than the library's leaves an error where one block reaches farthest: no
+    tendon slipped.
+    """
     fall = np.array([0.0, 10.0, -5.0, 900.0, 0.0, 20.0])
     assert in_one_fold(np.full(6, 1000.0), 1000.0 - fall)
-    assert not in_one_fold(np.full(6, 1000.0), 1000.0 - np.maximum(fall, [0.0, 0.0, 100.0, 0.0, 0.0, 0.0]))
+    assert not in_one_fold(
+        np.full(6, 1000.0), 1000.0 - np.maximum(fall, [0.0, 0.0, 100.0, 0.0, 0.0, 0.0])
+    )
 
 
 def test_four_effects_are_named_together():
-    """Family by family, the memory takes the share of all others and none of the laws reaches it."""
-    hidden = {"backlash.gap[0]": 2.0, "backlash.gap[1]": 2.0, "gain.factor[0]": 1.2, "gain.factor[1]": 0.8}
+    """Family by family, the memory takes the share of all others and none of the laws reaches
+    it.
+    """
+    hidden = {
+        "backlash.gap[0]": 2.0,
+        "backlash.gap[1]": 2.0,
+        "gain.factor[0]": 1.2,
+        "gain.factor[1]": 0.8,
+    }
     hidden |= {"creep.strength": 0.3, "creep.tau": 5.0, "payload.mass": 30.0}
     found = diagnose(MODEL, finger_run(["backlash", "gain", "creep", "payload"], hidden))
     assert names(found) == {"backlash", "gain", "creep", "payload"}
     numbers = {label: p.value for e in found.effects for label, p in e.params.items()}
     assert numbers["backlash.gap"] == pytest.approx(2.0, rel=0.05)
-    assert numbers["gain.factor[0]"] == pytest.approx(1.2, rel=0.03) and numbers["payload.mass"] == pytest.approx(
-        30.0, rel=0.1
-    )
+    assert numbers["gain.factor[0]"] == pytest.approx(1.2, rel=0.03) and numbers[
+        "payload.mass"
+    ] == pytest.approx(30.0, rel=0.1)
     assert found.error.after < 0.1 * found.error.before
 
 
@@ -349,7 +430,9 @@ def test_an_event_is_confirmed_only_beyond_ordinary_imperfections():
     """One soon after the start does what a constant imperfection does."""
     shift = 0.6 * (standard_protocol(2).t > 30.0)[:, None]
     candidates = ["backlash", "anchor_slip"]
-    problem = problem_of(Record(MODEL, finger_run(acting=lambda u: played(u + shift, [1.6, 1.6]))), candidates)
+    problem = problem_of(
+        Record(MODEL, finger_run(acting=lambda u: played(u + shift, [1.6, 1.6]))), candidates
+    )
     fits = Fits(problem, candidates)
     state = State(FeatureBody(problem, candidates), fits.null)
     null = ranked(state, [], []).found
@@ -366,7 +449,12 @@ def test_a_map_that_is_too_fine_for_its_columns_is_a_static_map_by_its_repeats()
     found = diagnose(MODEL, finger_run(acting=lambda u: np.round(u / grid) * grid))
     assert found.verdict == "partly_explained" and not claims(found)
     (family,) = found.families
-    assert (family.name, family.kind, family.law, family.effects) == ("static map", "static", "unknown", ())
+    assert (family.name, family.kind, family.law, family.effects) == (
+        "static map",
+        "static",
+        "unknown",
+        (),
+    )
     assert 0.3 < family.moved_mm < 3.0 and family.share > 0.5
 
 
@@ -386,7 +474,9 @@ def test_what_lasts_of_the_largest_stroke_is_an_unknown_creep():
 
 
 def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypatch):
-    """Only if they depend on different things, and if it does not do what static columns do as well."""
+    """Only if they depend on different things, and if it does not do what static columns do as
+    well.
+    """
 
     def answer(kind, least):
         return SimpleNamespace(family=SimpleNamespace(kind=kind), least=np.full(8, least / 8))
@@ -398,7 +488,11 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
         return search._excluded(one, [one, other], None, state)
 
     warmed, slipped, scaled = answer("condition", 105), answer("time", 160), answer("static", 160)
-    assert excluded(slipped, warmed) and excluded(slipped, warmed, mimic=True) and excluded(scaled, warmed)
+    assert (
+        excluded(slipped, warmed)
+        and excluded(slipped, warmed, mimic=True)
+        and excluded(scaled, warmed)
+    )
     assert not excluded(scaled, warmed, mimic=True)
     assert not excluded(slipped, answer("time", 105))
     assert not excluded(slipped, answer("condition", 140))  # it leaves more than noise too
@@ -406,7 +500,9 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
 
     # So a set of laws that leaves more than noise does not replace it either.
     def outcome(name, kind, loss, open_):
-        step = SimpleNamespace(family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=not open_))
+        step = SimpleNamespace(
+            family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=not open_)
+        )
         loss, null = (np.full(8, each / 8) for each in (loss, 1500.0))
         return SimpleNamespace(loss=loss, null=null, open=open_, body=state.body, steps=[step])
 
@@ -417,7 +513,9 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
 
 def test_a_hum_is_a_family_of_its_own_and_no_law():
     t = standard_protocol(2).t
-    found = diagnose(MODEL, finger_run(acting=lambda u: u + np.sin(2.0 * np.pi * 0.6 * t)[:, None] * [0.0, 1.0]))
+    found = diagnose(
+        MODEL, finger_run(acting=lambda u: u + np.sin(2.0 * np.pi * 0.6 * t)[:, None] * [0.0, 1.0])
+    )
     assert found.verdict == "partly_explained" and not claims(found)
     first = found.families[0]
     assert (first.name, first.kind, first.law, first.effects) == ("hum", "time", "unknown", ())
@@ -425,17 +523,25 @@ def test_a_hum_is_a_family_of_its_own_and_no_law():
 
 
 def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
-    """Two laws, more laws, one law: what is not confirmed, or stands for nothing, is passed over."""
+    """Two laws, more laws, one law: what is not confirmed, or stands for nothing, is passed
+    over.
+    """
     sets = [law("gain+mount", 90, 8), law("gain+mount+creep", 80, 11), law("gain", 100, 2)]
-    step = SimpleNamespace(family=SimpleNamespace(name="body"), answer=SimpleNamespace(resolved=False), others=())
+    step = SimpleNamespace(
+        family=SimpleNamespace(name="body"), answer=SimpleNamespace(resolved=False), others=()
+    )
     body = SimpleNamespace(record=SimpleNamespace(error_is_noise=False), ordinary_mm=0.1)
 
     def found(tried, confirmed, stands, left):
-        start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None, fit=SimpleNamespace(effects=()))
+        start = SimpleNamespace(
+            steps=[step], body=body, left=0.5, few=None, fit=SimpleNamespace(effects=())
+        )
         start.null, start.loss = np.full(8, 50.0), np.full(8, 25.0)
         monkeypatch.setattr(acceptance, "one_pose", lambda body: False)
         monkeypatch.setattr(together, "held_out_loss", lambda outcome: np.ones(8))
-        monkeypatch.setattr(together, "_stands_for", lambda other, best: stands[sets.index(other.few)])
+        monkeypatch.setattr(
+            together, "_stands_for", lambda other, best: stands[sets.index(other.few)]
+        )
         monkeypatch.setattr(together, "_with_others", lambda other, outcome: other)
 
         def asked(few, outcome, visible, all_together):
@@ -447,37 +553,62 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
         one = together._reconsidered(start, iter(sets), lambda outcome, most: None, 0.1)
         return None if one.few is None else sets.index(one.few)
 
-    assert found(tried := [], [True, True, True], [True, True, True], [0.05, 0.0, 0.0]) == 0 and tried == [0]
-    assert found(tried := [], [True, True, True], [True, True, True], [0.3, 0.0, 0.0]) == 1 and tried == [0, 1]
-    assert found(tried := [], [False, False, True], [True, True, True], [0.0, 0.0, 0.0]) == 2 and tried == [0, 1, 2]
+    assert found(
+        tried := [], [True, True, True], [True, True, True], [0.05, 0.0, 0.0]
+    ) == 0 and tried == [0]
+    assert found(
+        tried := [], [True, True, True], [True, True, True], [0.3, 0.0, 0.0]
+    ) == 1 and tried == [0, 1]
+    assert found(
+        tried := [], [False, False, True], [True, True, True], [0.0, 0.0, 0.0]
+    ) == 2 and tried == [0, 1, 2]
     assert found([], [True, True, True], [True, False, False], [0.3, 0.0, 0.0]) == 0
     assert found([], [True, True, True], [False, False, False], [0.0, 0.0, 0.0]) is None
 
 
 def test_a_static_family_without_a_law_is_not_replaced_by_an_event_or_a_memory():
-    """A slip of a tendon early in a run can do much of what a static map does; a memory can do what a map does."""
+    """A slip of a tendon early in a run can do much of what a static map does; a memory can do what
+    a map does.
+    """
 
     def outcome(loss, *families):
         steps = [
-            SimpleNamespace(family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=resolved))
+            SimpleNamespace(
+                family=SimpleNamespace(name=name, kind=kind),
+                answer=SimpleNamespace(resolved=resolved),
+            )
             for (name, kind), resolved in families
         ]
-        body, open_ = SimpleNamespace(problem=SimpleNamespace(numbers=100.0)), sum(not one[1] for one in families)
-        return SimpleNamespace(loss=np.full(8, loss / 8), null=np.full(8, 125.0), open=open_, steps=steps, body=body)
+        body, open_ = (
+            SimpleNamespace(problem=SimpleNamespace(numbers=100.0)),
+            sum(not one[1] for one in families),
+        )
+        return SimpleNamespace(
+            loss=np.full(8, loss / 8), null=np.full(8, 125.0), open=open_, steps=steps, body=body
+        )
 
     static, memory, step = (("static map", "static"), ("memory", "memory"), ("step", "time"))
     drift, load, heat = (("frame drift", "time"), ("load", "static"), ("temperature", "condition"))
     known, unknown = True, False
     stands = together._stands_for
     assert not stands(outcome(195, (static, known), (step, known)), outcome(200, (static, unknown)))
-    assert not stands(outcome(195, (step, known), (drift, known)), outcome(200, (static, unknown), (drift, known)))
+    assert not stands(
+        outcome(195, (step, known), (drift, known)), outcome(200, (static, unknown), (drift, known))
+    )
     assert stands(outcome(195, (static, known), (memory, known)), outcome(200, (memory, unknown)))
-    assert stands(outcome(195, (static, known), (drift, known)), outcome(200, (static, unknown), (drift, known)))
-    assert stands(outcome(120, (static, known), (step, known)), outcome(200, (static, unknown)))  # it leaves far less
-    # What changes with the orientation, or with the time, may be an event or a condition, if no law of it is known.
+    assert stands(
+        outcome(195, (static, known), (drift, known)),
+        outcome(200, (static, unknown), (drift, known)),
+    )
+    # it leaves far less
+    assert stands(outcome(120, (static, known), (step, known)), outcome(200, (static, unknown)))
+    # What changes with the orientation, or with the time, may be an event or a condition, if no law
+    # of it is known.
     assert stands(outcome(195, (step, known)), outcome(200, (load, unknown)))
     assert not stands(outcome(195, (step, known)), outcome(200, (load, known), (static, unknown)))
-    assert stands(outcome(195, (heat, known), (static, known)), outcome(200, (step, unknown), (static, known)))
+    assert stands(
+        outcome(195, (heat, known), (static, known)), outcome(200, (step, unknown), (static, known))
+    )
     assert not stands(outcome(195, (memory, known)), outcome(200, (load, unknown)))
 
 
@@ -497,7 +628,9 @@ def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():
     record = Record(MODEL, run)
     problem = problem_of(record, ["saturation"])
     fit = problem.fit(
-        ("saturation",), [problem.space(("saturation",), split=["saturation"]).start], split=["saturation"]
+        ("saturation",),
+        [problem.space(("saturation",), split=["saturation"]).start],
+        split=["saturation"],
     )
     assert fit.params["saturation.above[0]"] > np.abs(run.command).max()
     held = problem.held_out_mm(problem.fold_predictions(fit))
@@ -507,11 +640,16 @@ def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():
 
 @pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
 def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
-    """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth map."""
+    """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth
+    map.
+    """
     found = judged(law("eccentric_pulley", 101, 5, **{"eccentric_pulley.radius": radius}))
     assert found.resolved == resolved and found.open == (not resolved)
     assert (found.law is not None) == resolved
-    known = judged(law("eccentric_pulley", 101, 4, **{"eccentric_pulley.radius": radius}), spool=Spool(radius, 0.1, ""))
+    known = judged(
+        law("eccentric_pulley", 101, 4, **{"eccentric_pulley.radius": radius}),
+        spool=Spool(radius, 0.1, ""),
+    )
     assert known.resolved  # its period is not a free number
     beside = {"eccentric_pulley.radius": radius}
     assert judged(law("eccentric_pulley", 101, 5, **beside), law("gain", 102, 1)).law.name == "gain"

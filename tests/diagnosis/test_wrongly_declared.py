@@ -1,4 +1,6 @@
-"""Gravity or a load that a run declares wrongly is a fault of the declaration, and no physics is named instead."""
+"""Gravity or a load that a run declares wrongly is a fault of the declaration, and no physics is
+named instead.
+"""
 
 import json
 from dataclasses import replace
@@ -37,24 +39,42 @@ SIGNS = {"upside down": [-1.0, -1.0, -1.0], "with the wrong sign of its z": [1.0
 
 
 @pytest.mark.parametrize("words", SIGNS)
-def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(words, tmp_path, capsys):
-    """The weight hides the sign from a first look; what gravity would have to be, and the search, tell."""
+def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(
+    words, tmp_path, capsys
+):
+    """The weight hides the sign from a first look; what gravity would have to be, and the search,
+    tell.
+    """
     run = finger_run(["payload"], {"payload.mass": 20.0})
     replace(run, gravity=run.gravity * SIGNS[words]).save(tmp_path / "run.npz")
     argv = ["--effects", "offset,gravity,payload,mount", "--json"]
     assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["verdict"] == "measurement_fault" and document["effects"] == [] and document["alternatives"] == []
-    assert f"`gravity` is declared {words}" in document["sentence"] and "both held out" in document["sentence"]
+    assert (
+        document["verdict"] == "measurement_fault"
+        and document["effects"] == []
+        and document["alternatives"] == []
+    )
+    assert (
+        f"`gravity` is declared {words}" in document["sentence"]
+        and "both held out" in document["sentence"]
+    )
     run.save(tmp_path / "run.npz")
     assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0
-    assert [entry["name"] for entry in json.loads(capsys.readouterr().out)["effects"]] == ["payload"]
+    assert [entry["name"] for entry in json.loads(capsys.readouterr().out)["effects"]] == [
+        "payload"
+    ]
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("names", [["payload"], ["hysteresis"], ["payload", "creep"], ["gravity"]], ids="+".join)
+@pytest.mark.parametrize(
+    "names", [["payload"], ["hysteresis"], ["payload", "creep"], ["gravity"]], ids="+".join
+)
 def test_gravity_upside_down_beside_what_is_hidden(names):
     whole = standard_protocol(2)
     run = hide(names, 1).measure(replace(whole, t_seen=whole.t_seen[::2], block=whole.block[::2]))
     found = diagnose(builtin_model(), replace(run, gravity=-run.gravity))
-    assert found.verdict == "measurement_fault" and "`gravity` is declared upside down" in found.sentence
+    assert (
+        found.verdict == "measurement_fault"
+        and "`gravity` is declared upside down" in found.sentence
+    )

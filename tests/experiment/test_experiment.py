@@ -1,4 +1,6 @@
-"""Blocks of commands within a robot's limits, one condition at a time; command files written, read and played."""
+"""Blocks of commands within a robot's limits, one condition at a time; command files written, read
+and played.
+"""
 
 import json
 
@@ -30,7 +32,9 @@ def test_a_block_stays_within_the_limits_and_changes_one_condition(block, limits
     made = plan([block], limits)
     assert (made.command >= limits.low - 1e-9).all() and (made.command <= limits.high + 1e-9).all()
     step = np.abs(np.diff(made.command, axis=0)) / np.diff(made.t)[:, None]
-    assert (step <= np.maximum(limits.fast, 2 * limits.slow) * 1.001 + 1e-9).all() or block.name == "circle"
+    assert (
+        step <= np.maximum(limits.fast, 2 * limits.slow) * 1.001 + 1e-9
+    ).all() or block.name == "circle"
     assert np.ptp(made.command[:, 0]) > 0.3 * (limits.high - limits.low)[0]
     for end in (made.command[0], made.command[-1]):
         np.testing.assert_allclose(end, limits.home, atol=1e-9)
@@ -40,12 +44,16 @@ def test_a_block_stays_within_the_limits_and_changes_one_condition(block, limits
         "load": made.load is not None,
         "temperature": made.temperature is not None,
     }
-    assert [name for name, yes in changed.items() if yes] == [block.changes] * (block.changes != "nothing")
+    assert [name for name, yes in changed.items() if yes] == [block.changes] * (
+        block.changes != "nothing"
+    )
     assert bool(made.notes) == (block.changes != "nothing")  # somebody has to do it
 
 
 def test_a_change_is_seen_before_and_after_it():
-    """Without the same moves in the usual condition a block would change the day together with the condition."""
+    """Without the same moves in the usual condition a block would change the day together with the
+    condition.
+    """
     for name in ("another orientation", "a known 10 g"):
         made = BLOCKS[name].plan(LIMITS["two pairs"])
         changed = made.gravity[:, 0] > 0 if made.load is None else made.load > 0
@@ -56,10 +64,13 @@ def test_a_change_is_seen_before_and_after_it():
 
 
 def test_blocks_in_a_row_put_back_what_they_change():
-    made = plan(chosen(["a warm-up", "another orientation", "a known 10 g", "circle"]), LIMITS["two pairs"])
+    made = plan(
+        chosen(["a warm-up", "another orientation", "a known 10 g", "circle"]), LIMITS["two pairs"]
+    )
     leaning, loaded = made.gravity[:, 0] != 0, made.load > 0
     assert leaning.any() and loaded.any() and not (leaning & loaded).any()
-    assert made.temperature[leaning | loaded].max() == made.temperature.min()  # what is warm stays warm: it is last
+    # what is warm stays warm: it is last
+    assert made.temperature[leaning | loaded].max() == made.temperature.min()
     assert [text.split()[0] for _, text in made.notes] == ["turn", "turn", "hang", "take", "warm"]
     at_home = np.array([made.command[np.searchsorted(made.t, time)] for time, _ in made.notes])
     np.testing.assert_allclose(at_home, 0.0, atol=1e-9)
@@ -77,10 +88,14 @@ def test_another_orientation_is_one_that_was_not_seen(gravity):
 
 def test_the_way_back_tells_orientation_from_time():
     once, back = standard_protocol(2), standard_protocol(2, back=True)
-    assert back.minutes == pytest.approx(6.0, abs=0.6) and once.minutes == pytest.approx(4.0, abs=0.1)
+    assert back.minutes == pytest.approx(6.0, abs=0.6) and once.minutes == pytest.approx(
+        4.0, abs=0.1
+    )
 
     def with_time(made):
-        return abs(np.corrcoef(made.t_seen, np.interp(made.t_seen, made.t, made.gravity[:, 0]))[0, 1])
+        return abs(
+            np.corrcoef(made.t_seen, np.interp(made.t_seen, made.t, made.gravity[:, 0]))[0, 1]
+        )
 
     assert with_time(back) < 0.3 < 0.8 < with_time(once)
     both = {sign for label in ("staircase[0]", "staircase[1]") for sign in _signs(back, label)}
@@ -101,7 +116,13 @@ def test_the_standard_protocol_fits_any_robot(channels):
     assert made.unit == "N" and made.command.shape[1] == channels
     assert made.command.min() >= 0.0 and made.command.max() == pytest.approx(3.0)
     assert np.abs(np.diff(made.command, axis=0)).max() <= 3.0 / 50 * 1.01
-    assert {label.split("[")[0] for label in made.block} >= {"home", "triangle", "staircase", "fast", "small loop"}
+    assert {label.split("[")[0] for label in made.block} >= {
+        "home",
+        "triangle",
+        "staircase",
+        "fast",
+        "small loop",
+    }
 
 
 def test_limits_that_leave_no_room_are_named():
@@ -143,17 +164,38 @@ def test_a_command_file_holds_the_whole_plan(written):
 
 
 SPOILT = {
-    "another kind of file": (lambda text: "t,u0\n0,1\n", "no command file, the first line is 't,u0'"),
-    "a newer one": (lambda text: text.replace("commands 1;", "commands 2;"), "version 2, version 1 is read"),
+    "another kind of file": (
+        lambda text: "t,u0\n0,1\n",
+        "no command file, the first line is 't,u0'",
+    ),
+    "a newer one": (
+        lambda text: text.replace("commands 1;", "commands 2;"),
+        "version 2, version 1 is read",
+    ),
     "a column less": (lambda text: text.replace(",look", "", 1), "columns t,u0,u1"),
-    "a word": (lambda text: text.replace("\n0.0200,0.0000", "\n0.0200,zero"), "row 2: u0 is 'zero'"),
-    "not a number": (lambda text: text.replace("\n0.0200,0.0000", "\n0.0200,nan"), "row 2: u0 is 'nan'"),
-    "time that stands": (lambda text: text.replace("\n0.0200", "\n0.0000"), "row 2: time 0 s after 0 s"),
+    "a word": (
+        lambda text: text.replace("\n0.0200,0.0000", "\n0.0200,zero"),
+        "row 2: u0 is 'zero'",
+    ),
+    "not a number": (
+        lambda text: text.replace("\n0.0200,0.0000", "\n0.0200,nan"),
+        "row 2: u0 is 'nan'",
+    ),
+    "time that stands": (
+        lambda text: text.replace("\n0.0200", "\n0.0000"),
+        "row 2: time 0 s after 0 s",
+    ),
     "weightless": (lambda text: text.replace("1.0000000", "0.0000000", 1), "row 1: gravity of 0 g"),
-    "a cell more": (lambda text: text.replace("\n0.0400", "\n0.0400,1"), "row 3 has 12 cells, the header 11"),
+    "a cell more": (
+        lambda text: text.replace("\n0.0400", "\n0.0400,1"),
+        "row 3 has 12 cells, the header 11",
+    ),
     "one row": (lambda text: "\n".join(text.split("\n")[:3]), "1 rows of commands; 2 to"),
     "looks twice": (lambda text: text.replace(",,1,", ",,2,", 1), "look is 0 or 1, got 2"),
-    "warm at times": (lambda text: text.replace(",0,,", ",0,20,", 1), "temperature_c is given in some rows only"),
+    "warm at times": (
+        lambda text: text.replace(",0,,", ",0,20,", 1),
+        "temperature_c is given in some rows only",
+    ),
 }
 
 
@@ -165,7 +207,9 @@ def test_a_bad_command_file_is_named_in_one_line(spoil, told, written, tmp_path,
     with pytest.raises(RunError) as fault:
         read_commands(tmp_path / "bad.csv")
     assert told in str(fault.value) and "\n" not in str(fault.value)
-    assert main(["record", str(tmp_path / "bad.csv"), "--sim", "--out", str(tmp_path / "r.npz")]) == 2
+    assert (
+        main(["record", str(tmp_path / "bad.csv"), "--sim", "--out", str(tmp_path / "r.npz")]) == 2
+    )
     assert told in capsys.readouterr().err and not (tmp_path / "r.npz").exists()
 
 
@@ -177,11 +221,22 @@ def test_a_plan_is_played_on_the_simulated_finger(tmp_path, capsys):
     made = plan(chosen(["a known 10 g"]), Limits.even(2, 3.0))
     made = _cut(made)
     write_commands(tmp_path / "c.csv", made, "moe-finger")
-    argv = ["record", str(tmp_path / "c.csv"), "--sim", "--json", "--out", str(tmp_path / "run.npz")]
+    argv = [
+        "record",
+        str(tmp_path / "c.csv"),
+        "--sim",
+        "--json",
+        "--out",
+        str(tmp_path / "run.npz"),
+    ]
     assert main(argv) == 0
     told = json.loads(capsys.readouterr().out)
     run = Run.load(tmp_path / "run.npz")
-    assert told["schema"] == "softmap.record/1" and told["hash"] == run.hash() and told["frames"] == run.frames
+    assert (
+        told["schema"] == "softmap.record/1"
+        and told["hash"] == run.hash()
+        and told["frames"] == run.frames
+    )
     assert run.load.max() == 10.0 and set(run.block) == set(made.block)
     np.testing.assert_allclose(run.command, made.command, atol=1e-4)
     sag = run.vertices[-1] - run.vertices[0]
@@ -190,11 +245,16 @@ def test_a_plan_is_played_on_the_simulated_finger(tmp_path, capsys):
     (tmp_path / "run.npz").unlink()
     assert main(argv) == 0 and json.loads(capsys.readouterr().out)["hash"] == run.hash()
     (tmp_path / "run.npz").unlink()
-    assert main([*argv, "--noise-seed", "1"]) == 0 and json.loads(capsys.readouterr().out)["hash"] != run.hash()
+    assert (
+        main([*argv, "--noise-seed", "1"]) == 0
+        and json.loads(capsys.readouterr().out)["hash"] != run.hash()
+    )
 
 
 def _cut(made):
-    """The first and the last frame, at home and at home under load: two equilibria instead of sixty."""
+    """The first and the last frame, at home and at home under load: two equilibria instead of
+    sixty.
+    """
     from dataclasses import replace
 
     leaning = replace(made, gravity=np.tile([0.6, 0.0, 0.8], (made.t.size, 1)))
@@ -207,15 +267,23 @@ def test_what_cannot_be_recorded_is_said(written, tmp_path, capsys):
     assert main(["record", path, "--out", out]) == 2
     assert "give --sim" in capsys.readouterr().err
     assert main(["record", path, "--sim", "--out", out, "--hide", "wobble"]) == 2
-    assert capsys.readouterr().err.startswith("softmap record: no hidden law 'wobble'")  # before anything is solved
+    # before anything is solved
+    assert capsys.readouterr().err.startswith("softmap record: no hidden law 'wobble'")
     assert main(["record", path, "--sim", "--out", out, "--hide", "servo_swap,creep", "gust"]) == 2
     assert "no hidden law 'gust'" in capsys.readouterr().err
     write_commands(tmp_path / "other.csv", plan([BLOCKS["circle"]], Limits.even(3)), "moe-finger")
     assert main(["record", str(tmp_path / "other.csv"), "--sim", "--out", out]) == 2
-    assert "3 commands in mm for 'moe-finger', 'moe-finger' takes 2 in mm" in capsys.readouterr().err
+    assert (
+        "3 commands in mm for 'moe-finger', 'moe-finger' takes 2 in mm" in capsys.readouterr().err
+    )
     for text in ("[]", "{", '{"hidden": [{"name": "lag"}], "seed": true}'):
         (tmp_path / "demo.json").write_text(text)
-        assert main(["record", path, "--sim", "--out", out, "--truth-from", str(tmp_path / "demo.json")]) == 2
+        assert (
+            main(
+                ["record", path, "--sim", "--out", out, "--truth-from", str(tmp_path / "demo.json")]
+            )
+            == 2
+        )
         told = capsys.readouterr().err
         assert told.count("\n") == 1 and "demo.json" in told
     assert HANGING == (0.0, 0.0, 1.0) and not (tmp_path / "r.npz").exists()

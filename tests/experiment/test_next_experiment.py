@@ -1,7 +1,9 @@
-"""The next experiment: the block that an engineer would pick is ranked first, in time, and it settles what was open.
+"""The next experiment: the block that an engineer would pick is ranked first, in time, and it
+settles what was open.
 
-Runs are predictions of the built-in finger's model with effects of the library and camera noise, which is what is
-simulated; that it holds for a finger that was not written with the library's forms is `test_story.py`'s to show.
+Runs are predictions of the built-in finger's model with effects of the library and camera noise,
+which is what is simulated; that it holds for a finger that was not written with the library's forms
+is `test_story.py`'s to show.
 """
 
 import json
@@ -32,7 +34,9 @@ def grid(frames=60, dwell=10.0):
     places = np.random.default_rng(1).uniform(-8, 8, size=(frames, 2))
     u = np.repeat(places, round(dwell * 10), axis=0)
     seen = np.arange(frames) * dwell + dwell - 0.5
-    return Protocol("grid", t, u, np.tile([0.0, 0.0, 1.0], (t.size, 1)), seen, np.full(frames, "grid"))
+    return Protocol(
+        "grid", t, u, np.tile([0.0, 0.0, 1.0], (t.size, 1)), seen, np.full(frames, "grid")
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +57,16 @@ def test_payload_or_gravity_is_settled_by_another_orientation(ambiguous):
         "separation": float(f"{best.separation:.4g}"),
     }  # fmt: skip
     again = diagnose(MODEL, [run, played(best.plan, {"payload.mass": 9.0}, seed=1)])
-    assert (again.verdict, [e.name for e in again.effects], again.alternatives) == ("identified", ["payload"], ())
+    assert (again.verdict, [e.name for e in again.effects], again.alternatives) == (
+        "identified",
+        ["payload"],
+        (),
+    )
     # As much of the same moves in the same orientation leaves it open.
-    same = diagnose(MODEL, [run, played(BLOCKS["triangles of growing size"].plan(LIMITS), {"payload.mass": 9.0}, 1)])
+    same = diagnose(
+        MODEL,
+        [run, played(BLOCKS["triangles of growing size"].plan(LIMITS), {"payload.mass": 9.0}, 1)],
+    )
     assert same.verdict == "ambiguous"
 
 
@@ -67,13 +78,16 @@ PICKS = [
 ]
 
 
-@pytest.mark.parametrize(("hidden", "other", "picked"), PICKS, ids=[pick[1] + " or other" for pick in PICKS])
+@pytest.mark.parametrize(
+    ("hidden", "other", "picked"), PICKS, ids=[pick[1] + " or other" for pick in PICKS]
+)
 def test_the_block_that_an_engineer_would_pick(hidden, other, picked):
     name = next(iter(hidden)).split(".")[0]
     run = played(BLOCKS["circle"].plan(LIMITS), hidden)
     stated = {label: {"value": v, "sigma": 0.1, "unit": "1"} for label, v in hidden.items()}
     found = document(
-        effects=[{"name": name, "params": stated}], alternatives=[{"effects": [other], "why": "for the test"}]
+        effects=[{"name": name, "params": stated}],
+        alternatives=[{"effects": [other], "why": "for the test"}],
     )
     best = next_experiment(MODEL, found, [run])[0]
     assert best.block == picked and best.settles == [name, other]
@@ -85,7 +99,9 @@ def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
     hidden = {row.name for row in found.not_testable}
     assert {"latency", "lag"} <= hidden
     ranked = next_experiment(MODEL, found, [run])
-    assert ranked[0].block == "fast and slow triangles" and {"latency", "lag"} <= set(ranked[0].settles)
+    assert ranked[0].block == "fast and slow triangles" and {"latency", "lag"} <= set(
+        ranked[0].settles
+    )
     assert [e.separation is None for e in ranked] == sorted(e.separation is None for e in ranked)
     # Judged for itself, without the run, the same block is best.
     assert next_experiment(MODEL, found, [])[0].block == ranked[0].block
@@ -96,7 +112,8 @@ def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
 
 def test_what_no_block_settles_is_left_to_what_the_library_says():
     found = document(
-        effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["offset", "mount"], "why": ""}]
+        effects=[{"name": "offset", "params": {}}],
+        alternatives=[{"effects": ["offset", "mount"], "why": ""}],
     )
     ranked = next_experiment(MODEL, found, [played(plan(chosen(UPRIGHT), LIMITS))])
     open_ones = [e for e in ranked if e.plan is None]
@@ -105,10 +122,19 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
 
 
 def test_a_rival_that_the_model_cannot_express_is_left_to_what_the_library_says():
-    poor = MODEL.with_structure(fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")})
-    found = document(effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["pre_curve"], "why": ""}])
+    poor = MODEL.with_structure(
+        fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")}
+    )
+    found = document(
+        effects=[{"name": "offset", "params": {}}],
+        alternatives=[{"effects": ["pre_curve"], "why": ""}],
+    )
     ranked = next_experiment(poor, found, [played(plan(chosen(UPRIGHT), LIMITS))])
-    assert ranked and all(e.plan is None for e in ranked) and {n for e in ranked for n in e.settles} >= {"pre_curve"}
+    assert (
+        ranked
+        and all(e.plan is None for e in ranked)
+        and {n for e in ranked for n in e.settles} >= {"pre_curve"}
+    )
 
 
 def test_every_effect_of_the_library_can_be_asked_for():
@@ -117,7 +143,9 @@ def test_every_effect_of_the_library_can_be_asked_for():
     hidden = [{"name": name, "why": "", "experiment": ""} for name in names]
     ranked = next_experiment(MODEL, document(not_testable=hidden), [])
     assert {name for e in ranked for name in e.settles} == set(names)
-    assert not {name for name in names if MODEL.missing_for(name)} & {n for e in ranked if e.plan for n in e.settles}
+    assert not {name for name in names if MODEL.missing_for(name)} & {
+        n for e in ranked if e.plan for n in e.settles
+    }
 
 
 def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
@@ -157,7 +185,14 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     run, found = ambiguous
     run.save(tmp_path / "old.npz")
     (tmp_path / "d.json").write_text(json.dumps(found.to_dict()))
-    argv = ["next", str(tmp_path / "d.json"), "--run", str(tmp_path / "old.npz"), "--out", str(tmp_path / "c.csv")]
+    argv = [
+        "next",
+        str(tmp_path / "d.json"),
+        "--run",
+        str(tmp_path / "old.npz"),
+        "--out",
+        str(tmp_path / "c.csv"),
+    ]
     assert main(argv) == 0
     told = capsys.readouterr().out
     assert "Open      payload (ambiguous); alternatives: gravity" in told
@@ -177,11 +212,15 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     assert main(["next", str(tmp_path / "d2.json"), "--since", str(tmp_path / "d.json")]) == 0
     told = capsys.readouterr().out
     assert "Before    payload (ambiguous); alternatives: gravity" in told
-    assert "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+    assert (
+        "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+    )
 
 
 def test_what_is_named_beside_a_rival_is_not_open():
-    """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
+    """A rival set holds the rest of what is named too: only the member and what stands for it are
+    to be settled.
+    """
     other = Alternative(("gain", "latency"), "", "lag")
     known = registry()
     (block,) = next_blocks([other], [], known, ["gain", "lag"])

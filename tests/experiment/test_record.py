@@ -1,4 +1,6 @@
-"""docs/do/record.md as written: its commands run, its quotes are printed, its times are those of the protocol."""
+"""docs/do/record.md as written: its commands run, its quotes are printed, its times are those of
+the protocol.
+"""
 
 import re
 from dataclasses import replace
@@ -26,7 +28,9 @@ PROSE = re.sub(r"^```.*?^```$", "", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 def hasty():
-    """Both channels follow one another at one speed for a minute and a half, hanging, never at rest."""
+    """Both channels follow one another at one speed for a minute and a half, hanging, never at
+    rest.
+    """
     model, t = builtin_model(), np.arange(0.0, 90.0, 0.02)
     wave = 8.0 * (2 * np.abs((t / 5.0 + 0.25) % 2 - 1) - 1)
     record = {
@@ -40,7 +44,9 @@ def hasty():
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """Run every block and line of the page in a folder with the reader's files; give what was printed."""
+    """Run every block and line of the page in a folder with the reader's files; give what was
+    printed.
+    """
     there, printed = tmp_path_factory.mktemp("record"), {}
     hasty().save(there / "hasty.npz")
     marked(3, noise=0.05, play=0.05, rest=SIDES).save(there / "camera.npz")
@@ -48,15 +54,28 @@ def page(tmp_path_factory):
     held = played(virtual_protocol("grid", 0, LIMITS))
     replace(held, command=None, ticks=PUBLISHED.to_ticks(held.command)).save(there / "ticks.npz")
     hanging = plan(
-        chosen(["home revisits", "triangles of growing size", "diagonals", "staircase with long dwells"]), LIMITS
+        chosen(
+            [
+                "home revisits",
+                "triangles of growing size",
+                "diagonals",
+                "staircase with long dwells",
+            ]
+        ),
+        LIMITS,
     )
     played(hanging, WEIGHT).save(there / "hanging.npz")
     played(MOVES["another orientation"].plan(LIMITS), WEIGHT, seed=1).save(there / "leaning.npz")
     save_bundle(builtin_model(), there / "finger")
-    inline = [line for text in re.findall(r"`(softmap run align [^`]*)`", PROSE) for line in lines(text)]
+    inline = [
+        line for text in re.findall(r"`(softmap run align [^`]*)`", PROSE) for line in lines(text)
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
-        patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))))
+        patch.setattr(
+            "builtins.print",
+            lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))),
+        )
         for language, text in [*BLOCKS, ("", "\n".join(" ".join(words) for words in inline))]:
             if language == "python":
                 exec(compile(text, "docs/do/record.md", "exec"), {})
@@ -70,7 +89,9 @@ def page(tmp_path_factory):
 def test_what_the_page_quotes_is_what_is_printed(page):
     """Numbers of an effect may differ in their last figure; all else is as it stands."""
     _, printed = page
-    poor, effects, following = (text.splitlines() for language, text in BLOCKS if language == "text")
+    poor, effects, following = (
+        text.splitlines() for language, text in BLOCKS if language == "text"
+    )
     told = printed["check hasty.npz"].splitlines()
     start = told.index(poor[0])
     assert told[start : start + len(poor)] == poor
@@ -79,22 +100,30 @@ def test_what_the_page_quotes_is_what_is_printed(page):
     line = next(k for k, text in enumerate(found) if text.startswith("  + latency"))
     assert found[line + 1] == remedy
     assert_alike(found[line], named)
-    said = printed["next diagnosis.json --run hanging.npz --bundle finger --out next.csv"].splitlines()
+    said = printed[
+        "next diagnosis.json --run hanging.npz --bundle finger --out next.csv"
+    ].splitlines()
     at = said.index(following[0])
     assert_alike(said[at + 1], following[1])
 
 
 def assert_alike(said, quoted):
     """The same words, and numbers within 3 %."""
-    assert re.sub(r"[\d.]+", "#", " ".join(said.split())) == re.sub(r"[\d.]+", "#", " ".join(quoted.split()))
+    assert re.sub(r"[\d.]+", "#", " ".join(said.split())) == re.sub(
+        r"[\d.]+", "#", " ".join(quoted.split())
+    )
     numbers = (np.array(re.findall(r"\d[\d.]*", text), float) for text in (said, quoted))
     np.testing.assert_allclose(*numbers, rtol=0.03)
 
 
 def test_the_doubt_of_the_page_is_settled(page):
     there, printed = page
-    told = printed["diagnose hanging.npz leaning.npz --bundle finger --out settled.json --since diagnosis.json"]
-    assert "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+    told = printed[
+        "diagnose hanging.npz leaning.npz --bundle finger --out settled.json --since diagnosis.json"
+    ]
+    assert (
+        "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+    )
     assert read_commands(there / "next.csv")[0].gravity[:, 0].max() > 0.5
     assert set(Run.load(there / "circle.npz").block) == {"home", "circle"}
     named = re.search(r"`--block` writes those that you name:(.*?)\.\n", PAGE, re.DOTALL)[1]
@@ -122,7 +151,12 @@ def test_the_times_of_the_page_are_those_of_the_protocol():
     plan = standard_protocol(2)
     first = plan.t_seen < plan.t[np.any(plan.gravity != plan.gravity[0], axis=1)][0]
     labels, t = np.array([label.split("[")[0] for label in plan.block[first]]), plan.t_seen[first]
-    rows = {"triangles": "triangle", "small loops": "small loop", "diagonals": "diagonal", "staircase": "staircase"}
+    rows = {
+        "triangles": "triangle",
+        "small loops": "small loop",
+        "diagonals": "diagonal",
+        "staircase": "staircase",
+    }
     for name, label in {**rows, "fast triangles": "fast"}.items():
         stated = float(re.search(rf"\| \*\*{name}\*\*[^|]*\| (\d+) s", PAGE)[1])
         assert np.ptp(t[labels == label]) == pytest.approx(stated, abs=2.0), name
@@ -130,4 +164,6 @@ def test_the_times_of_the_page_are_those_of_the_protocol():
 
 def test_every_effect_has_its_part_of_the_protocol():
     for effect in _core.effects():
-        assert f"`{effect['name']}`" in PAGE, f"docs/do/record.md does not say what shows {effect['name']}"
+        assert f"`{effect['name']}`" in PAGE, (
+            f"docs/do/record.md does not say what shows {effect['name']}"
+        )

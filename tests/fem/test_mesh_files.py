@@ -1,4 +1,6 @@
-"""Mesh files as others write them: XML by its content, materials by their names, damage and malice in a child."""
+"""Mesh files as others write them: XML by its content, materials by their names, damage and malice
+in a child.
+"""
 
 import json
 import shutil
@@ -7,7 +9,18 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from foreign_meshes import CELLS, HARD, NODES, ascii_vtu, base64_vtu, fenics, gmsh22, gmsh41, raw_vtu, scalars
+from foreign_meshes import (
+    CELLS,
+    HARD,
+    NODES,
+    ascii_vtu,
+    base64_vtu,
+    fenics,
+    gmsh22,
+    gmsh41,
+    raw_vtu,
+    scalars,
+)
 from small_solids import SIZE, mesh_finger, sag
 
 from softmap_edge.cli import main
@@ -46,7 +59,9 @@ def test_the_content_decides_and_not_the_ending(write, name, tmp_path):
 def test_a_version_that_meshio_does_not_know_is_read(write, tmp_path):
     write(tmp_path / "bar.vtu")
     content = (tmp_path / "bar.vtu").read_bytes()
-    (tmp_path / "bar.vtu").write_bytes(content.replace(b'" version="1.0" byte', b'" version="2.2" byte'))
+    (tmp_path / "bar.vtu").write_bytes(
+        content.replace(b'" version="1.0" byte', b'" version="2.2" byte')
+    )
     np.testing.assert_allclose(read_mesh(tmp_path / "bar.vtu").points, NODES, atol=1e-9)
 
 
@@ -57,7 +72,10 @@ def test_a_version_that_meshio_does_not_know_is_read(write, tmp_path):
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
         (b"<svg/>", "XML, but not VTK"),
         (b'<VTKFile type="PolyData" version="0.1"><PolyData/></VTKFile>', "holds VTK's PolyData"),
-        (b'<VTKFile type="UnstructuredGrid"><Piece NumberOfCells="3"/><Piece NumberOfCells="4"/>', "2 pieces of 3, 4"),
+        (
+            b'<VTKFile type="UnstructuredGrid"><Piece NumberOfCells="3"/><Piece NumberOfCells="4"/>',
+            "2 pieces of 3, 4",
+        ),
         (b"", "is empty"),
         (bytes(range(256)), "not a known mesh"),
     ],
@@ -72,16 +90,22 @@ def test_what_is_no_mesh_of_tetrahedra_is_named(content, says, tmp_path):
 # --- malice --------------------------------------------------------------------------------
 def bomb(path):
     entities = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
-    path.write_text(f'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e0 "aaaaaaaaaa">{entities}]><VTKFile>&e11;</VTKFile>')
+    path.write_text(
+        '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e0 '
+        f'"aaaaaaaaaa">{entities}]><VTKFile>&e11;</VTKFile>'
+    )
 
 
 def many_nodes(path):
-    path.write_text("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n99999999999\n1 0 0 0\n$EndNodes\n")
+    path.write_text(
+        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n99999999999\n1 0 0 0\n$EndNodes\n"
+    )
 
 
 def many_cells(path):
     path.write_text(
-        "# vtk DataFile Version 4.2\nx\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 99999999999 float\n1 2 3\n"
+        "# vtk DataFile Version 4.2\nx\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 99999999999 "
+        "float\n1 2 3\n"
     )
 
 
@@ -98,7 +122,10 @@ def test_the_case_of_two_materials_names_them_and_gives_one_its_own_modulus(tmp_
     for name in ("beam.msh", "finger.toml"):
         shutil.copy(CASES / name, tmp_path / name)
     finger = tmp_path / "finger.toml"
-    line = "look at: beam.msh names 2 groups of cells; silicone (20 cells), hard_tip (22 cells) get young_mpa = 0.4"
+    line = (
+        "look at: beam.msh names 2 groups of cells; silicone (20 cells), hard_tip (22 cells) get "
+        "young_mpa = 0.4"
+    )
     assert main(["build", str(finger), "--out", str(tmp_path / "b"), "--steps", "5"]) == 0
     assert line in capsys.readouterr().out
     finger.write_text(finger.read_text() + '[[region]]\nname = "hard_tip"\nyoung_mpa = 4.0\n')
@@ -107,7 +134,10 @@ def test_the_case_of_two_materials_names_them_and_gives_one_its_own_modulus(tmp_
 
 
 def two_arrays(path):
-    data = {"material": [1 + HARD.astype(int)], "half": [(NODES[CELLS].mean(axis=1)[:, 0] > 0).astype(int)]}
+    data = {
+        "material": [1 + HARD.astype(int)],
+        "half": [(NODES[CELLS].mean(axis=1)[:, 0] > 0).astype(int)],
+    }
     meshio.write(path, meshio.Mesh(NODES, [("tetra", CELLS)], cell_data=data), file_format="vtu")
 
 
@@ -128,7 +158,9 @@ def finger_of(folder, write, tail=""):
     return finger
 
 
-@pytest.mark.parametrize("write, hard, names", MATERIALS, ids=["named", "tags", "4.1", "scalars", "fenics", "two"])
+@pytest.mark.parametrize(
+    "write, hard, names", MATERIALS, ids=["named", "tags", "4.1", "scalars", "fenics", "two"]
+)
 def test_a_named_region_is_what_a_box_of_its_cells_is(write, hard, names, tmp_path):
     finger = finger_of(tmp_path, write)
     assert list(read_mesh(tmp_path / "bar.vtk").groups) == names
@@ -154,7 +186,9 @@ def test_a_box_of_a_named_region_is_what_both_hold(tmp_path):
 
 def test_named_regions_are_kept_and_checked(tmp_path):
     finger = finger_of(tmp_path, gmsh22)
-    named = finger.replace(regions=(Region(2.0, name="soft part"), Region(1.0, name="hard", side_deg=90.0)))
+    named = finger.replace(
+        regions=(Region(2.0, name="soft part"), Region(1.0, name="hard", side_deg=90.0))
+    )
     assert Finger.from_toml(named.to_toml()) == named and not doubts(named)
     with pytest.raises(FingerError, match="has no group 'top'; it names soft part, hard"):
         Simulator(finger.replace(regions=(Region(2.0, name="top"),)))

@@ -1,4 +1,6 @@
-"""A sweep or recording of one point, one row, no length or no number is built from or refused in one line."""
+"""A sweep or recording of one point, one row, no length or no number is built from or refused in
+one line.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,13 @@ def test_a_sweep_of_one_point_makes_a_model(channels, tmp_path):
     np.savez(tmp_path / "s.npz", command=u, vertices=tip[:, None])
     assert main(["build", str(tmp_path / "s.npz"), "--out", str(tmp_path / "b")]) == 0
     model = load_bundle(tmp_path / "b")
-    run = Run(t=np.arange(float(len(u))), command=u, t_seen=np.arange(float(len(u))), gravity=[1.0, 0, 0], load=5.0)
+    run = Run(
+        t=np.arange(float(len(u))),
+        command=u,
+        t_seen=np.arange(float(len(u))),
+        gravity=[1.0, 0, 0],
+        load=5.0,
+    )
     assert np.isfinite(model.predict(run)).all()
     np.testing.assert_allclose(model.prior.evaluate(u), tip, atol=0.01)
 
@@ -39,11 +47,17 @@ SWEEPS = {
     "no row": ((U[:0], TIP[:0, None]), "0 commands"),
     "two equal rows": ((U[[3, 3]], TIP[[3, 3], None]), "one command only"),
     "two rows": ((U[[0, 8]], TIP[[0, 8], None]), "takes 2 values"),
-    "two points in one place": ((U, np.repeat(TIP[:, None], 2, axis=1)), "two of the points lie in one place"),
+    "two points in one place": (
+        (U, np.repeat(TIP[:, None], 2, axis=1)),
+        "two of the points lie in one place",
+    ),
     "no point": ((U, TIP[:, None][:, :0]), "0 points"),
     "no channel": ((U[:, :0], TIP[:, None]), "no columns"),
     "no movement": ((U, np.repeat(TIP[4:5, None], 9, axis=0)), "the same for every command"),
-    "no length": ((U, np.outer(U[:, 0], [3.0, 0, 0])[:, None]), "all points of the body at rest lie in one place"),
+    "no length": (
+        (U, np.outer(U[:, 0], [3.0, 0, 0])[:, None]),
+        "all points of the body at rest lie in one place",
+    ),
     "in metres": ((U, 1e-3 * TIP[:, None]), "looks like metres"),
     "no number in a command": ((np.where(U == 1.0, np.nan, U), TIP[:, None]), "not finite"),
     "no number in a shape": ((U, np.where(U == 1.0, np.nan, TIP)[:, None]), "not finite"),

@@ -19,7 +19,9 @@ MOUNT = np.array([0.02, -0.03, 0.01, 0.5, -0.4, 0.3])  # rad, mm
 PERIOD, MOVE, HOLD = 0.1, 20, 30  # s, samples
 
 
-def record(true, orientations=(HANGING, LEANING), places=12, reach=9.0, seed=0, noise=0.2, load=None):
+def record(
+    true, orientations=(HANGING, LEANING), places=12, reach=9.0, seed=0, noise=0.2, load=None
+):
     """A run of dwells on a simulated finger, seen in a frame that is turned and shifted."""
     rng = np.random.default_rng(seed)
     template = Simulator(FINGER).template
@@ -41,7 +43,14 @@ def record(true, orientations=(HANGING, LEANING), places=12, reach=9.0, seed=0, 
             last = place
     t = PERIOD * np.arange(len(command))
     loads = None if load is None else np.full(len(t), load)
-    return Run(t, np.array(command), np.array(seen), vertices=np.array(points), gravity=np.array(gravity), load=loads)
+    return Run(
+        t,
+        np.array(command),
+        np.array(seen),
+        vertices=np.array(points),
+        gravity=np.array(gravity),
+        load=loads,
+    )
 
 
 def test_modulus_cable_and_frame_are_found_within_their_deviations():
@@ -66,7 +75,9 @@ def test_pretension_and_slack_are_told_apart_from_stiffness():
 
 
 def test_a_single_shape_fits_the_modulus_alone():
-    """A block under its own weight: one shape does not tell the camera's frame from the stiffness, and says so."""
+    """A block under its own weight: one shape does not tell the camera's frame from the stiffness,
+    and says so.
+    """
     text = """name = "beam"
         [block]
         size_mm = [30.0, 30.0, 100.0]
@@ -91,12 +102,16 @@ def test_a_single_shape_fits_the_modulus_alone():
 
 
 def test_deviations_are_honest():
-    """Over many draws the true modulus lies where the deviations say: not always inside one, hardly outside three."""
+    """Over many draws the true modulus lies where the deviations say: not always inside one, hardly
+    outside three.
+    """
     true = FINGER.replace(young_mpa=0.3)
     finger = FINGER.replace(bounds=BOUNDS[:1])
     z = []
     for seed in range(6):
-        number = fit_finger(finger, record(true, places=5, seed=seed, noise=0.5)).numbers["young_mpa"]
+        number = fit_finger(finger, record(true, places=5, seed=seed, noise=0.5)).numbers[
+            "young_mpa"
+        ]
         z.append((number.value - 0.3) / number.sigma)
     assert np.sqrt(np.mean(np.square(z))) < 2.0
     assert np.max(np.abs(z)) > 0.1
@@ -104,24 +119,34 @@ def test_deviations_are_honest():
 
 def test_what_a_run_does_not_show_is_kept_and_said():
     """A finger that hardly moves in one orientation says nothing about its stiffness."""
-    still = fit_finger(FINGER, record(FINGER.replace(young_mpa=0.3), [HANGING], places=4, reach=0.1, noise=5.0))
+    still = fit_finger(
+        FINGER, record(FINGER.replace(young_mpa=0.3), [HANGING], places=4, reach=0.1, noise=5.0)
+    )
     for number in still.numbers.values():
-        assert number.sigma is None and number.value == number.start and "not identifiable" in number.note
+        assert (
+            number.sigma is None
+            and number.value == number.start
+            and "not identifiable" in number.note
+        )
     assert still.finger == FINGER and "not identifiable" in str(still)
 
 
 def test_one_orientation_shows_a_ratio():
-    """Tendon shortening against the cable's own stretch: modulus and cable stiffness are seen only together."""
+    """Tendon shortening against the cable's own stretch: modulus and cable stiffness are seen only
+    together.
+    """
     true = FINGER.replace(young_mpa=0.33, cable_stiffness_n_mm=9.0)
     found = fit_finger(FINGER, record(true, [HANGING], places=20))
     assert found.together and set(found.together[0][:2]) == set(dict(BOUNDS))
-    assert found.numbers["young_mpa"].value / found.numbers["cable_stiffness_n_mm"].value == pytest.approx(
-        0.33 / 9, rel=0.05
-    )
+    assert found.numbers["young_mpa"].value / found.numbers[
+        "cable_stiffness_n_mm"
+    ].value == pytest.approx(0.33 / 9, rel=0.05)
 
 
 def test_markers_and_a_known_load(tmp_path, capsys):
-    """Through the command, from markers on the surface and 20 g on the tip that the run declares."""
+    """Through the command, from markers on the surface and 20 g on the tip that the run
+    declares.
+    """
     run = record(FINGER.replace(young_mpa=0.33), places=8, load=20.0)
     some = np.arange(5, len(Simulator(FINGER).template.vertices), 17)
     rest = Simulator(FINGER).template.vertices[some]
@@ -135,7 +160,15 @@ def test_markers_and_a_known_load(tmp_path, capsys):
     new = tmp_path / "new.toml"
     assert (
         main(
-            ["model", "refit", str(tmp_path / "run.npz"), "--finger", str(tmp_path / "finger.toml"), "--out", str(new)]
+            [
+                "model",
+                "refit",
+                str(tmp_path / "run.npz"),
+                "--finger",
+                str(tmp_path / "finger.toml"),
+                "--out",
+                str(new),
+            ]
         )
         == 0
     )
@@ -143,7 +176,8 @@ def test_markers_and_a_known_load(tmp_path, capsys):
     assert Finger.load(new).young_mpa == pytest.approx(0.33, rel=0.05)
     assert Finger.load(new).bounds == BOUNDS
     template = ["--finger", str(tmp_path / "finger.toml"), "--out", str(tmp_path / "finger.toml")]
-    assert main(["model", "refit", str(tmp_path / "run.npz"), *template]) == 2  # its comments would be lost
+    # its comments would be lost
+    assert main(["model", "refit", str(tmp_path / "run.npz"), *template]) == 2
     assert "stands there already" in capsys.readouterr().err
 
 

@@ -1,4 +1,6 @@
-"""A user describes a finger, simulates it, saves the sweep, and is told what is wrong with a bad description."""
+"""A user describes a finger, simulates it, saves the sweep, and is told what is wrong with a bad
+description.
+"""
 
 import json
 
@@ -33,13 +35,16 @@ def test_builtin_finger_has_the_stated_template():
     volume_cm3 = np.einsum("ij,ij->", corners[:, 0], normals) / 3e3
     z, r = np.array(Finger.builtin().solid.profile).T
     cones = np.pi / 3 * np.diff(z) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)
-    assert volume_cm3 == pytest.approx(cones.sum() / 1e3, rel=5e-3)  # layers cut the profile's corners
+    # layers cut the profile's corners
+    assert volume_cm3 == pytest.approx(cones.sum() / 1e3, rel=5e-3)
     np.testing.assert_allclose(normals.sum(axis=0), 0, atol=1e-9)
 
 
 def test_positive_command_bends_towards_its_first_tendon(simulator):
     tip = simulator.template.vertices[:, 2] > 110
-    x_pulled, y_pulled, x_paid = simulator.path([[8.0, 0.0], [0.0, 8.0], [-8.0, 0.0]])[:, tip].mean(axis=1)
+    x_pulled, y_pulled, x_paid = simulator.path([[8.0, 0.0], [0.0, 8.0], [-8.0, 0.0]])[:, tip].mean(
+        axis=1
+    )
     assert x_pulled[0] > 15 and abs(x_pulled[1]) < 1e-4
     assert y_pulled[1] > 15 and abs(y_pulled[0]) < 1e-4
     np.testing.assert_allclose(x_paid, x_pulled * [-1, 1, 1], atol=1e-4)
@@ -60,12 +65,19 @@ def test_sweep_is_in_c_order_reports_progress_and_survives_its_file(simulator, t
         np.testing.assert_array_equal(getattr(back, name), getattr(sweep, name))
     np.testing.assert_array_equal(back.axes[1], axes[1])
     np.testing.assert_array_equal(back.triangles, simulator.template.triangles)
-    assert back.finger == simulator.finger and back.gravity.tolist() == [0, 0, 1] and not back.tip_force.any()
+    assert (
+        back.finger == simulator.finger
+        and back.gravity.tolist() == [0, 0, 1]
+        and not back.tip_force.any()
+    )
     # What the file says of itself makes the same shapes again: nothing else has to be known.
     again = Simulator(back.finger).sweep(back.axes, gravity=back.gravity, load=back.tip_force)
     np.testing.assert_array_equal(again.vertices, back.vertices)
     stored = read_npz(tmp_path / "sweep.npz")
-    assert json.loads(str(stored["units"]))["vertices"] == "mm" and json.loads(str(stored["effects"])) == []
+    assert (
+        json.loads(str(stored["units"]))["vertices"] == "mm"
+        and json.loads(str(stored["effects"])) == []
+    )
 
 
 def test_same_input_gives_the_same_bytes(simulator):
@@ -81,30 +93,50 @@ def test_gravity_and_load_move_the_finger_as_their_fields_say(simulator):
     assert list(fields) == [*loads, *(f"tension_{t}" for t in range(4))]
     first = len(_core.FIELDS)
     assert stretch.shape == (1, 4, first + 4)
-    # Pulling a tendon shortens its path; what one does to another's path the other does to the one's.
+    # Pulling a tendon shortens its path; what one does to another's path the other does to the
+    # one's.
     assert (np.diagonal(stretch[0, :, first:]) < 0).all()
     assert np.allclose(stretch[0, :, first:], stretch[0, :, first:].T, rtol=1e-6, atol=1e-9)
     # Declared gravity and load, answered by the fields and the tendons without solving again.
     flat = [np.array([-10.0, 10.0])] * 2
 
     def table(numbers):
-        return _core.Table(flat, np.tile(numbers.ravel(), (4, 1)), np.zeros(numbers.size), np.eye(numbers.size))
+        return _core.Table(
+            flat, np.tile(numbers.ravel(), (4, 1)), np.zeros(numbers.size), np.eye(numbers.size)
+        )
 
-    vertices, pull = simulator.solid.path(np.array(command), np.array([[0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0))
+    vertices, pull = simulator.solid.path(
+        np.array(command), np.array([[0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0)
+    )
     tensions = [table(fields[f"tension_{t}"]) for t in range(4)]
-    cables = _core.Cables(np.full(4, simulator.finger.cable_stiffness_n_mm), table(pull), table(stretch), tensions)
-    for heavy, load in (([0.05, 0.0, 1.0], 0.0), ([0.0, 0.0, 1.0], 10.0), ([0.4, -0.3, 0.87], 20.0)):
-        seen = simulator.path(command, gravity=heavy, load=9.80665e-3 * load * np.array(heavy))[0] - vertices[0]
+    cables = _core.Cables(
+        np.full(4, simulator.finger.cable_stiffness_n_mm), table(pull), table(stretch), tensions
+    )
+    for heavy, load in (
+        ([0.05, 0.0, 1.0], 0.0),
+        ([0.0, 0.0, 1.0], 10.0),
+        ([0.4, -0.3, 0.87], 20.0),
+    ):
+        seen = (
+            simulator.path(command, gravity=heavy, load=9.80665e-3 * load * np.array(heavy))[0]
+            - vertices[0]
+        )
 
         def said(cables, heavy=heavy, load=load, seen=seen):
             body = {name: table(fields[name]) for name in loads}
-            predictor = _core.Predictor(table(vertices), body, np.ones(len(seen), bool), [0.0, 0.0, 1.0], cables)
+            predictor = _core.Predictor(
+                table(vertices), body, np.ones(len(seen), bool), [0.0, 0.0, 1.0], cables
+            )
             record = np.array(command * 2), np.array([0.0, 1.0]), np.array([0.5])
             chain = _core.Chain([], 2)
             world = {"gravity": np.array([heavy] * 2), "load": np.full(2, load)}
-            return predictor.predict(chain, np.zeros((1, 0)), _core.Inputs(*record, **world))[0, 0] - vertices[0]
+            return (
+                predictor.predict(chain, np.zeros((1, 0)), _core.Inputs(*record, **world))[0, 0]
+                - vertices[0]
+            )
 
-        # Linear to a few per cent; if the tensions stayed as they are, the body would move about twice as far.
+        # Linear to a few per cent; if the tensions stayed as they are, the body would move about
+        # twice as far.
         assert np.linalg.norm(seen - said(cables)) < 0.08 * np.linalg.norm(seen)
         assert np.linalg.norm(seen - said(None)) > 0.3 * np.linalg.norm(seen) > 0.1
 
@@ -112,7 +144,9 @@ def test_gravity_and_load_move_the_finger_as_their_fields_say(simulator):
 def test_gravity_may_change_along_a_path(simulator):
     gravity = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 0.8]])
     both = simulator.path(np.zeros((2, 2)), gravity=gravity)
-    np.testing.assert_allclose(both[1], simulator.path(np.zeros((1, 2)), gravity=gravity[1])[0], atol=1e-4)
+    np.testing.assert_allclose(
+        both[1], simulator.path(np.zeros((1, 2)), gravity=gravity[1])[0], atol=1e-4
+    )
     assert np.abs(both[1] - both[0]).max() > 0.2
     np.testing.assert_allclose(both[0], simulator.rest(), atol=1e-4)
 
@@ -126,13 +160,16 @@ def test_another_mesh_reports_the_same_material_points():
     assert one.shape == two.shape
     difference = np.linalg.norm(one - two, axis=1)
     moved = np.linalg.norm(one - own.template.vertices, axis=1)
-    # Meshes differ by their discretisation error; points taken for their neighbours would be off by a cell (3 mm).
+    # Meshes differ by their discretisation error; points taken for their neighbours would be off by
+    # a cell (3 mm).
     assert difference.mean() < 0.05 * moved.mean() and difference.max() < 2.0
 
 
 def test_finger_survives_its_file(tmp_path):
     builtin = Finger.builtin()
-    finger = builtin.replace(name='a "quoted" näme', tendons=builtin.tendons[:3], pairs=((0, 2), (1,)))
+    finger = builtin.replace(
+        name='a "quoted" näme', tendons=builtin.tendons[:3], pairs=((0, 2), (1,))
+    )
     (tmp_path / "finger.toml").write_text(finger.to_toml(), encoding="utf-8")
     assert Finger.load(tmp_path / "finger.toml") == finger
     assert Finger.from_toml(Finger.builtin().to_toml()) == Finger.builtin()
@@ -141,7 +178,9 @@ def test_finger_survives_its_file(tmp_path):
 def test_three_single_tendons_make_three_commands():
     builtin = Finger.builtin().replace(core=1, layers=10)
     tendons = tuple(Tendon(angle, builtin.tendons[0].route) for angle in (0.0, 120.0, 240.0))
-    finger = builtin.replace(tendons=tendons, pairs=((0,), (1,), (2,)), command_range=((-2.0, 10.0),) * 3)
+    finger = builtin.replace(
+        tendons=tendons, pairs=((0,), (1,), (2,)), command_range=((-2.0, 10.0),) * 3
+    )
     sweep = Simulator(finger).sweep([[0.0, 3.0]] * 3)
     assert sweep.vertices.shape[0] == 8 and sweep.tension.shape == (8, 3)
     tip = sweep.vertices[:, -1]
@@ -164,7 +203,10 @@ BAD = [
     (dict(pairs=((0, 7), (1, 3))), "tendons"),
     (dict(command_range=((16.0, -16.0), (-16.0, 16.0))), "range_mm"),
     (dict(command_range=((-16.0, 16.0),)), "command_range"),
-    (dict(handles=0), "template.handles: 0; allowed are whole numbers 1 to 50000; without [template] all"),
+    (
+        dict(handles=0),
+        "template.handles: 0; allowed are whole numbers 1 to 50000; without [template] all",
+    ),
     (dict(handles=0.5), "template.handles: 0.5"),
     (dict(handles="many"), "template.handles: 'many'"),
     (dict(handles=True), "template.handles: True"),

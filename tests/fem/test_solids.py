@@ -1,4 +1,6 @@
-"""A finger of any shape: blocks, regions, helices, tensions and meshes made elsewhere; bad ones get one clear line."""
+"""A finger of any shape: blocks, regions, helices, tensions and meshes made elsewhere; bad ones get
+one clear line.
+"""
 
 import meshio
 import numpy as np
@@ -40,12 +42,17 @@ def test_a_block_sags_alike_as_bricks_and_as_a_mesh_in_any_unit_and_frame(tmp_pa
     turned = nodes[:, [1, 2, 0]] + [3.0, 5.0, 7.0]  # the file's y is up, its z is x
     frame = 'unit = "m"\naxes = ["z", "x", "y"]\norigin_mm = [3.0, 5.0, 7.0]\n'
     (tmp_path / "m").mkdir()
-    same.append(mesh_finger(tmp_path / "m/bar.msh", 1e-3 * turned, cells, tail=frame, file_format="gmsh22"))
+    same.append(
+        mesh_finger(tmp_path / "m/bar.msh", 1e-3 * turned, cells, tail=frame, file_format="gmsh22")
+    )
     sags = [sag(finger) for finger in same]
     assert sags[0] == pytest.approx(sags[1], rel=1e-9)
-    # 6 × 6 × 24 bricks against quadratic tetrahedra of 6 mm, a little stiff at this Poisson's ratio, and of 3 mm.
+    # 6 × 6 × 24 bricks against quadratic tetrahedra of 6 mm, a little stiff at this Poisson's
+    # ratio, and of 3 mm.
     refined = sag(same[0].other_mesh())
-    assert sags[0] == pytest.approx(bricks, rel=0.05) and refined == pytest.approx(bricks, rel=0.015)
+    assert sags[0] == pytest.approx(bricks, rel=0.05) and refined == pytest.approx(
+        bricks, rel=0.015
+    )
     assert sag(same[0].replace(refine=0, young_mpa=0.6)) == pytest.approx(sags[0] / 2, rel=0.05)
 
 
@@ -59,7 +66,9 @@ def test_a_block_without_tendons_is_a_model_without_commands(tmp_path):
 
 
 def test_a_stiffer_half_bends_the_finger_away_and_a_stiffer_root_holds_it():
-    plain = bar(TENDONS + "[[command]]\ntendons = [0]\nrange_mm = [0.0, 8.0]\n").replace(gravity=(0.0, 0.0, 1.0))
+    plain = bar(TENDONS + "[[command]]\ntendons = [0]\nrange_mm = [0.0, 8.0]\n").replace(
+        gravity=(0.0, 0.0, 1.0)
+    )
     assert Finger.from_toml(plain.to_toml()) == plain
     sided = plain.replace(regions=(Region(0.6, side_deg=90.0),))
     assert Finger.from_toml(sided.to_toml()) == sided
@@ -71,7 +80,8 @@ def test_a_stiffer_half_bends_the_finger_away_and_a_stiffer_root_holds_it():
 
     assert abs(tip(plain)[1]) < 0.05 and tip(sided)[1] < -1.0  # the softer side shortens more
     sag_ratio = sag(bar().replace(regions=(Region(0.6, z=(0.0, 30.0)),))) / sag(bar())
-    assert 0.45 < sag_ratio < 0.65  # the half next to the clamp is 15/16 of a slender bar's sag: 0.53
+    # the half next to the clamp is 15/16 of a slender bar's sag: 0.53
+    assert 0.45 < sag_ratio < 0.65
 
 
 def test_a_helix_twists_its_finger():
@@ -87,7 +97,9 @@ def test_a_helix_twists_its_finger():
         moved = simulator.path([[6.0]])[0] - rest
         ring = np.abs(rest[:, 2] - rest[np.argmin(np.abs(rest[:, 2] - 60)), 2]) < 1e-6
         at, by = rest[ring, :2], (moved - moved[ring].mean(axis=0))[ring, :2]
-        return float(np.mean(at[:, 0] * by[:, 1] - at[:, 1] * by[:, 0]) / np.mean((at**2).sum(axis=1)))
+        return float(
+            np.mean(at[:, 0] * by[:, 1] - at[:, 1] * by[:, 0]) / np.mean((at**2).sum(axis=1))
+        )
 
     assert abs(twist(0.0)) < 1e-3
     assert twist(120.0) == pytest.approx(-twist(-120.0), abs=1e-3) and abs(twist(120.0)) > 0.01
@@ -114,7 +126,13 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
     model = load_bundle(save_bundle(build_model(finger, 9), tmp_path / "pulled"))
     assert model.command_unit == "N" and model.structure.cables is None
     t = np.arange(3.0)
-    pulled = Run(t=t, t_seen=t, command=np.full((3, 1), 2.0), command_unit="N", gravity=np.array([0.0, 0.0, 1.0]))
+    pulled = Run(
+        t=t,
+        t_seen=t,
+        command=np.full((3, 1), 2.0),
+        command_unit="N",
+        gravity=np.array([0.0, 0.0, 1.0]),
+    )
     # A cubic through nine commands against the solved shape.
     assert np.abs(model.predict(pulled)[0] - sweep.vertices[3]).max() < 0.2
     with pytest.raises(RunError, match="takes N; a length is no tension"):
@@ -125,7 +143,11 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
 
 REFUSED = [
     ("[[command]]\ntendons = [0]\nrange_n = [-1.0, 5.0]\n", "cannot push"),
-    ("[[command]]\ntendons = [0]\nrange_n = [0.0, 5.0]\n[[command]]\ntendons = [1]\nrange_mm = [0.0, 5.0]\n", "mixed"),
+    (
+        "[[command]]\ntendons = [0]\nrange_n = [0.0, 5.0]\n[[command]]\ntendons = [1]\nrange_mm = "
+        "[0.0, 5.0]\n",
+        "mixed",
+    ),
     ("[[command]]\ntendons = [0]\nrange_n = [0.0, 5.0]\nrange_mm = [0.0, 5.0]\n", "in mm or in N"),
     ("[[region]]\nyoung_mpa = 0.5\n", "at least one of"),
     ("[[region]]\nyoung_mpa = 0.5\nz_mm = [30.0, 20.0]\n", "z_mm"),
@@ -277,5 +299,7 @@ def test_damaged_meshes_and_guides_give_errors_never_a_crash(tmp_path):
     ):
         guides.write_text(text)
         with pytest.raises(FingerError):
-            toml = (tmp_path / "finger.toml").read_text() + '[[tendon]]\npoints_file = "cable.json"\n'
+            toml = (
+                tmp_path / "finger.toml"
+            ).read_text() + '[[tendon]]\npoints_file = "cable.json"\n'
             Finger.from_toml(toml + TENDONS[: TENDONS.index("[[tendon]]")], tmp_path)

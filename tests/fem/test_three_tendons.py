@@ -1,4 +1,6 @@
-"""A finger with three tendons (C = 3): it is built from its file, and the demo's story passes on it."""
+"""A finger with three tendons (C = 3): it is built from its file, and the demo's story passes on
+it.
+"""
 
 from pathlib import Path
 
@@ -31,8 +33,11 @@ def test_a_turn_of_the_commands_turns_the_shape():
     turn = np.array([[-0.5, -np.sqrt(0.75)], [np.sqrt(0.75), -0.5]])
     assert np.linalg.norm(tips[0, :2]) > 10.0
     for one, next_one in ((0, 1), (1, 2), (2, 0)):
-        # The mesh has the symmetry of quarter turns, not of thirds: its error is left, a share of the motion.
-        assert np.linalg.norm(turn @ tips[one, :2] - tips[next_one, :2]) < 0.03 * np.linalg.norm(tips[0, :2])
+        # The mesh has the symmetry of quarter turns, not of thirds: its error is left, a share of
+        # the motion.
+        assert np.linalg.norm(turn @ tips[one, :2] - tips[next_one, :2]) < 0.03 * np.linalg.norm(
+            tips[0, :2]
+        )
 
 
 @pytest.mark.parametrize("name", ["hysteresis", pytest.param("gravity", marks=pytest.mark.prove)])

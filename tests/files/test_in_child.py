@@ -1,4 +1,6 @@
-"""What a foreign parser does in its child stays there: crash, hang, memory, files, output; plain values come back."""
+"""What a foreign parser does in its child stays there: crash, hang, memory, files, output; plain
+values come back.
+"""
 
 import ctypes
 import os
@@ -26,7 +28,11 @@ def test_plain_values_come_back_as_they_are():
     for got, given in zip(found["cells"], value["cells"], strict=True):
         np.testing.assert_array_equal(got, given)
         assert got.dtype == given.dtype
-    assert found["names"]["text"] == "ä\n" and found["names"]["nothing"] is None and found["number"] == 2.5
+    assert (
+        found["names"]["text"] == "ä\n"
+        and found["names"]["nothing"] is None
+        and found["number"] == 2.5
+    )
     assert in_child(lambda a, b: a + b, 2, 3) == 5
     big = in_child(lambda: np.arange(5_000_000))
     assert big.sum() == 4_999_999 * 2_500_000
@@ -136,7 +142,10 @@ def test_the_child_writes_no_file_and_prints_nothing(tmp_path, capfd):
 
 def test_it_works_while_threads_run():
     stop = threading.Event()
-    workers = [threading.Thread(target=lambda: [np.ones(1000).sum() for _ in iter(stop.is_set, True)]) for _ in "ab"]
+    workers = [
+        threading.Thread(target=lambda: [np.ones(1000).sum() for _ in iter(stop.is_set, True)])
+        for _ in "ab"
+    ]
     for worker in workers:
         worker.start()
     try:
@@ -149,13 +158,19 @@ def test_it_works_while_threads_run():
 
 
 def test_the_child_holds_nothing_of_what_the_parent_has_open(tmp_path):
-    """A port or a socket of the caller is no parser's; only the standard streams, the null device and the pipe stay."""
+    """A port or a socket of the caller is no parser's; only the standard streams, the null device
+    and the pipe stay.
+    """
 
     def still_open():
         links = [f"/proc/self/fd/{number}" for number in os.listdir("/proc/self/fd")]
-        return [os.readlink(link) for link in links if os.path.lexists(link)]  # that of the listing is closed
+        # that of the listing is closed
+        return [os.readlink(link) for link in links if os.path.lexists(link)]
 
     with open(tmp_path / "port", "w") as port:
         names = in_child(still_open)
-    assert port.name not in names and set(names) <= {os.devnull, *(n for n in names if n.startswith("pipe:"))}
+    assert port.name not in names and set(names) <= {
+        os.devnull,
+        *(n for n in names if n.startswith("pipe:")),
+    }
     assert len(names) < 8

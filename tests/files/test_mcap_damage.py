@@ -1,4 +1,6 @@
-"""Damaged MCAP logs: what fails a checksum is left out and reported, the rest is read; no number changes silently."""
+"""Damaged MCAP logs: what fails a checksum is left out and reported, the rest is read; no number
+changes silently.
+"""
 
 import json
 import shutil
@@ -85,7 +87,10 @@ def test_a_flipped_bit_in_a_chunk_leaves_it_out_and_reads_on(tmp_path, compressi
     assert len(chunks) > 4
     middle = chunks[len(chunks) // 2]
     turned(path, (middle.start + middle.end) // 2)
-    run = left_of(path, rf"run.mcap is damaged: 1 of {len(chunks)} chunks is left out \(.*byte {middle.start}, .* s\)")
+    run = left_of(
+        path,
+        rf"run.mcap is damaged: 1 of {len(chunks)} chunks is left out \(.*byte {middle.start}, .* s\)",
+    )
     assert is_part_of(run, good) and 80 < len(good.t) - len(run.t) < 130
     assert run.t[-1] == good.t[-1], "what follows is read"
 
@@ -98,7 +103,9 @@ def test_each_command_prints_it_once_and_returns_1(tmp_path, capsys):
     assert main(words) == 1
     said = capsys.readouterr()
     assert (
-        said.err.count("\n") == 1 and "is damaged: 1 of" in said.err and "200 of 1200 messages are missing" in said.err
+        said.err.count("\n") == 1
+        and "is damaged: 1 of" in said.err
+        and "200 of 1200 messages are missing" in said.err
     )
     assert main([*words, "--force", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
@@ -109,7 +116,9 @@ def test_each_command_prints_it_once_and_returns_1(tmp_path, capsys):
 
 @pytest.mark.parametrize("part", [0, 1, 4, 8, 9 + 16, 9 + 24, 9 + 28, 9 + 32, 9 + 36])
 def test_damage_of_a_chunks_head_loses_that_chunk_at_most(tmp_path, part):
-    """Its kind, length (three bytes), size, checksum, the name of its compression and the length of that."""
+    """Its kind, length (three bytes), size, checksum, the name of its compression and the length of
+    that.
+    """
     path = bag(tmp_path)
     good = imported(path).run
     turned(path, records(path, CHUNK)[2].start + part, 1)
@@ -123,7 +132,9 @@ def test_definitions_of_a_chunk_that_is_lost_come_from_the_summary(tmp_path):
     turned(path, records(path, CHUNK)[0].end - 100)
     with pytest.warns(RecordingWarning, match="chunks is left out"):
         columns = open_mcap(path, "/goal")
-    assert 0 < len(columns.numbers) < len(good.t) and columns.numbers[-1, 0] == pytest.approx(START + good.t[-1])
+    assert 0 < len(columns.numbers) < len(good.t) and columns.numbers[-1, 0] == pytest.approx(
+        START + good.t[-1]
+    )
 
 
 def test_an_index_that_becomes_a_message_is_no_message(tmp_path):
@@ -139,7 +150,9 @@ def test_a_file_whose_chunks_all_fail_is_refused(tmp_path):
     path = bag(tmp_path, frames=40)
     for chunk in records(path, CHUNK):
         turned(path, chunk.end - 30)
-    with pytest.raises(RunError, match="1 of 1 chunks is left out .*; nothing of topic /goal is left"):
+    with pytest.raises(
+        RunError, match="1 of 1 chunks is left out .*; nothing of topic /goal is left"
+    ):
         imported(path)
     with pytest.raises(RunError, match="nothing of it is left"):
         topics(path)
@@ -154,7 +167,8 @@ def test_a_cut_file_is_read_as_far_as_it_is_good_whatever_follows(tmp_path, tail
     fourth = records(path, CHUNK)[3]
     path.write_bytes(data[: fourth.start + 200] + tail)
     run = left_of(
-        path, rf"run.mcap was cut short: it is read up to 2\.\d\d s; .*\d+ of {path.stat().st_size} bytes cannot"
+        path,
+        rf"run.mcap was cut short: it is read up to 2\.\d\d s; .*\d+ of {path.stat().st_size} bytes cannot",
     )
     assert is_part_of(run, good) and 200 < len(run.t) < 300
 
@@ -167,7 +181,9 @@ BARE = {
 }
 
 
-@pytest.mark.parametrize("rest", ["zeros to the end", "cut in the zeros", "cut where the message ends"])
+@pytest.mark.parametrize(
+    "rest", ["zeros to the end", "cut in the zeros", "cut where the message ends"]
+)
 @pytest.mark.parametrize("make", list(BARE))
 def test_a_message_that_runs_into_zeros_is_left_out(tmp_path, make, rest):
     """A disk that lost its last blocks; the messages before are right, and no number changes."""
@@ -175,7 +191,11 @@ def test_a_message_that_runs_into_zeros_is_left_out(tmp_path, make, rest):
     good, data = open_mcap(path, "/goal").numbers, path.read_bytes()
     last = records(path, CHUNK if "chunks with" in make else MESSAGE)[-2]
     for back in (1, 5, 8, 13, 40, 90):
-        zero = {"zeros to the end": len(data), "cut in the zeros": last.end + 7, "cut where the message ends": last.end}
+        zero = {
+            "zeros to the end": len(data),
+            "cut in the zeros": last.end + 7,
+            "cut where the message ends": last.end,
+        }
         path.write_bytes(data[: last.end - back] + bytes(zero[rest] - last.end + back))
         with pytest.warns(RecordingWarning, match="was cut short"):
             some = open_mcap(path, "/goal").numbers
@@ -199,7 +219,10 @@ def test_damage_amid_a_cut_file_loses_that_chunk(tmp_path):
     path.write_bytes(data[: chunks[4].start + 50])
     run = left_of(path, "was cut short")
     turned(path, chunks[1].end - 40)
-    less = left_of(path, "was cut short: .*1 of 4 chunks is left out .*at least 200 of 799 messages are missing")
+    less = left_of(
+        path,
+        "was cut short: .*1 of 4 chunks is left out .*at least 200 of 799 messages are missing",
+    )
     assert is_part_of(less, good) and less.t[-1] == run.t[-1] and len(less.t) < len(run.t)
 
 
@@ -214,11 +237,21 @@ def test_damage_of_the_end_is_reported_and_changes_nothing(tmp_path, back):
 
 # --- what carries which checksums ------------------------------------------------------------
 def test_a_file_without_checksums_is_read_and_said_to_have_none(tmp_path):
-    for options in ({"enable_crcs": False}, {"enable_crcs": False, "use_chunking": False}, {"use_chunking": False}):
+    for options in (
+        {"enable_crcs": False},
+        {"enable_crcs": False, "use_chunking": False},
+        {"use_chunking": False},
+    ):
         held = open_mcap(goals(tmp_path / "bare.mcap", **options), "/goal")
         assert len(held.numbers) == 300
-        assert held.notes == ("this file carries no checksums: numbers that were damaged would not be noticed",)
-    for options in ({}, {"enable_data_crcs": True}, {"enable_data_crcs": True, "use_chunking": False}):
+        assert held.notes == (
+            "this file carries no checksums: numbers that were damaged would not be noticed",
+        )
+    for options in (
+        {},
+        {"enable_data_crcs": True},
+        {"enable_data_crcs": True, "use_chunking": False},
+    ):
         held = open_mcap(goals(tmp_path / "good.mcap", **options), "/goal")
         assert len(held.numbers) == 300 and held.notes == ()
 
@@ -239,7 +272,9 @@ def test_chunks_without_checksums_are_left_out_where_the_data_fail_theirs(tmp_pa
         assert len(open_mcap(path, "/goal").numbers) == 300
     middle = records(path, CHUNK)[2]
     turned(path, middle.end - 20)
-    with pytest.raises(RunError, match="the checksum of its data does not match.*nothing of topic /goal is left"):
+    with pytest.raises(
+        RunError, match="the checksum of its data does not match.*nothing of topic /goal is left"
+    ):
         open_mcap(path, "/goal")
 
 
@@ -250,7 +285,10 @@ def test_data_without_chunks_that_fail_their_checksum_are_refused(tmp_path):
         assert read_closing(file, path.stat().st_size).data is True
     data = path.read_bytes()
     turned(path, data.index(struct.pack("<d", 77.0)) + 6, 3)
-    with pytest.raises(RunError, match="the checksum of its data does not match, so any of its messages may be wrong"):
+    with pytest.raises(
+        RunError,
+        match="the checksum of its data does not match, so any of its messages may be wrong",
+    ):
         open_mcap(path, "/goal")
 
 
@@ -289,14 +327,18 @@ def test_data_checksums_of_other_writers_are_known(tmp_path, first):
 
 
 def test_good_files_of_other_writers_give_no_word(tmp_path):
-    """An attachment that is a recording itself, metadata, private records: as another reader, without a warning."""
+    """An attachment that is a recording itself, metadata, private records: as another reader,
+    without a warning.
+    """
     path = tmp_path / "run.mcap"
     inside = bag(tmp_path, name="inside.mcap").read_bytes()
     with path.open("wb") as file:
         writer = Writer(file)
         schema = writer.register_msgdef(*JOINT_STATE)
         for k in range(50):
-            writer.write_message("/goal", schema, joint_state(START + k, (k, 1)), log_time=int((START + k) * 1e9))
+            writer.write_message(
+                "/goal", schema, joint_state(START + k, (k, 1)), log_time=int((START + k) * 1e9)
+            )
         writer._writer.add_attachment(0, 0, "inside.mcap", "application/mcap", inside)
         writer._writer.add_metadata("who", {"a": "b"})
         writer.finish()
@@ -312,7 +354,14 @@ def test_records_of_a_private_kind_are_passed_over(tmp_path):
     private = struct.pack("<BQ", 0x90, 7) + b"private"
     start, offsets = struct.unpack("<QQ", data[-28:-12])
     summary = data[start:-37] + struct.pack("<BQQQ", 2, 20, start + 16, offsets + 16)
-    path.write_bytes(data[:at] + private + data[at:start] + summary + struct.pack("<I", zlib.crc32(summary)) + MAGIC)
+    path.write_bytes(
+        data[:at]
+        + private
+        + data[at:start]
+        + summary
+        + struct.pack("<I", zlib.crc32(summary))
+        + MAGIC
+    )
     done = imported(path)  # without a warning
     assert np.array_equal(done.run.command, good.command)
     assert "run.mcap: 1 records of an unknown kind were passed over" in done.notes
@@ -322,7 +371,11 @@ def test_files_made_to_take_long_do_not(tmp_path):
     """Bytes that all look like chunks, and records of unknown kinds."""
     head = MAGIC + struct.pack("<BQII", 1, 8, 0, 0)
     begun = time.monotonic()
-    for body in (b"\x06" * 2**24, struct.pack("<BQ", 0x90, 2**20) * 2**20, (b"\x06" + bytes(40)) * 2**18):
+    for body in (
+        b"\x06" * 2**24,
+        struct.pack("<BQ", 0x90, 2**20) * 2**20,
+        (b"\x06" + bytes(40)) * 2**18,
+    ):
         (tmp_path / "run.mcap").write_bytes(head + body)
         with pytest.raises(RunError, match="was cut short"):
             topics(tmp_path / "run.mcap")
@@ -332,14 +385,21 @@ def test_files_made_to_take_long_do_not(tmp_path):
 # --- flips ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("compression", ["zstd", "none"])
 def test_no_flipped_bit_changes_a_number_silently(tmp_path, compression):
-    kinds, silent = flip_bits(bag(tmp_path, compression, 300), lambda path: imported(path).run, 50, 1)
-    assert not silent and sum(kinds.values()) == 50 and kinds["reported"] + kinds["refused"] > 10, (kinds, silent)
+    kinds, silent = flip_bits(
+        bag(tmp_path, compression, 300), lambda path: imported(path).run, 50, 1
+    )
+    assert not silent and sum(kinds.values()) == 50 and kinds["reported"] + kinds["refused"] > 10, (
+        kinds,
+        silent,
+    )
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_none_of_2000_flipped_bits_changes_a_number_silently(tmp_path, compression):
-    kinds, silent = flip_bits(bag(tmp_path, compression, 300), lambda path: imported(path).run, 2000, 2)
+    kinds, silent = flip_bits(
+        bag(tmp_path, compression, 300), lambda path: imported(path).run, 2000, 2
+    )
     assert not silent and sum(kinds.values()) == 2000, (kinds, silent)
 
 

@@ -36,7 +36,9 @@ def test_what_prints_stays(text):
     assert printable(text) == text
 
 
-@pytest.mark.parametrize("path", ["ev\x1b[31mil\nline", "a\rsoftmap: all is well", "\u202egnp.exe", "x\x9b2J"])
+@pytest.mark.parametrize(
+    "path", ["ev\x1b[31mil\nline", "a\rsoftmap: all is well", "\u202egnp.exe", "x\x9b2J"]
+)
 def test_a_path_is_one_plain_line(capsys, path):
     assert main(["show", path]) == 2
     error = capsys.readouterr().err
@@ -64,9 +66,12 @@ def test_what_moves_the_cursor_on_purpose_goes_past_it():
 
 
 def test_a_page_shows_every_value_as_text_without_control_characters(tmp_path):
-    """Whatever a template does with a value: shown, joined, filtered, in an attribute, through a macro."""
+    """Whatever a template does with a value: shown, joined, filtered, in an attribute, through a
+    macro.
+    """
     (tmp_path / "t.html").write_text(
-        "{% macro m(x) %}{{ x }}{% endmacro %}{{ page.a }}|{{ [page.a, page.a] | join(' ') }}|{{ m(page.a) }}|"
+        "{% macro m(x) %}{{ x }}{% endmacro %}{{ page.a }}|{{ [page.a, page.a] | join(' ') }}|{{ "
+        "m(page.a) }}|"
         '<i alt="{{ page.a }}">{{ page.a ~ "!" }}'
     )
     text = render("t.html", SimpleNamespace(a='<b onload="x">\x1b[1m'), tmp_path)

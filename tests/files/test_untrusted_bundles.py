@@ -1,6 +1,8 @@
-"""Untrusted bundles: no graph runs unasked, none reaches beyond its file, and time and memory are bounded.
+"""Untrusted bundles: no graph runs unasked, none reaches beyond its file, and time and memory are
+bounded.
 
-`tests/data/untrusted` holds graphs whose Loop does not end, whose weights are in another file, and that take 3.6 GB.
+`tests/data/untrusted` holds graphs whose Loop does not end, whose weights are in another file, and
+that take 3.6 GB.
 """
 
 import json
@@ -44,7 +46,9 @@ def constant(name, array):
 
 def graph_file(nodes, constants=(), functions=(), domains=(), output="out"):
     """Return an ONNX file: commands (n, 2) to points (n, 3N)."""
-    graph = helper.make_graph(nodes, "g", [info("command", "n", 2)], [info(output, "n", SIZE)], constants)
+    graph = helper.make_graph(
+        nodes, "g", [info("command", "n", 2)], [info(output, "n", SIZE)], constants
+    )
     opsets = [helper.make_opsetid(domain, 17 if domain == "" else 1) for domain in ("", *domains)]
     model = helper.make_model(graph, opset_imports=opsets, functions=list(functions))
     model.ir_version = 8
@@ -74,7 +78,10 @@ def plain():
 
 def foreign():
     """A sound graph that the core does not read."""
-    nodes = [helper.make_node("Tanh", ["command"], ["t"]), helper.make_node("Gemm", ["t", "W", "b"], ["out"], transB=1)]
+    nodes = [
+        helper.make_node("Tanh", ["command"], ["t"]),
+        helper.make_node("Gemm", ["t", "W", "b"], ["out"], transB=1),
+    ]
     return graph_file(nodes, weights())
 
 
@@ -90,17 +97,29 @@ def with_body(kind):
     """A node that runs a graph within."""
     W, b = weights()
     if kind == "If":
-        yes = helper.make_graph([helper.make_node("Identity", ["first"], ["y"])], "y", [], [info("y", "n", SIZE)])
-        no = helper.make_graph([helper.make_node("Neg", ["first"], ["z"])], "z", [], [info("z", "n", SIZE)])
+        yes = helper.make_graph(
+            [helper.make_node("Identity", ["first"], ["y"])], "y", [], [info("y", "n", SIZE)]
+        )
+        no = helper.make_graph(
+            [helper.make_node("Neg", ["first"], ["z"])], "z", [], [info("z", "n", SIZE)]
+        )
         first = helper.make_node("Gemm", ["command", "W", "b"], ["first"], transB=1)
         true = numpy_helper.from_array(np.array(True), "true")
         return graph_file(
-            [first, helper.make_node("If", ["true"], ["out"], then_branch=yes, else_branch=no)], [W, b, true]
+            [first, helper.make_node("If", ["true"], ["out"], then_branch=yes, else_branch=no)],
+            [W, b, true],
         )
     turn = helper.make_tensor_value_info("i", TensorProto.INT64, [])
-    on, still_on = (helper.make_tensor_value_info(name, TensorProto.BOOL, []) for name in ("c", "c2"))
-    steps = [helper.make_node("Identity", ["s"], ["s2"]), helper.make_node("Identity", ["c"], ["c2"])]
-    body = helper.make_graph(steps, "body", [turn, on, info("s", "n", SIZE)], [still_on, info("s2", "n", SIZE)])
+    on, still_on = (
+        helper.make_tensor_value_info(name, TensorProto.BOOL, []) for name in ("c", "c2")
+    )
+    steps = [
+        helper.make_node("Identity", ["s"], ["s2"]),
+        helper.make_node("Identity", ["c"], ["c2"]),
+    ]
+    body = helper.make_graph(
+        steps, "body", [turn, on, info("s", "n", SIZE)], [still_on, info("s2", "n", SIZE)]
+    )
     first = helper.make_node("Gemm", ["command", "W", "b"], ["first"], transB=1)
     forever = numpy_helper.from_array(np.array(2**62), "forever")
     loop = helper.make_node("Loop", ["forever", "", "first"], ["out"], body=body)
@@ -110,18 +129,31 @@ def with_body(kind):
 def disguised():
     """An operator that is called Gemm, and is a function of the file."""
     function = helper.make_function(
-        "hidden", "Gemm", ["x", "w", "v"], ["y"],
-        [helper.make_node("Gemm", ["x", "w", "v"], ["y"], transB=1)], [helper.make_opsetid("", 17)], ["transB"],
-    )  # fmt: skip
+        "hidden",
+        "Gemm",
+        ["x", "w", "v"],
+        ["y"],
+        [helper.make_node("Gemm", ["x", "w", "v"], ["y"], transB=1)],
+        [helper.make_opsetid("", 17)],
+        ["transB"],
+    )
     return graph_file([gemm(domain="hidden")], weights(), [function], ["hidden"])
 
 
 def overridden():
     """A function of the file in ONNX's own domain."""
     function = helper.make_function(
-        "", "Relu", ["x"], ["y"], [helper.make_node("Neg", ["x"], ["y"])], [helper.make_opsetid("", 17)]
+        "",
+        "Relu",
+        ["x"],
+        ["y"],
+        [helper.make_node("Neg", ["x"], ["y"])],
+        [helper.make_opsetid("", 17)],
     )
-    nodes = [helper.make_node("Gemm", ["command", "W", "b"], ["h"], transB=1), helper.make_node("Relu", ["h"], ["out"])]
+    nodes = [
+        helper.make_node("Gemm", ["command", "W", "b"], ["h"], transB=1),
+        helper.make_node("Relu", ["h"], ["out"]),
+    ]
     return graph_file(nodes, weights(), [function])
 
 
@@ -184,11 +216,15 @@ def never_run(monkeypatch):
 @pytest.mark.parametrize("name", REACHING)
 def test_a_graph_that_reaches_beyond_itself_is_never_run(tmp_path, never_run, name, trusted):
     (tmp_path / "ext.bin").write_bytes(bytes(8 * SIZE))
-    with pytest.raises(BundleError, match=r"^prior\.onnx: .*(another file|may never end|functions|domain|sparse)"):
+    with pytest.raises(
+        BundleError, match=r"^prior\.onnx: .*(another file|may never end|functions|domain|sparse)"
+    ):
         load_bundle(bundle(tmp_path, REACHING[name]()), trust_onnx=trusted)
 
 
-def test_a_sound_graph_that_the_core_does_not_read_is_run_only_if_asked(tmp_path, never_run, monkeypatch, capsys):
+def test_a_sound_graph_that_the_core_does_not_read_is_run_only_if_asked(
+    tmp_path, never_run, monkeypatch, capsys
+):
     folder = bundle(tmp_path, foreign())
     with pytest.raises(BundleError, match=r"'Tanh'.*--trust-onnx.*trust_onnx=True"):
         load_bundle(folder)
@@ -231,10 +267,14 @@ finally:
 """
 
 
-@pytest.mark.parametrize("content", [(GIVEN / "memory.onnx").read_bytes(), expanded()], ids=["given", "expanded"])
+@pytest.mark.parametrize(
+    "content", [(GIVEN / "memory.onnx").read_bytes(), expanded()], ids=["given", "expanded"]
+)
 def test_a_graph_that_takes_gigabytes_is_stopped(tmp_path, content):
     folder, begun = bundle(tmp_path, content), time.monotonic()
-    done = subprocess.run([sys.executable, "-c", LOADED, folder], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, folder], capture_output=True, text=True, timeout=120
+    )
     assert re.search(r"prior\.onnx: .* more than 1000 MB of memory", done.stderr), done.stderr
     assert time.monotonic() - begun < 60
     assert int(done.stdout) < 1_300_000  # kB, the program's own pages included
@@ -249,7 +289,9 @@ def test_axes_of_a_bundle_make_no_endless_table(tmp_path):
 
 
 def test_modes_are_those_of_either_gram_matrix():
-    values = np.random.default_rng(3).normal(size=(20, 6)) @ np.random.default_rng(4).normal(size=(6, 50))
+    values = np.random.default_rng(3).normal(size=(20, 6)) @ np.random.default_rng(4).normal(
+        size=(6, 50)
+    )
     wide, tall = network._modes(values), network._modes(np.vstack([values, np.zeros((40, 50))]))
     np.testing.assert_allclose(wide[0][-6:], tall[0][-6:], rtol=1e-9)
     np.testing.assert_allclose(np.abs(np.sum(wide[1][-6:] * tall[1][-6:], axis=1)), 1.0, rtol=1e-9)
@@ -261,14 +303,19 @@ def test_a_graph_that_takes_too_long_is_stopped(tmp_path, monkeypatch):
     big = constant("B", np.zeros((1500, 1500)))
     nodes += [helper.make_node("MatMul", ["B", "B"], ["p0"])]
     nodes += [helper.make_node("MatMul", [f"p{k}", "B"], [f"p{k + 1}"]) for k in range(400)]
-    nodes += [helper.make_node("ReduceSum", ["p400"], ["s"], keepdims=0), helper.make_node("Add", ["h", "s"], ["out"])]
+    nodes += [
+        helper.make_node("ReduceSum", ["p400"], ["s"], keepdims=0),
+        helper.make_node("Add", ["h", "s"], ["out"]),
+    ]
     folder, begun = bundle(tmp_path, graph_file(nodes, [*weights(), big])), time.monotonic()
     with pytest.raises(BundleError, match="takes longer than 2 s"):
         load_bundle(folder, trust_onnx=True)
     assert time.monotonic() - begun < 30
 
 
-@pytest.mark.parametrize("name", ["effects.json", "prior.npz", "template.npz", "fields.npz", "safety.toml"])
+@pytest.mark.parametrize(
+    "name", ["effects.json", "prior.npz", "template.npz", "fields.npz", "safety.toml"]
+)
 def test_a_sparse_file_is_refused_by_its_size_before_it_is_read(tmp_path, name):
     folder = tmp_path / "b"
     save_bundle(BASE, folder)
@@ -277,7 +324,10 @@ def test_a_sparse_file_is_refused_by_its_size_before_it_is_read(tmp_path, name):
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["sha256"].setdefault(name, "0" * 64)
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    code = "import resource; resource.setrlimit(resource.RLIMIT_CPU, (8, 8)); from softmap_edge.cli import main; "
+    code = (
+        "import resource; resource.setrlimit(resource.RLIMIT_CPU, (8, 8)); from softmap_edge.cli "
+        "import main; "
+    )
     code += f"main(['show', {str(folder)!r}])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert f"{name} has {6 << 30} bytes, at most" in done.stderr and done.returncode == 0
@@ -286,20 +336,37 @@ def test_a_sparse_file_is_refused_by_its_size_before_it_is_read(tmp_path, name):
 def many(path, count, comment=b""):
     """Write an archive of `count` empty entries of one name."""
     local = struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 0, 0, 33, 0, 0, 0, 5, 0) + b"a.npy"
-    entry = struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, 20, 0, 0, 0, 33, 0, 0, 0, 5, 0, 0, 0, 0, 0, 0) + b"a.npy"
+    entry = (
+        struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, 20, 0, 0, 0, 33, 0, 0, 0, 5, 0, 0, 0, 0, 0, 0)
+        + b"a.npy"
+    )
     end = struct.pack(
-        "<4s4H2IH", b"PK\5\6", 0, 0, count % 65536, count % 65536, count * len(entry), len(local), len(comment)
+        "<4s4H2IH",
+        b"PK\5\6",
+        0,
+        0,
+        count % 65536,
+        count % 65536,
+        count * len(entry),
+        len(local),
+        len(comment),
     )
     path.write_bytes(local + count * entry + end + comment)
 
 
-@pytest.mark.parametrize("count, comment", [(2000, b""), (60_000, b""), (400_000, b""), (60_000, b"about it")])
+@pytest.mark.parametrize(
+    "count, comment", [(2000, b""), (60_000, b""), (400_000, b""), (60_000, b"about it")]
+)
 def test_an_archive_of_very_many_entries_is_refused_at_once(tmp_path, count, comment):
     many(tmp_path / "prior.npz", count, comment)
     begun = time.process_time()
-    with pytest.raises(SoftmapError, match=rf"at most {MOST_ARRAYS} are read|holds up to {MOST_ARRAYS} arrays"):
+    with pytest.raises(
+        SoftmapError, match=rf"at most {MOST_ARRAYS} are read|holds up to {MOST_ARRAYS} arrays"
+    ):
         read_npz(tmp_path / "prior.npz")
-    with pytest.raises(SoftmapError, match=rf"at most {MOST_ARRAYS} of|holds up to {MOST_ARRAYS} arrays"):
+    with pytest.raises(
+        SoftmapError, match=rf"at most {MOST_ARRAYS} of|holds up to {MOST_ARRAYS} arrays"
+    ):
         read_clouds([tmp_path / "prior.npz"])
     assert time.process_time() - begun < 1.0
 
@@ -314,11 +381,22 @@ def test_an_archive_in_the_form_for_larger_ones_is_refused(tmp_path, monkeypatch
 
 
 WRONG = [
-    ("length_unit", "m"), ("length_unit", 1), ("length_unit", None), ("written_by", 7), ("made_from", 5),
-    ("made_from", ["a"]), ("schema", True), ("schema", 1.0), ("channels", True), ("channels", 2.0),
-    ("sha256", {"prior.npz": 7}), ("command_unit", 3), ("robot", "a\x1b[31m"), ("held_out_error_mm", "1"),
+    ("length_unit", "m"),
+    ("length_unit", 1),
+    ("length_unit", None),
+    ("written_by", 7),
+    ("made_from", 5),
+    ("made_from", ["a"]),
+    ("schema", True),
+    ("schema", 1.0),
+    ("channels", True),
+    ("channels", 2.0),
+    ("sha256", {"prior.npz": 7}),
+    ("command_unit", 3),
+    ("robot", "a\x1b[31m"),
+    ("held_out_error_mm", "1"),
     ("gravity_reference", [0, 0, True]),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("key, value", WRONG)

@@ -1,5 +1,5 @@
-"""The line through a body is found from points alone: straight in any orientation, bent, of three points and of
-5000.
+"""The line through a body is found from points alone: straight in any orientation, bent, of three
+points and of 5000.
 """
 
 import numpy as np
@@ -14,7 +14,9 @@ SHIFT = np.array([30.0, -12.0, 55.0])
 
 
 def tube(count, bend=0.0, kind="ring", seed=0):
-    """Places (N,) along and points (N, 3) mm of a tube of 100 mm, radius 10, bent by `bend` rad about y."""
+    """Places (N,) along and points (N, 3) mm of a tube of 100 mm, radius 10, bent by `bend` rad
+    about y.
+    """
     rng = np.random.default_rng(seed)
     if kind == "ring":
         around = max(4, int(np.sqrt(count)))
@@ -37,9 +39,13 @@ def tube(count, bend=0.0, kind="ring", seed=0):
 def test_a_straight_body_in_any_orientation(kind, count, turn):
     s, points = tube(count, kind=kind)
     line = find_centreline(points @ turn.T + SHIFT, SHIFT)
-    # A solid cloud is not round to the last point: its best axis lies a fraction of a millimetre off.
+    # A solid cloud is not round to the last point: its best axis lies a fraction of a millimetre
+    # off.
     np.testing.assert_allclose(line.along, s, atol=0.2)
-    assert line.lean_deg == pytest.approx(np.degrees(np.arccos(turn[2, 2])), abs=1.0) and line.bow_mm < 1.0
+    assert (
+        line.lean_deg == pytest.approx(np.degrees(np.arccos(turn[2, 2])), abs=1.0)
+        and line.bow_mm < 1.0
+    )
     body = line.body()
     inside = np.abs(s * 9 / 100 - np.round(s * 9 / 100)) > 0.02
     assert body.count == 9 and body.angle is not None
@@ -64,11 +70,16 @@ def test_stations_follow_the_body_whatever_shape_it_takes():
     for bend in (0.3, 1.2, 2.0):
         bent = tube(548, bend, kind="surface")[1]
         r = 100.0 / bend
-        true = np.stack([r - r * np.cos(line.arc / r), 0 * line.arc, r * np.sin(line.arc / r)], axis=1)
+        true = np.stack(
+            [r - r * np.cos(line.arc / r), 0 * line.arc, r * np.sin(line.arc / r)], axis=1
+        )
         assert np.abs(line.stations(bent[None])[0] - true).max() < 0.05
         slices = [bent[(s >= low) & (s < low + 4)].mean(axis=0) for low in np.arange(0, 100, 4)]
-        middle = np.stack([np.interp(np.arange(2, 100, 4), line.arc, column) for column in true.T], axis=1)
-        assert np.abs(np.array(slices) - middle).max() > 1.0  # means of slices wander with uneven points
+        middle = np.stack(
+            [np.interp(np.arange(2, 100, 4), line.arc, column) for column in true.T], axis=1
+        )
+        # means of slices wander with uneven points
+        assert np.abs(np.array(slices) - middle).max() > 1.0
 
 
 def test_few_points_are_the_line_itself_in_whatever_order():

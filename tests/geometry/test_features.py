@@ -9,7 +9,9 @@ from softmap_edge.geometry.sections import attach, section_features, seen_residu
 
 
 def cylinder(rings=28, around=12, radius=12.0, height=100.0):
-    z, phi = np.meshgrid(np.linspace(0, height, rings), np.arange(around) * 2 * np.pi / around, indexing="ij")
+    z, phi = np.meshgrid(
+        np.linspace(0, height, rings), np.arange(around) * 2 * np.pi / around, indexing="ij"
+    )
     return np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=-1).reshape(-1, 3)
 
 
@@ -49,7 +51,9 @@ def test_moments_see_a_twist_that_centroids_do_not():
 def test_matrix_is_the_same_map():
     rest = cylinder()
     features = section_features(upright(rest))
-    np.testing.assert_allclose((rest.ravel() @ features.matrix()).reshape(-1, 3), features(rest), atol=1e-9)
+    np.testing.assert_allclose(
+        (rest.ravel() @ features.matrix()).reshape(-1, 3), features(rest), atol=1e-9
+    )
 
 
 def test_attached_markers_follow_every_affine_motion():
@@ -67,7 +71,10 @@ def test_half_seen_section_gives_the_residual_of_the_whole():
     angle = np.arctan2(rest[:, 1], rest[:, 0])
     residual = np.stack([1 + 0.5 * np.cos(angle), np.sin(angle), 0.2 + 0 * angle], axis=1)
     seen = rest[:, 0] > -0.5
-    none, five = np.zeros(len(rest), bool), np.isin(np.arange(len(rest)), np.flatnonzero(body.section == 0)[:5])
+    none, five = (
+        np.zeros(len(rest), bool),
+        np.isin(np.arange(len(rest)), np.flatnonzero(body.section == 0)[:5]),
+    )
     found = seen_residual(np.stack([residual] * 3), body, np.stack([seen, none, five]))
     np.testing.assert_allclose(found[0, :9], features(residual)[:9], atol=1e-6)
     assert np.isnan(found[1:]).all()

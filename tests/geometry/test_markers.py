@@ -13,9 +13,16 @@ HEIGHTS, ANGLES = (12, 40, 75, 105), (0.3, 1.9, 4.0)
 
 
 def stalks(length):
-    """Markers `length` mm off the surface of the built-in finger (mm), or inside where it is negative."""
-    radius = np.interp(HEIGHTS, [0, 11, 30, 50, 70, 90, 116], [15.9, 15.9, 14.7, 13.4, 12, 10.5, 9]) + length
-    return np.array([[r * np.cos(a), r * np.sin(a), z] for r, z in zip(radius, HEIGHTS) for a in ANGLES])
+    """Markers `length` mm off the surface of the built-in finger (mm), or inside where it is
+    negative.
+    """
+    radius = (
+        np.interp(HEIGHTS, [0, 11, 30, 50, 70, 90, 116], [15.9, 15.9, 14.7, 13.4, 12, 10.5, 9])
+        + length
+    )
+    return np.array(
+        [[r * np.cos(a), r * np.sin(a), z] for r, z in zip(radius, HEIGHTS) for a in ANGLES]
+    )
 
 
 def run_of(rest, noise=0.15, hidden=0.0, play=2.0, **change):
@@ -23,11 +30,17 @@ def run_of(rest, noise=0.15, hidden=0.0, play=2.0, **change):
     model, p = builtin_model(), standard_protocol()
     rng = np.random.default_rng(2)
     record = {
-        "t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": p.t_seen, "robot": model.robot,
+        "t": p.t,
+        "command": p.command,
+        "gravity": p.gravity,
+        "t_seen": p.t_seen,
+        "robot": model.robot,
         "marker_rest": rest,
-    }  # fmt: skip
+    }
     blank = np.repeat(rest[None], p.frames, axis=0)
-    seen = model.with_effects(["backlash"], {"backlash.gap": play}).predict(Run(**record, markers=blank))
+    seen = model.with_effects(["backlash"], {"backlash.gap": play}).predict(
+        Run(**record, markers=blank)
+    )
     seen = seen + noise * rng.normal(size=seen.shape)
     visible = rng.random(seen.shape[:2]) >= hidden
     seen[~visible] = np.nan
@@ -36,7 +49,9 @@ def run_of(rest, noise=0.15, hidden=0.0, play=2.0, **change):
 
 @pytest.mark.parametrize(("length", "allowed"), [(-8, 0.06), (0, 0.06), (8, 0.08), (20, 0.16)])
 def test_a_marker_on_a_stalk_follows_the_ring_that_it_stands_on(length, allowed):
-    """Against a rigid stalk on the vertices within 7 mm of its height; the body's own strain is what is left."""
+    """Against a rigid stalk on the vertices within 7 mm of its height; the body's own strain is
+    what is left.
+    """
     model, rest = builtin_model(), stalks(length)
     commands = np.array([[0.0, 0], [10, 0], [-8, 8], [6, -6], [0, -10]])
     shapes = model.prior.evaluate(commands).reshape(len(commands), -1, 3)
@@ -50,7 +65,8 @@ def test_a_marker_on_a_stalk_follows_the_ring_that_it_stands_on(length, allowed)
     moved = np.linalg.norm(stiff[1:] - stiff[:1], axis=2)
     off = np.linalg.norm(carried - stiff, axis=2)[1:]
     assert np.sqrt(np.mean(off**2)) < allowed * np.sqrt(np.mean(moved**2))
-    assert np.abs(weights).max() < 1.0 and np.sqrt((weights**2).sum(axis=1)).max() < 0.6  # noise is not blown up
+    # noise is not blown up
+    assert np.abs(weights).max() < 1.0 and np.sqrt((weights**2).sum(axis=1)).max() < 0.6
     np.testing.assert_allclose(weights @ model.rest, rest, atol=1e-6)
 
 
@@ -75,7 +91,9 @@ def test_a_marker_far_from_the_robot_is_refused_with_its_number_and_distance():
     blank = np.repeat(rest[None], standard_protocol().frames, axis=0)
     p = standard_protocol()
     run = Run(t=p.t, command=p.command, t_seen=p.t_seen, markers=blank, marker_rest=rest)
-    with pytest.raises(SoftmapError, match=r"marker 6 at \(80, 0, 40\) mm is 6\d\.?\d* mm from the model") as fault:
+    with pytest.raises(
+        SoftmapError, match=r"marker 6 at \(80, 0, 40\) mm is 6\d\.?\d* mm from the model"
+    ) as fault:
         compare(builtin_model(), run)
     assert "\n" not in str(fault.value) and "leave out markers" in str(fault.value)
 
@@ -83,14 +101,22 @@ def test_a_marker_far_from_the_robot_is_refused_with_its_number_and_distance():
 def test_labels_of_an_import_name_the_markers():
     labels = np.array([f"ring{k // 3}_{'abc'[k % 3]}" for k in range(12)])
     named = run_of(stalks(0), extra={"marker_labels": labels})
-    assert [row.label for row in compare(builtin_model(), named).where["section"]] == labels.tolist()
+    assert [
+        row.label for row in compare(builtin_model(), named).where["section"]
+    ] == labels.tolist()
     spoilt = run_of(stalks(0), extra={"marker_labels": labels[:5]})  # of another recording
     assert compare(builtin_model(), spoilt).where["section"][0].label == "marker 1"
     far = stalks(0)
     far[4, 0] = 90.0
     with pytest.raises(SoftmapError, match="^ring1_b at"):
-        compare(builtin_model(), Run(**{k: getattr(named, k) for k in ("t", "command", "t_seen", "markers", "visible")},
-                                     marker_rest=far, extra={"marker_labels": labels}))  # fmt: skip
+        compare(
+            builtin_model(),
+            Run(
+                **{k: getattr(named, k) for k in ("t", "command", "t_seen", "markers", "visible")},
+                marker_rest=far,
+                extra={"marker_labels": labels},
+            ),
+        )
 
 
 @pytest.mark.parametrize("factor", [0.001, 0.1, 1000.0])

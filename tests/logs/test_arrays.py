@@ -1,4 +1,6 @@
-"""Logs as named arrays: NumPy, MATLAB v4 to v7.3, HDF5 and Parquet; what holds no plain numbers is named, never run."""
+"""Logs as named arrays: NumPy, MATLAB v4 to v7.3, HDF5 and Parquet; what holds no plain numbers is
+named, never run.
+"""
 
 import io
 import json
@@ -63,14 +65,18 @@ def hdf5(path, values, group=""):
 
 def parquet(path, values):
     columns = {"t": pa.array(values["t"])}
-    columns |= {name: pa.array(values[name].tolist(), pa.list_(pa.float64())) for name in ("u", "tip")}
+    columns |= {
+        name: pa.array(values[name].tolist(), pa.list_(pa.float64())) for name in ("u", "tip")
+    }
     pq.write_table(pa.table(columns), path, row_group_size=30)
     return path
 
 
 MADE = {
     "npz": lambda f: npz(f / "a.npz", arrays()),
-    "npz of other types": lambda f: npz(f / "a.npz", {k: v.astype("<f4") for k, v in arrays().items()}),
+    "npz of other types": lambda f: npz(
+        f / "a.npz", {k: v.astype("<f4") for k, v in arrays().items()}
+    ),
     "npz turned": lambda f: npz(f / "a.npz", turned(arrays())),
     "npz without its name": lambda f: npz(f / "a.npz", arrays()).rename(f / "log.dat"),
     "mat": lambda f: mat(f / "a.mat", arrays()),
@@ -88,11 +94,17 @@ def test_every_format_gives_the_same_run_and_its_proposal_imports(tmp_path, made
     path = MADE[made](tmp_path)
     run, known = imported([path]).run, arrays()
     near = 1e-5 if "types" in made else 1e-12
-    assert run.t == pytest.approx(known["t"], abs=near) and run.command == pytest.approx(known["u"], abs=near)
+    assert run.t == pytest.approx(known["t"], abs=near) and run.command == pytest.approx(
+        known["u"], abs=near
+    )
     assert run.markers[:, 0] == pytest.approx(known["tip"], abs=10 * near)
     found = guess_mapping([path])
     again = imported([path], found.text).run
-    assert again.command == pytest.approx(known["u"], abs=near) and again.markers.shape == (80, 1, 3)
+    assert again.command == pytest.approx(known["u"], abs=near) and again.markers.shape == (
+        80,
+        1,
+        3,
+    )
 
 
 @pytest.mark.parametrize("name", ["log.npz", "run.mat"])
@@ -123,7 +135,12 @@ def test_structs_and_groups_give_paths(tmp_path, made, prefix):
 
 def test_points_of_three_dimensions_have_axes():
     points = np.arange(5 * 2 * 3.0).reshape(5, 2, 3)
-    for array in (points, np.moveaxis(points, 0, 2), np.moveaxis(points, 2, 1), np.moveaxis(points, 0, 1)):
+    for array in (
+        points,
+        np.moveaxis(points, 0, 2),
+        np.moveaxis(points, 2, 1),
+        np.moveaxis(points, 0, 1),
+    ):
         held = columns_of_arrays(Path("a"), {"t": np.arange(5.0), "m": array})
         values = dict(zip(held.names, held.columns))
         assert list(values["m[1].y"]) == list(points[:, 1, 1]), array.shape
@@ -132,11 +149,15 @@ def test_points_of_three_dimensions_have_axes():
 
 
 def test_signals_of_other_lengths_are_logs_of_their_own(tmp_path):
-    """Commands at 20 Hz, a camera at 10: two [[log]] of one file; one [[log]] of both is refused."""
+    """Commands at 20 Hz, a camera at 10: two [[log]] of one file; one [[log]] of both is
+    refused.
+    """
     values = arrays()
     values |= {"t_cam": values["t"][::2], "tip": values["tip"][::2]}
     path = npz(tmp_path / "a.npz", values)
-    assert "tip[0] has 40 rows and t has 80 rows: give each length a [[log]] of its own" in refused(path)
+    assert "tip[0] has 40 rows and t has 80 rows: give each length a [[log]] of its own" in refused(
+        path
+    )
     found = guess_mapping([path])
     assert found.text.count("[[log]]") == 2
     run = imported([path], found.text).run
@@ -159,12 +180,19 @@ def test_objects_are_left_out_and_never_unpickled(tmp_path, monkeypatch):
     path = npz(tmp_path / "a.npz", arrays() | {"who": odd, "fs": np.array(20.0)})
     canary.unlink(missing_ok=True)
     done = imported([path])
-    assert any("left out: who (Python objects, which are never read), fs (one number, 20)" in n for n in done.notes)
-    assert "holds no columns of numbers: who (Python objects" in refused(npz(tmp_path / "b.npz", {"who": odd}))
+    assert any(
+        "left out: who (Python objects, which are never read), fs (one number, 20)" in n
+        for n in done.notes
+    )
+    assert "holds no columns of numbers: who (Python objects" in refused(
+        npz(tmp_path / "b.npz", {"who": odd})
+    )
     np.save(tmp_path / "c.npy", odd)
     assert "Python objects" in refused(tmp_path / "c.npy")
     (tmp_path / "d.pkl").write_bytes(pickle.dumps(Canary()))
-    assert "is a Python pickle, which could run code and is never read" in refused(tmp_path / "d.pkl")
+    assert "is a Python pickle, which could run code and is never read" in refused(
+        tmp_path / "d.pkl"
+    )
     assert not canary.exists()
 
 
@@ -191,7 +219,9 @@ def test_a_run_is_not_a_log(tmp_path):
 def claimed(shape, dtype="<f8"):
     """The header of an array of a shape, without its numbers."""
     stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(stream, {"descr": dtype, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        stream, {"descr": dtype, "fortran_order": False, "shape": shape}
+    )
     return stream.getvalue()
 
 
@@ -212,7 +242,10 @@ def zipped(path, entries, kind=zipfile.ZIP_DEFLATED):
         ([("t.npy", claimed((4,)) + bytes(64))], "is longer than its shape"),
         ([("t.npy", bytes(2**20))] * 600, "600 arrays"),
         ([("t.npy", b"no array")], "is a damaged NumPy file"),
-        ([("t.npy", claimed((2,)) + bytes(16)), ("t.npy", claimed((2,)) + bytes(16))], "two arrays are called 't'"),
+        (
+            [("t.npy", claimed((2,)) + bytes(16)), ("t.npy", claimed((2,)) + bytes(16))],
+            "two arrays are called 't'",
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -230,10 +263,15 @@ def test_a_flipped_bit_in_an_archive_is_found_by_its_checksum(tmp_path):
 
 
 def test_a_matlab_file_that_unpacks_without_end_is_stopped(tmp_path):
-    """200 MB of zeros in 200 kB are refused before they are unpacked; a compressed bomb of structs by the limit."""
+    """200 MB of zeros in 200 kB are refused before they are unpacked; a compressed bomb of structs
+    by the limit.
+    """
     path = mat(tmp_path / "a.mat", {"x": np.zeros((2**25 + 1, 1), np.int8)})
     assert path.stat().st_size < 10**6 and "holds more than 33554432 numbers" in refused(path)
-    path = mat(tmp_path / "b.mat", {"s": {"x": np.zeros((2**27, 1), np.int8), "y": np.zeros((2**27, 1), np.int8)}})
+    path = mat(
+        tmp_path / "b.mat",
+        {"s": {"x": np.zeros((2**27, 1), np.int8), "y": np.zeros((2**27, 1), np.int8)}},
+    )
     assert "holds more than 33554432 numbers" in refused(path) or "needs more than" in refused(path)
 
 
@@ -242,9 +280,14 @@ def test_what_matlab_keeps_besides_numbers_is_named(tmp_path):
     cells[:] = [np.zeros(3), "text"]
     words = np.empty(80, object)
     words[:] = ["one"] * 40 + ["two"] * 40
-    path = mat(tmp_path / "a.mat", arrays() | {"c": cells, "z": np.array([1j, 2]), "title": "run 7", "part": words})
+    path = mat(
+        tmp_path / "a.mat",
+        arrays() | {"c": cells, "z": np.array([1j, 2]), "title": "run 7", "part": words},
+    )
     done = imported([path], ARRAYS + 'block = "part"\n')
-    assert any("left out: c (cells), z (complex numbers), title (text)" in note for note in done.notes)
+    assert any(
+        "left out: c (cells), z (complex numbers), title (text)" in note for note in done.notes
+    )
     assert list(np.unique(done.run.block)) == ["one", "two"]
 
 
@@ -279,7 +322,11 @@ def test_hdf5_follows_nothing_out_of_the_file(tmp_path):
     held = open_log(tmp_path / "a.h5")
     assert held.names == ["n"]
     remarks = "; ".join(held.notes)
-    assert "link (a link)" in remarks and "outside (kept in another file)" in remarks and "virtual (kept in" in remarks
+    assert (
+        "link (a link)" in remarks
+        and "outside (kept in another file)" in remarks
+        and "virtual (kept in" in remarks
+    )
 
 
 def test_hdf5_of_a_size_that_it_only_promises(tmp_path):
@@ -328,7 +375,10 @@ def test_an_episode_of_a_dataset(tmp_path, what):
 def test_the_proposal_for_a_dataset(tmp_path):
     found = guess_mapping([write_dataset(tmp_path / "set")])
     assert "degrees or LeRobot's values from -100 to 100" in found.text
-    assert "episode = 0" in found.text and '"action[shoulder_pan.pos]", "action[gripper.pos]"' in found.text
+    assert (
+        "episode = 0" in found.text
+        and '"action[shoulder_pan.pos]", "action[gripper.pos]"' in found.text
+    )
     run = imported([tmp_path / "set"], found.text).run
     assert run.command.shape == (40, 2) and run.present.shape == (40, 2)
 
@@ -343,7 +393,9 @@ def test_a_dataset_of_several_files(tmp_path):
     assert done.run.command[0, 0] == pytest.approx(50 * np.sin(4) + 1, abs=1e-4)
     assert list(done.run.extra["made_from"])[0].startswith("file-001.parquet")
     assert "many episodes in 2 files" in refused(folder, LEROBOT.replace("episode = 1\n", ""))
-    assert "no file of set holds episode 9" in refused(folder, LEROBOT.replace("episode = 1", "episode = 9"))
+    assert "no file of set holds episode 9" in refused(
+        folder, LEROBOT.replace("episode = 1", "episode = 9")
+    )
 
 
 def test_a_dataset_of_one_file_an_episode(tmp_path):
@@ -357,7 +409,9 @@ def test_a_dataset_of_one_file_an_episode(tmp_path):
     done = imported([folder], LEROBOT)
     assert done.run.command[0, 0] == pytest.approx(50 * np.sin(1) + 1, abs=1e-4)
     assert list(done.run.extra["made_from"])[0].startswith("episode_000001.parquet")
-    assert imported([folder / "data/chunk-000/episode_000001.parquet"], LEROBOT.replace("episode = 1\n", "")).run
+    assert imported(
+        [folder / "data/chunk-000/episode_000001.parquet"], LEROBOT.replace("episode = 1\n", "")
+    ).run
     assert "episode = 0" in guess_mapping([folder]).text
 
 
@@ -367,7 +421,10 @@ def test_the_calibration_of_an_arm_is_explained(tmp_path):
         json.dumps({"shoulder_pan": motor, "gripper": motor | {"id": 6, "drive_mode": 1}})
     )
     message = refused(tmp_path / "arm.json")
-    assert "is the calibration of a LeRobot arm, no log: shoulder_pan (id 1, 738 to 3358), gripper (id 6" in message
+    assert (
+        "is the calibration of a LeRobot arm, no log: shoulder_pan (id 1, 738 to 3358), gripper "
+        "(id 6" in message
+    )
     assert "scale = 13.1, offset = 2048" in message and "softmap model calibrate" in message
     assert [13.1 * x + 2048 for x in (-100, 100)] == pytest.approx([738, 3358])
     for odd in (
@@ -379,13 +436,17 @@ def test_the_calibration_of_an_arm_is_explained(tmp_path):
         refused(tmp_path / "odd.json")
 
 
-@pytest.mark.parametrize("names", [JOINTS, {"motors": JOINTS}, None, ["one"], [1, 2], {"a": [], "b": []}])
+@pytest.mark.parametrize(
+    "names", [JOINTS, {"motors": JOINTS}, None, ["one"], [1, 2], {"a": [], "b": []}]
+)
 def test_names_of_elements_as_datasets_give_them(tmp_path, names):
     write_dataset(tmp_path / "set")
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
     info["features"]["action"]["names"] = names
     (tmp_path / "set/meta/info.json").write_text(json.dumps(info))
-    held = open_log(tmp_path / "set/data/chunk-000/file-000.parquet", parse_mapping(LEROBOT, Path("m")).logs[0])
+    held = open_log(
+        tmp_path / "set/data/chunk-000/file-000.parquet", parse_mapping(LEROBOT, Path("m")).logs[0]
+    )
     known = names in (JOINTS, {"motors": JOINTS})
     assert ("action[gripper.pos]" if known else "action[1]") in held.names
 
@@ -414,13 +475,20 @@ def test_types_of_parquet(tmp_path):
     assert held.names == ["when", "u", "on", "part"]
     assert held.columns[0][1] == pytest.approx(1_700_000_000.05) and np.isnan(held.columns[1][3])
     remarks = "; ".join(held.notes)
-    assert all(word in remarks for word in ("ragged (lists of different lengths)", "picture (struct", "raw (binary"))
+    assert all(
+        word in remarks
+        for word in ("ragged (lists of different lengths)", "picture (struct", "raw (binary")
+    )
 
 
 def test_a_flipped_bit_in_a_page_with_a_checksum_is_found(tmp_path):
     path = tmp_path / "a.parquet"
     pq.write_table(
-        pa.table({"t": np.arange(5000.0)}), path, write_page_checksum=True, compression="none", use_dictionary=False
+        pa.table({"t": np.arange(5000.0)}),
+        path,
+        write_page_checksum=True,
+        compression="none",
+        use_dictionary=False,
     )
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -435,7 +503,9 @@ def test_a_parquet_file_of_more_numbers_than_are_read(tmp_path):
 
 
 def test_signalling_nans_are_missing_values_without_a_warning(tmp_path):
-    """Damaged bytes may hold them; any sum or product with one is a floating-point exception, here an error."""
+    """Damaged bytes may hold them; any sum or product with one is a floating-point exception, here
+    an error.
+    """
     values = arrays()
     values["tip"] = np.array(values["tip"], float)
     values["t"] = np.array(values["t"], float)

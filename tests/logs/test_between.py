@@ -39,13 +39,18 @@ def test_a_head_that_is_written_again_is_left_out(tmp_path, kind, end):
     done = read(tmp_path, head, ROWS[:40], again, ROWS[40:], end=end)
     first = len(head) + 41
     assert len(done.run.t) == 90
-    assert any(f"repeat the head of the table were left out: {count} (line {first}" in note for note in done.notes)
+    assert any(
+        f"repeat the head of the table were left out: {count} (line {first}" in note
+        for note in done.notes
+    )
     assert not any("blank" in note for note in done.notes)
 
 
 def test_many_heads_are_counted(tmp_path):
     done = read(tmp_path, *[[HEAD, *ROWS[k : k + 10]] for k in range(0, 90, 10)])
-    assert len(done.run.t) == 90 and any("left out: 8 (line 12, 23, 34 and 5 more)" in note for note in done.notes)
+    assert len(done.run.t) == 90 and any(
+        "left out: 8 (line 12, 23, 34 and 5 more)" in note for note in done.notes
+    )
 
 
 def test_rows_keep_their_numbers(tmp_path):
@@ -53,21 +58,29 @@ def test_rows_keep_their_numbers(tmp_path):
     bad = ",".join([*ROWS[60].split(",")[:-1], "12mm"])
     (tmp_path / "log.csv").write_text("\n".join([HEAD, *ROWS]))
     mapping = parse_mapping(guess_mapping([tmp_path / "log.csv"]).text, tmp_path)
-    (tmp_path / "log.csv").write_text("\n".join([HEAD, *ROWS[:40], HEAD, *ROWS[40:60], bad, *ROWS[61:]]))
+    (tmp_path / "log.csv").write_text(
+        "\n".join([HEAD, *ROWS[:40], HEAD, *ROWS[40:60], bad, *ROWS[61:]])
+    )
     with pytest.raises(RunError, match="line 63, column tip_z: '12mm' is not a number"):
         import_logs([tmp_path / "log.csv"], mapping)
 
 
 def test_names_in_another_order_are_an_error(tmp_path):
     other = ",".join([NAMES[0], NAMES[2], NAMES[1], *NAMES[3:]])
-    with pytest.raises(RunError, match="line 42 names the columns again, in another order; cut the log there"):
+    with pytest.raises(
+        RunError, match="line 42 names the columns again, in another order; cut the log there"
+    ):
         read(tmp_path, HEAD, ROWS[:40], other, ROWS[40:])
 
 
-@pytest.mark.parametrize("remark", ["# marker 3 glued again", "% pause, 5 min", "#", "#event,start"])
+@pytest.mark.parametrize(
+    "remark", ["# marker 3 glued again", "% pause, 5 min", "#", "#event,start"]
+)
 def test_remarks_between_rows_are_left_out(tmp_path, remark):
     done = read(tmp_path, HEAD, ROWS[:40], remark, ROWS[40:])
-    assert len(done.run.t) == 90 and any("remarks between the rows were left out: 1 (line 42)" in n for n in done.notes)
+    assert len(done.run.t) == 90 and any(
+        "remarks between the rows were left out: 1 (line 42)" in n for n in done.notes
+    )
 
 
 def test_other_text_between_rows_stays_an_error(tmp_path):

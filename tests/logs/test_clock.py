@@ -1,4 +1,6 @@
-"""Clocks that roll over, are set, or stand still: what is reported, what is mended, and what a remedy costs."""
+"""Clocks that roll over, are set, or stand still: what is reported, what is mended, and what a
+remedy costs.
+"""
 
 import re
 
@@ -22,7 +24,9 @@ COUNT = 300
 
 
 def log(folder, times):
-    return write(folder / "log.csv", ",".join(NAMES), rows(len(times), time=lambda k: f"{times[k]:.10g}"))
+    return write(
+        folder / "log.csv", ",".join(NAMES), rows(len(times), time=lambda k: f"{times[k]:.10g}")
+    )
 
 
 def imported(path, keys=""):
@@ -59,16 +63,26 @@ ROLLS = {
 def test_a_roll_over_is_named_and_counted_on(tmp_path, kind):
     period, scale, words, keys = ROLLS[kind]
     even = uneven() if "counter" not in kind else STEP * np.arange(COUNT)
-    t = (period - 4 * scale + even * scale) % period if period > 8 * scale else (even * scale) % period
+    t = (
+        (period - 4 * scale + even * scale) % period
+        if period > 8 * scale
+        else (even * scale) % period
+    )
     path = log(tmp_path, np.rint(t) if scale > 1 else t)
     message = fault(path, keys)
-    assert f"the clock rolls over at {words}" in message and 'jumps = "mend"' in message and "drop" not in message
+    assert (
+        f"the clock rolls over at {words}" in message
+        and 'jumps = "mend"' in message
+        and "drop" not in message
+    )
     assert re.search(r"at row \d+ \(line \d+", message)
     done = imported(path, keys + ', jumps = "mend"')
     assert len(done.run.t) == COUNT and done.run.t - done.run.t[0] == pytest.approx(
         even - even[0], abs=1.1 / scale + 1e-4
     )
-    assert any("rolls over" in note for note in done.notes) and not any("rolls" in doubt for doubt in done.doubts)
+    assert any("rolls over" in note for note in done.notes) and not any(
+        "rolls" in doubt for doubt in done.doubts
+    )
 
 
 def test_a_proposal_counts_on_over_a_roll_over(tmp_path):
@@ -76,7 +90,9 @@ def test_a_proposal_counts_on_over_a_roll_over(tmp_path):
     path = log(tmp_path, np.rint((4294967296 - 4e6 + even * 1e6) % 4294967296))
     found = guess_mapping([path])
     assert 'unit = "us", jumps = "mend"' in found.text
-    assert import_logs([path], parse_mapping(found.text, path)).run.t[-1] - even[-1] == pytest.approx(4290.967, abs=0.1)
+    assert import_logs([path], parse_mapping(found.text, path)).run.t[-1] - even[
+        -1
+    ] == pytest.approx(4290.967, abs=0.1)
 
 
 # --- steps ---------------------------------------------------------------------------------
@@ -86,21 +102,33 @@ def test_a_clock_that_was_set_back_is_named_with_its_step_and_the_ways_out(tmp_p
     t = np.where(np.arange(COUNT) >= 133, even - size, even)
     path = log(tmp_path, t)
     message = fault(path)
-    assert "row 133 (line 135" in message and f"set back by about {size:.6g} s" in message and "drop" not in message
+    assert (
+        "row 133 (line 135" in message
+        and f"set back by about {size:.6g} s" in message
+        and "drop" not in message
+    )
     done = imported(path, ', jumps = "mend"')
     assert done.run.t == pytest.approx(even, abs=1e-6)
-    assert any("the step was taken out" in doubt and f"{-size:.6g} s" in doubt for doubt in done.doubts)
+    assert any(
+        "the step was taken out" in doubt and f"{-size:.6g} s" in doubt for doubt in done.doubts
+    )
     first, second = re.search(r"to_row = (\d+) and from_row = (\d+)", message).groups()
     for keys, count in ((f"to_row = {first}", 133), (f"from_row = {second}", COUNT - 133)):
-        part = import_logs([path], parse_mapping((MAP % "").replace("[[log]]", f"[[log]]\n{keys}"), path))
-        assert len(part.run.t) == count and any(f"{count} of 300 rows" in note for note in part.notes)
+        part = import_logs(
+            [path], parse_mapping((MAP % "").replace("[[log]]", f"[[log]]\n{keys}"), path)
+        )
+        assert len(part.run.t) == count and any(
+            f"{count} of 300 rows" in note for note in part.notes
+        )
 
 
 def test_a_clock_that_was_set_forward_is_a_look_at_and_a_pause_is_not(tmp_path):
     even = STEP * np.arange(COUNT)
     t = np.where(np.arange(COUNT) >= 133, even + 3600, even)
     done = imported(log(tmp_path, t))
-    assert any("leaps by 3600.05 s at row 133" in doubt and "set forward" in doubt for doubt in done.doubts)
+    assert any(
+        "leaps by 3600.05 s at row 133" in doubt and "set forward" in doubt for doubt in done.doubts
+    )
     assert imported(log(tmp_path, t), ', jumps = "mend"').run.t == pytest.approx(even)
     far = write(
         tmp_path / "log.csv",
@@ -112,10 +140,16 @@ def test_a_clock_that_was_set_forward_is_a_look_at_and_a_pause_is_not(tmp_path):
 
 
 def body(k, noise=0.05, speed=1.0, seed=0):
-    """Two commands and three markers (K, 11) of a finger with noise; the lowest marker hardly moves."""
+    """Two commands and three markers (K, 11) of a finger with noise; the lowest marker hardly
+    moves.
+    """
     a = np.c_[np.sin(0.09 * speed * k), np.cos(0.07 * speed * k)]
     places = [np.c_[60 * h**2 * a, 100 * h + 0 * k] for h in (0.1, 0.5, 1.0)]
-    return np.c_[5 * a, np.concatenate(places, axis=1) + noise * np.random.default_rng(seed).normal(size=(len(k), 9))]
+    return np.c_[
+        5 * a,
+        np.concatenate(places, axis=1)
+        + noise * np.random.default_rng(seed).normal(size=(len(k), 9)),
+    ]
 
 
 BODY = """schema = "softmap.mapping/1"
@@ -130,7 +164,9 @@ def of_body(folder, t, values, keys="", more=""):
     path = folder / "log.csv"
     lines = [",".join([f"{s:.3f}", *(f"{x:.4f}" for x in row)]) for s, row in zip(t, values)]
     path.write_text("\n".join(["t,a,b,x0,y0,z0,x1,y1,z1,x2,y2,z2", *lines]) + "\n")
-    return import_logs([path], parse_mapping((BODY % keys).replace("[[log]]", f"[[log]]\n{more}"), path))
+    return import_logs(
+        [path], parse_mapping((BODY % keys).replace("[[log]]", f"[[log]]\n{more}"), path)
+    )
 
 
 ROW = np.arange(COUNT)
@@ -146,7 +182,10 @@ SET_FORWARD = {
 STOOD = np.r_[np.arange(150), np.full(60, 149), 149 + np.arange(90)]
 PAUSED = {
     "elsewhere": (EPOCH + 3600 * (ROW >= 150), body(ROW + 17 * (ROW >= 150))),
-    "elsewhere with much noise": (EPOCH + 3600 * (ROW >= 150), body(ROW + 17 * (ROW >= 150), noise=1.0)),
+    "elsewhere with much noise": (
+        EPOCH + 3600 * (ROW >= 150),
+        body(ROW + 17 * (ROW >= 150), noise=1.0),
+    ),
     "at rest": (EPOCH + 3600 * (ROW >= 180), body(STOOD)),
     "at rest without noise": (EPOCH + 3600 * (ROW >= 180), body(STOOD, noise=0)),
     "it never moves": (EPOCH + 3600 * (ROW >= 150), body(0 * ROW)),
@@ -159,7 +198,9 @@ def test_a_leap_after_which_the_values_go_on_is_a_clock_that_was_set(tmp_path, n
     t, values = SET_FORWARD[name]
     leaps = [doubt for doubt in of_body(tmp_path, t, values).doubts if "leaps" in doubt]
     rows = np.flatnonzero(np.diff(t) > 100 * np.median(np.diff(t)) - 1e-6) + 1
-    assert len(leaps) == len(rows) and all(f"at row {k} (line {k + 2})" in leap for k, leap in zip(rows, leaps))
+    assert len(leaps) == len(rows) and all(
+        f"at row {k} (line {k + 2})" in leap for k, leap in zip(rows, leaps)
+    )
     done = of_body(tmp_path, t, values, ', jumps = "mend"')
     assert np.diff(done.run.t) == pytest.approx(np.median(np.diff(t)), abs=1e-3)
     assert sum("was set by" in doubt for doubt in done.doubts) == len(rows)
@@ -175,9 +216,15 @@ def test_a_pause_is_no_clock_that_was_set(tmp_path, name):
 
 SET_BACK = {
     "twice": (EPOCH - 3.2 * (ROW >= 150) - 2.1 * (ROW >= 225), (150, 225)),
-    "three times": (EPOCH - 60 * (ROW >= 50) - 60 * (ROW >= 100) - 0.7 * (ROW >= 260), (50, 100, 260)),
+    "three times": (
+        EPOCH - 60 * (ROW >= 50) - 60 * (ROW >= 100) - 0.7 * (ROW >= 260),
+        (50, 100, 260),
+    ),
     "seven times": (EPOCH - 1.5 * (ROW // 40), tuple(range(40, COUNT, 40))),
-    "back, and forward again": (EPOCH - 3600.0 * ((ROW >= 100) & (ROW < 200)) - 9 * (ROW >= 250), (100, 250)),
+    "back, and forward again": (
+        EPOCH - 3600.0 * ((ROW >= 100) & (ROW < 200)) - 9 * (ROW >= 250),
+        (100, 250),
+    ),
 }
 
 
@@ -190,9 +237,13 @@ def test_a_clock_that_was_set_back_several_times_is_mended_step_by_step(tmp_path
         of_body(tmp_path, t, values)
     message = str(found.value)
     assert (
-        f"set back {len(rows)} times" in message and f"goes backwards at row {rows[0]} (line {rows[0] + 2}" in message
+        f"set back {len(rows)} times" in message
+        and f"goes backwards at row {rows[0]} (line {rows[0] + 2}" in message
     )
-    assert "order of time" not in message and f"to_row = {rows[0] - 1}; from_row = {rows[0]} with" in message
+    assert (
+        "order of time" not in message
+        and f"to_row = {rows[0] - 1}; from_row = {rows[0]} with" in message
+    )
     if not rests or "forward" not in name:
         done = of_body(tmp_path, t, values, ', jumps = "mend"')
         assert np.diff(done.run.t) == pytest.approx(STEP, abs=1e-3)
@@ -201,7 +252,9 @@ def test_a_clock_that_was_set_back_several_times_is_mended_step_by_step(tmp_path
 def test_row_numbers_are_those_of_the_log_whatever_was_cut_off(tmp_path):
     """The parts that a message proposes can be imported, all of them."""
     t, rows = SET_BACK["three times"]
-    with pytest.raises(RunError, match=r"goes backwards at row 100 \(line 102.*to_row = 99; from_row = 100 with"):
+    with pytest.raises(
+        RunError, match=r"goes backwards at row 100 \(line 102.*to_row = 99; from_row = 100 with"
+    ):
         of_body(tmp_path, t, body(ROW), more="from_row = 50")
     with pytest.raises(RunError, match=r"at row 260 \(line 262.*to_row = 259 and from_row = 260"):
         of_body(tmp_path, t, body(ROW), more="from_row = 100")
@@ -210,7 +263,9 @@ def test_row_numbers_are_those_of_the_log_whatever_was_cut_off(tmp_path):
         assert len(done.run.t) == last - first
     forward = EPOCH + 3600 * (ROW >= 150)
     done = of_body(tmp_path, forward, body(ROW), more="from_row = 60")
-    assert any("at row 150 (line 152)" in doubt and "to_row = 149" in doubt for doubt in done.doubts)
+    assert any(
+        "at row 150 (line 152)" in doubt and "to_row = 149" in doubt for doubt in done.doubts
+    )
 
 
 OUT_OF_ORDER = {
@@ -247,7 +302,10 @@ def test_drop_that_loses_much_is_a_look_at(tmp_path):
     done = imported(path, ', unit = "us", repeated = "drop"')
     lost = COUNT - len(done.run.t)
     assert lost > 150
-    assert any(f"leaves out {lost} of 300 rows" in doubt and "rolls over at 2^32 us" in doubt for doubt in done.doubts)
+    assert any(
+        f"leaves out {lost} of 300 rows" in doubt and "rolls over at 2^32 us" in doubt
+        for doubt in done.doubts
+    )
 
 
 def test_times_that_are_made_up_are_a_look_at_with_their_count(tmp_path):
@@ -262,7 +320,9 @@ def test_times_that_are_made_up_are_a_look_at_with_their_count(tmp_path):
 
 
 def test_spread_keeps_whole_groups():
-    assert spread(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0])) == pytest.approx([0, 0.5, 1, 1.5, 2, 2.5])
+    assert spread(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0])) == pytest.approx(
+        [0, 0.5, 1, 1.5, 2, 2.5]
+    )
 
 
 def test_a_rate_that_is_assumed_is_a_look_at(tmp_path):
@@ -270,5 +330,8 @@ def test_a_rate_that_is_assumed_is_a_look_at(tmp_path):
     found = guess_mapping([path])
     assert "rate_hz = 100, assumed = true" in found.text
     done = import_logs([path], parse_mapping(found.text, path))
-    assert any("the times of 300 rows are 'time' at 100 Hz, a rate that is assumed" in doubt for doubt in done.doubts)
+    assert any(
+        "the times of 300 rows are 'time' at 100 Hz, a rate that is assumed" in doubt
+        for doubt in done.doubts
+    )
     assert imported(path, ", rate_hz = 100").doubts == ()

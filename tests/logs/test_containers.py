@@ -1,4 +1,6 @@
-"""What `ros2 bag record` leaves becomes a run: folders, split bags, .db3 with and without definitions, packed files."""
+"""What `ros2 bag record` leaves becomes a run: folders, split bags, .db3 with and without
+definitions, packed files.
+"""
 
 import gzip
 import re
@@ -40,7 +42,9 @@ def refused(paths, mapping=MAP):
 
 def same(one, other):
     assert np.array_equal(one.t, other.t) and np.array_equal(one.command, other.command)
-    assert np.array_equal(one.markers, other.markers, equal_nan=True) and np.array_equal(one.t_seen, other.t_seen)
+    assert np.array_equal(one.markers, other.markers, equal_nan=True) and np.array_equal(
+        one.t_seen, other.t_seen
+    )
 
 
 # --- the cases -----------------------------------------------------------------------------
@@ -58,24 +62,33 @@ def test_a_recording_is_the_same_run_in_every_container(names, mapping):
     complete = import_logs([DATA / "bagdir"], read_mapping(DATA / "map.toml"))
     assert len(done.run.t) == 1056 and done.run.frames == 150
     same(done.run, complete.run)
-    remarks = [note for note in done.notes if "parts read one after another: bag_0.mcap, bag_1.mcap" in note]
+    remarks = [
+        note
+        for note in done.notes
+        if "parts read one after another: bag_0.mcap, bag_1.mcap" in note
+    ]
     assert len(remarks) == (2 if len(names) == 2 else 0)
     made = "\n".join(done.run.extra["made_from"])
     assert all(name in made for name in names) and made.count("sha256") == len(names)
 
 
-@pytest.mark.parametrize("name", ["bag_mcap", "bag_db3", "bag_db3/bag_db3.db3", "bag_mcap/bag_mcap.mcap"])
+@pytest.mark.parametrize(
+    "name", ["bag_mcap", "bag_db3", "bag_db3/bag_db3.db3", "bag_mcap/bag_mcap.mcap"]
+)
 def test_the_proposed_mapping_of_a_recording_imports_it(name):
     found = guess_mapping([DATA / name])
     run = imported([DATA / name], found.text).run
     assert run.command.shape == (80, 2) and run.markers.shape == (80, 1, 3)
-    assert run.present is None and "joint_states" in found.text  # in rad, next to commands in mm: left out and named
+    # in rad, next to commands in mm: left out and named
+    assert run.present is None and "joint_states" in found.text
     assert 'topic = "/tendon_cmd"' in found.text and "file =" not in found.text
 
 
 def test_a_recording_without_messages_is_named_as_such():
     for paths in ([DATA / "run.db3"],):
-        with pytest.raises(RunError, match=r"run.db3: holds no message \(topics: /cam \(geometry_msgs"):
+        with pytest.raises(
+            RunError, match=r"run.db3: holds no message \(topics: /cam \(geometry_msgs"
+        ):
             guess_mapping(paths)
     said = refused([DATA / "run.db3"])
     assert "run.db3: holds no message of any topic" in said and "change `topic`" not in said
@@ -83,7 +96,8 @@ def test_a_recording_without_messages_is_named_as_such():
 
 def test_messages_of_ros_1_are_named_with_the_command_that_converts_them():
     with pytest.raises(
-        RunError, match="ROS 1 messages: convert the bag .* `rosbags-convert --src FILE.bag --dst FOLDER`"
+        RunError,
+        match="ROS 1 messages: convert the bag .* `rosbags-convert --src FILE.bag --dst FOLDER`",
     ):
         guess_mapping([DATA / "ros1.mcap"])
 
@@ -113,22 +127,33 @@ def test_a_folder_is_read_by_its_metadata(tmp_path, form, name):
 
 
 def test_the_files_of_a_metadata_are_names_without_folders():
-    text = "a:\n  relative_file_paths:\n    - /etc/passwd\n    - ..\\x.db3\n\n    # a comment\n    - b's.mcap\n"
+    text = (
+        "a:\n  relative_file_paths:\n    - /etc/passwd\n    - ..\\x.db3\n\n    # a comment\n    - "
+        "b's.mcap\n"
+    )
     text += "  other:\n    - no\n"
     assert named_files(text) == ["passwd", "x.db3", "b's.mcap"]
-    assert named_files("relative_file_paths: ['it''s.db3', \"b.db3\", c.db3]") == ["it's.db3", "b.db3", "c.db3"]
+    assert named_files("relative_file_paths: ['it''s.db3', \"b.db3\", c.db3]") == [
+        "it's.db3",
+        "b.db3",
+        "c.db3",
+    ]
     assert named_files("nothing: here") == []
 
 
 def test_a_folder_of_several_files_packed_or_not(tmp_path):
-    """Split by size and packed file by file: metadata.yaml names the files with or without the ending."""
+    """Split by size and packed file by file: metadata.yaml names the files with or without the
+    ending.
+    """
     folder = write_folder(tmp_path / "bag", ["bag_0.db3", "bag_1.db3.zstd"])
     write_db3(folder / "bag_0.db3", messages(last=40))
     plain = write_db3(tmp_path / "bag_1.db3", messages(first=40))
     (folder / "bag_1.db3.zstd").write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
     done = imported([folder])
     same(done.run, imported([write_db3(tmp_path / "complete.db3", messages())]).run)
-    assert any("2 parts read one after another: bag_0.db3, bag_1.db3" in note for note in done.notes)
+    assert any(
+        "2 parts read one after another: bag_0.db3, bag_1.db3" in note for note in done.notes
+    )
     (folder / "bag_0.db3").unlink()
     (folder / "bag_0.db3.zstd").write_bytes(gzip.compress(b"no bag"))
     assert "bag_0.db3.zstd" in refused([folder])
@@ -137,7 +162,9 @@ def test_a_folder_of_several_files_packed_or_not(tmp_path):
 def test_a_folder_without_metadata_is_read_and_reported(tmp_path):
     write_db3(tmp_path / "bag_0.db3", messages())
     done = imported([tmp_path])
-    assert len(done.run.t) == 60 and any("has no metadata.yaml: the recorder was interrupted" in n for n in done.notes)
+    assert len(done.run.t) == 60 and any(
+        "has no metadata.yaml: the recorder was interrupted" in n for n in done.notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -147,10 +174,19 @@ def test_a_folder_without_metadata_is_read_and_reported(tmp_path):
             lambda f: write_folder(f, ["bag_0.db3", "bag_1.db3"]),
             ["names 2 files, and bag_0.db3, bag_1.db3 is not there"],
         ),
-        (lambda f: write_folder(f, []), ["metadata.yaml names no files, and no recording is there"]),
+        (
+            lambda f: write_folder(f, []),
+            ["metadata.yaml names no files, and no recording is there"],
+        ),
         (lambda f: f.mkdir(), ["a folder without a recording: it holds no files"]),
-        (lambda f: (f.mkdir(), (f / "a.csv").write_text("t\n")), ["it holds a.csv; give the path of a log"]),
-        (lambda f: (f.mkdir(), write_folder(f / "bag", [])), ["it holds the recordings bag: give one of them"]),
+        (
+            lambda f: (f.mkdir(), (f / "a.csv").write_text("t\n")),
+            ["it holds a.csv; give the path of a log"],
+        ),
+        (
+            lambda f: (f.mkdir(), write_folder(f / "bag", [])),
+            ["it holds the recordings bag: give one of them"],
+        ),
     ],
 )
 def test_a_folder_that_is_no_recording(tmp_path, made, words):
@@ -168,16 +204,24 @@ def test_parts_of_three_containers_with_a_topic_that_some_lack(tmp_path):
     second = write_db3(tmp_path / "b.db3", goals[taken : taken + 10])
     third = write_mcap(tmp_path / "a.mcap", goals[taken + 10 :])
     done = imported([third, second, first])
-    assert done.run.command == pytest.approx(imported([write_mcap(tmp_path / "all.mcap", messages())]).run.command)
-    assert any("3 parts read one after another: c.mcap, b.db3, a.mcap" in note for note in done.notes)
+    assert done.run.command == pytest.approx(
+        imported([write_mcap(tmp_path / "all.mcap", messages())]).run.command
+    )
+    assert any(
+        "3 parts read one after another: c.mcap, b.db3, a.mcap" in note for note in done.notes
+    )
 
 
 def test_a_pause_between_parts_is_reported(tmp_path):
     late = [(topic, kind, message, seconds + 100) for topic, kind, message, seconds in messages()]
     late = [
-        (topic, kind, joint_state(seconds, (1, 2)), seconds) for topic, kind, _, seconds in late if kind == JOINT_STATE
+        (topic, kind, joint_state(seconds, (1, 2)), seconds)
+        for topic, kind, _, seconds in late
+        if kind == JOINT_STATE
     ]
-    done = imported([write_mcap(tmp_path / "bag_0.mcap", messages()), write_mcap(tmp_path / "bag_1.mcap", late)])
+    done = imported(
+        [write_mcap(tmp_path / "bag_0.mcap", messages()), write_mcap(tmp_path / "bag_1.mcap", late)]
+    )
     assert any("the longest pause between two is 99.4 s" in note for note in done.notes)
 
 
@@ -185,7 +229,10 @@ def test_recordings_that_overlap_in_time_are_no_parts(tmp_path):
     one = write_mcap(tmp_path / "bag_0.mcap", messages(last=50))
     other = write_mcap(tmp_path / "bag_1.mcap", messages(first=20))
     message = refused([one, other])
-    assert "bag_0.mcap and bag_1.mcap overlap in time" in message and "no parts of one recording" in message
+    assert (
+        "bag_0.mcap and bag_1.mcap overlap in time" in message
+        and "no parts of one recording" in message
+    )
 
 
 def test_two_recordings_of_different_topics_need_no_file_in_the_mapping(tmp_path):
@@ -202,7 +249,9 @@ def test_the_proposal_for_parts_and_another_log_names_them_by_a_pattern(tmp_path
         write_mcap(tmp_path / "bag_0.mcap", messages(last=40)),
         write_mcap(tmp_path / "bag_1.mcap", messages(first=40)),
     ]
-    (tmp_path / "force[1].csv").write_text("time,load\n" + "".join(f"{START + k / 50},{k % 7}\n" for k in range(60)))
+    (tmp_path / "force[1].csv").write_text(
+        "time,load\n" + "".join(f"{START + k / 50},{k % 7}\n" for k in range(60))
+    )
     paths = [*parts, tmp_path / "force[1].csv"]
     found = guess_mapping(paths)
     assert 'file = "bag_*.mcap"' in found.text
@@ -215,9 +264,13 @@ def test_csv_logs_with_equal_mappings_are_parts_of_one(tmp_path):
     (tmp_path / "a.csv").write_text(head + "".join(rows[20:]))
     (tmp_path / "b.csv").write_text(head + "".join(rows[:20]))
     log = 'time = { column = "t" }\ncommand = { columns = ["u"] }\nmarkers = { columns = [["x", "y", "z"]] }\n'
-    mapping = 'schema = "softmap.mapping/1"\n' + "".join(f'[[log]]\nfile = "{name}"\n{log}' for name in ("a*", "b*"))
+    mapping = 'schema = "softmap.mapping/1"\n' + "".join(
+        f'[[log]]\nfile = "{name}"\n{log}' for name in ("a*", "b*")
+    )
     done = imported([tmp_path / "a.csv", tmp_path / "b.csv"], mapping)
-    assert done.run.t == pytest.approx(np.arange(40) / 10) and any("b.csv, a.csv" in note for note in done.notes)
+    assert done.run.t == pytest.approx(np.arange(40) / 10) and any(
+        "b.csv, a.csv" in note for note in done.notes
+    )
     (tmp_path / "b.csv").write_text(head + "".join(rows[:30]))
     assert "overlap in time (t ends at 2.9 s and begins at 2 s)" in refused(
         [tmp_path / "a.csv", tmp_path / "b.csv"], mapping
@@ -231,7 +284,9 @@ def test_db3_gives_what_mcap_gives(tmp_path, options):
         imported([write_db3(tmp_path / "run.db3", messages(), **options)]).run,
         imported([write_mcap(tmp_path / "run.mcap", messages())]).run,
     )
-    listed = {topic.name: (topic.type, topic.count) for topic in topics_of_db3(tmp_path / "run.db3")}
+    listed = {
+        topic.name: (topic.type, topic.count) for topic in topics_of_db3(tmp_path / "run.db3")
+    }
     assert listed["/goal"] == ("sensor_msgs/msg/JointState", 60)
 
 
@@ -244,11 +299,14 @@ def test_own_types_need_their_definition(tmp_path):
     assert list(held.numbers[:, held.names.index("pull[1]")]) == [0, 2, 4, 6, 8]
     without = write_db3(tmp_path / "without.db3", recorded)
     with pytest.raises(
-        RunError, match="its type my_msgs/msg/Tendons is not one of the common ones.*`ros2 bag convert`"
+        RunError,
+        match="its type my_msgs/msg/Tendons is not one of the common ones.*`ros2 bag convert`",
     ):
         open_db3(without, "/pull")
     assert not topics_of_db3(without)[0].readable
-    with pytest.raises(RunError, match=r"/pull \(my_msgs/msg/Tendons\); convert the recording where ROS knows"):
+    with pytest.raises(
+        RunError, match=r"/pull \(my_msgs/msg/Tendons\); convert the recording where ROS knows"
+    ):
         guess_mapping([without])
 
 
@@ -257,7 +315,8 @@ def test_a_type_that_is_not_the_common_one_is_refused_by_what_is_left_over(tmp_p
     longer = (name, "float64 a\nfloat64 b\nfloat64 c\nfloat64 d\nfloat64 e\n")
     path = write_db3(tmp_path / "run.db3", [("/a", longer, dict.fromkeys("abcde", 0.0), START)])
     with pytest.raises(
-        RunError, match="bytes of a message are left over; the file is damaged, or its .* is not the common"
+        RunError,
+        match="bytes of a message are left over; the file is damaged, or its .* is not the common",
     ):
         open_db3(path, None)
 
@@ -265,7 +324,9 @@ def test_a_type_that_is_not_the_common_one_is_refused_by_what_is_left_over(tmp_p
 def test_every_common_definition_can_be_read_and_holds_its_types():
     assert len(_TYPES) > 60
     for name in _TYPES:
-        types = parse_definition(name.replace("/", "/msg/"), known_definition(name.replace("/", "/msg/")))
+        types = parse_definition(
+            name.replace("/", "/msg/"), known_definition(name.replace("/", "/msg/"))
+        )
         assert types[name]
     assert known_definition("my_msgs/msg/Tendons") is None
 
@@ -285,15 +346,18 @@ ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELEC
     ("script", "words"),
     [
         (
-            f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS} x AS topic_id, x AS timestamp, x AS data FROM n;",
+            f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS} x AS topic_id, x AS "
+            "timestamp, x AS data FROM n;",
             "no table `messages`",
         ),
         (
-            "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts4(topic_id, timestamp, data);",
+            "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts4(topic_id, timestamp, "
+            "data);",
             "no table `messages`",
         ),
         (
-            "DROP TABLE messages; CREATE TABLE messages(topic_id, timestamp, data AS (zeroblob(2000000000)));",
+            "DROP TABLE messages; CREATE TABLE messages(topic_id, timestamp, data AS "
+            "(zeroblob(2000000000)));",
             "no table `messages`",
         ),
         ("DROP TABLE topics;", "no table `topics`"),
@@ -335,7 +399,9 @@ def test_what_an_interrupted_recorder_left_is_read(tmp_path):
     database.close()
     before = (tmp_path / "kept/run.db3-wal").read_bytes()
     done = imported([tmp_path / "kept/run.db3"])
-    assert len(done.run.t) == 60 and any("the recorder was interrupted" in note for note in done.notes)
+    assert len(done.run.t) == 60 and any(
+        "the recorder was interrupted" in note for note in done.notes
+    )
     assert (tmp_path / "kept/run.db3-wal").read_bytes() == before
 
 
@@ -353,7 +419,11 @@ FRAMES += zstandard.ZstdCompressor(write_checksum=True).compress(CSV[300:].encod
 
 @pytest.mark.parametrize(
     ("name", "data"),
-    [("log.csv.gz", gzip.compress(CSV.encode())), ("log.csv.zst", FRAMES), ("log.csv", gzip.compress(CSV.encode()))],
+    [
+        ("log.csv.gz", gzip.compress(CSV.encode())),
+        ("log.csv.zst", FRAMES),
+        ("log.csv", gzip.compress(CSV.encode())),
+    ],
 )
 def test_a_packed_log_is_unpacked_whatever_its_name(tmp_path, name, data):
     (tmp_path / name).write_bytes(data)
@@ -364,7 +434,11 @@ def test_a_packed_log_is_unpacked_whatever_its_name(tmp_path, name, data):
 def test_damage_and_cuts_of_a_packed_log_are_found(tmp_path, name):
     """Both packings carry a checksum of the content."""
     sound = FRAMES if name.endswith("zst") else gzip.compress(CSV.encode())
-    for data in (sound[:-10], sound[:-2] + bytes([sound[-2] ^ 1]) + sound[-1:], sound[:40] + b"\xff" * 20 + sound[60:]):
+    for data in (
+        sound[:-10],
+        sound[:-2] + bytes([sound[-2] ^ 1]) + sound[-1:],
+        sound[:40] + b"\xff" * 20 + sound[60:],
+    ):
         (tmp_path / name).write_bytes(data)
         message = refused([tmp_path / name], CSV_MAP)
         assert tempfile.gettempdir() + "/softmap-" not in message and name in message, message
@@ -375,7 +449,10 @@ def test_a_packed_file_that_grows_without_end_is_stopped(tmp_path, monkeypatch):
 
     monkeypatch.setattr(packed, "LIMIT", 2**22)
     zeros = bytes(2**24)
-    for name, data in (("a.csv.gz", gzip.compress(zeros)), ("b.csv.zst", zstandard.ZstdCompressor().compress(zeros))):
+    for name, data in (
+        ("a.csv.gz", gzip.compress(zeros)),
+        ("b.csv.zst", zstandard.ZstdCompressor().compress(zeros)),
+    ):
         (tmp_path / name).write_bytes(data)
         assert "holds more than 4194304 bytes when unpacked" in refused([tmp_path / name], CSV_MAP)
     (tmp_path / "c.gz").write_bytes(gzip.compress(gzip.compress(CSV.encode())))
@@ -406,7 +483,10 @@ def test_a_long_recording_is_within_the_steps(tmp_path):
     path = write_db3(tmp_path / "run.db3", messages())
     with sqlite3.connect(path) as database:
         for _ in range(12):
-            database.execute("INSERT INTO messages SELECT NULL, topic_id, timestamp + 600000000, data FROM messages")
+            database.execute(
+                "INSERT INTO messages SELECT NULL, topic_id, timestamp + 600000000, data FROM "
+                "messages"
+            )
     database.close()
     listed = {topic.name: topic.count for topic in topics_of_db3(path)}
     assert listed == {"/goal": 60 * 4096, "/joint_states": 30 * 4096, "/poses": 15 * 4096}
@@ -417,12 +497,19 @@ def test_a_mapping_may_name_the_folder_or_the_file_in_it(tmp_path, monkeypatch):
     write_db3(folder / "bag_0.db3", messages())
     complete = imported([folder]).run
     for name in ("bag", "bag_*", "bag_0.db3"):
-        same(imported([folder], MAP.replace("[[log]]\n", f'[[log]]\nfile = "{name}"\n')).run, complete)
-    assert "log 'other*': no given file fits" in refused([folder], MAP.replace("[[log]]", '[[log]]\nfile = "other*"'))
+        same(
+            imported([folder], MAP.replace("[[log]]\n", f'[[log]]\nfile = "{name}"\n')).run,
+            complete,
+        )
+    assert "log 'other*': no given file fits" in refused(
+        [folder], MAP.replace("[[log]]", '[[log]]\nfile = "other*"')
+    )
     monkeypatch.chdir(folder)
     done = imported([Path(".")])
     same(done.run, complete)
-    assert guess_mapping([Path(".")]).text.splitlines()[1].startswith("# ASSUMED  time of bag /goal")
+    assert (
+        guess_mapping([Path(".")]).text.splitlines()[1].startswith("# ASSUMED  time of bag /goal")
+    )
 
 
 def test_damage_of_a_packed_recording_names_the_packed_file(tmp_path):

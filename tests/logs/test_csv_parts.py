@@ -40,7 +40,12 @@ FORMS = {
     "no common name": (["z.txt", "morning.csv", "afternoon.dat"], "time", None, ","),
     "with brackets": (["log[1].csv", "log[2].csv", "log[3].csv"], "time", iso, ","),
     "a date and a time of day": (["b2.csv", "b10.csv", "b9.csv"], "date,clock", date_and_day, ","),
-    "seconds and nanoseconds": (["s_0.csv", "s_1.csv", "s_2.csv"], "stamp.sec,stamp.nanosec", sec_and_nanosec, ","),
+    "seconds and nanoseconds": (
+        ["s_0.csv", "s_1.csv", "s_2.csv"],
+        "stamp.sec,stamp.nanosec",
+        sec_and_nanosec,
+        ",",
+    ),
     "tabs": (["t0.tsv", "t1.tsv", "t2.tsv"], "time", None, "\t"),
 }
 
@@ -68,7 +73,8 @@ def clocked(folder, text, names=("part_1.csv", "part_2.csv", "part_3.csv"), span
     """Parts of a log whose time is written by `text`, from the number of the row."""
     head = ",".join(["time", "cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z"])
     return [
-        write(folder / name, head, rows(count, time=text, first=first)) for name, (first, count) in zip(names, spans)
+        write(folder / name, head, rows(count, time=text, first=first))
+        for name, (first, count) in zip(names, spans)
     ]
 
 
@@ -98,21 +104,29 @@ def test_minutes_and_seconds_pass_the_full_hour_between_parts(tmp_path):
     assert any("full hour" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(("turn", "unit", "start"), [(DAY, "s", DAY - 1.3), (2**32 / 1e6, "us", 2**32 / 1e6 - 1.3)])
+@pytest.mark.parametrize(
+    ("turn", "unit", "start"), [(DAY, "s", DAY - 1.3), (2**32 / 1e6, "us", 2**32 / 1e6 - 1.3)]
+)
 def test_numbers_that_roll_over_are_mended_across_parts(tmp_path, turn, unit, start):
     scale = {"s": 1, "us": 1e6}[unit]
     paths = clocked(tmp_path, lambda k: f"{(start + STEP * k) % turn * scale:.6f}")
     found = imported(paths, MAP % f', unit = "{unit}", jumps = "mend"')
     assert np.diff(found.run.t) == pytest.approx(STEP) and len(found.run.t) == 40
     assert any("rolls over 1 times" in note for note in found.notes)
-    plain = clocked(tmp_path, lambda k: f"{(start + STEP * (k + 6)) % turn * scale:.6f}")  # between part 1 and 2
+    # between part 1 and 2
+    plain = clocked(tmp_path, lambda k: f"{(start + STEP * (k + 6)) % turn * scale:.6f}")
     doubted = imported(plain, MAP % f', unit = "{unit}"')
     assert any('time.jumps = "mend"' in doubt for doubt in doubted.doubts)
 
 
 @pytest.mark.parametrize(
     ("order", "first", "days"),
-    [("mdy", (5, 12), (0, 1)), ("mdy", (4, 30), (0, 1)), ("dmy", (12, 5), (0, 1)), ("dmy", (30, 4), (0, 1))],
+    [
+        ("mdy", (5, 12), (0, 1)),
+        ("mdy", (4, 30), (0, 1)),
+        ("dmy", (12, 5), (0, 1)),
+        ("dmy", (30, 4), (0, 1)),
+    ],
 )
 def test_all_parts_decide_the_order_of_day_and_month(tmp_path, order, first, days):
     day, month = first if order == "dmy" else first[::-1]
@@ -130,16 +144,22 @@ def test_all_parts_decide_the_order_of_day_and_month(tmp_path, order, first, day
 
 def test_parts_whose_dates_decide_nothing_are_asked_about(tmp_path):
     dates = ["3/4/2031", "4/3/2031"]
-    paths = clocked(tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)])
+    paths = clocked(
+        tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)]
+    )
     with pytest.raises(RunError, match='set time.date_order = "dmy" or "mdy"'):
         imported(paths, MAP % "")
-    spans = [np.ptp(imported(paths, MAP % f', date_order = "{order}"').run.t) for order in ("dmy", "mdy")]
+    spans = [
+        np.ptp(imported(paths, MAP % f', date_order = "{order}"').run.t) for order in ("dmy", "mdy")
+    ]
     assert spans == pytest.approx([29 * DAY + STEP * 39] * 2, abs=3 * DAY)
 
 
 def test_parts_with_dates_of_no_common_order_are_refused(tmp_path):
     dates = ["13/4/2031", "4/14/2031"]
-    paths = clocked(tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)])
+    paths = clocked(
+        tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)]
+    )
     with pytest.raises(RunError, match="neither all day/month/year nor all month/day/year"):
         imported(paths, MAP % "")
 
@@ -164,12 +184,17 @@ def test_the_proposal_for_parts_is_one_log_in_the_order_of_time(tmp_path, form):
         complete(done.run)
         assert not any("cannot be imported" in line for line in found.said)
         named = ", ".join(path.name for path in files)
-        assert any(f"3 parts read one after another: {named}; the longest pause between two is 0.05 s" in note
-                   for note in done.notes)  # fmt: skip
+        assert any(
+            f"3 parts read one after another: {named}; the longest pause between two is 0.05 s"
+            in note
+            for note in done.notes
+        )
         assert len(done.run.extra["made_from"]) == 3
 
 
-@pytest.mark.parametrize(("form", "logs"), [("numbered", 2), ("in letters", 2), ("no common name", 4)])
+@pytest.mark.parametrize(
+    ("form", "logs"), [("numbered", 2), ("in letters", 2), ("no common name", 4)]
+)
 def test_the_parts_and_another_log_have_logs_of_their_own(tmp_path, form, logs):
     files = parts(tmp_path, form)
     camera = write(tmp_path / "nx.csv", "time,load", [f"{STEP * k:.3f},{k % 7}" for k in range(40)])
@@ -203,13 +228,17 @@ def test_the_order_is_by_all_columns_of_the_clock(tmp_path, form):
     )
     done = imported([later, earlier], text)
     assert np.diff(done.run.t) == pytest.approx(STEP, abs=1e-6)
-    assert any("b.csv, a.csv; the longest pause between two is 0.05 s" in note for note in done.notes)
+    assert any(
+        "b.csv, a.csv; the longest pause between two is 0.05 s" in note for note in done.notes
+    )
 
 
 def test_each_part_is_read_once(tmp_path, monkeypatch):
     paths = parts(tmp_path, "numbered")
     read, count = TextColumns.read, []
-    monkeypatch.setattr(TextColumns, "read", lambda *args: count.append(args[0].path.name) or read(*args))
+    monkeypatch.setattr(
+        TextColumns, "read", lambda *args: count.append(args[0].path.name) or read(*args)
+    )
     text = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1"] }'
     assert len(imported(paths, text).run.t) == 40
     assert sorted(count) == ["part_1.csv", "part_2.csv", "part_3.csv"]
@@ -232,7 +261,9 @@ def test_packed_parts_and_arrays_are_parts_as_well(tmp_path):
     complete(imported(arrays, found.text).run)
 
 
-@pytest.mark.parametrize("form", ["numbered", "in letters", "a date and a time of day", "seconds and nanoseconds"])
+@pytest.mark.parametrize(
+    "form", ["numbered", "in letters", "a date and a time of day", "seconds and nanoseconds"]
+)
 @pytest.mark.parametrize("second", [(0, 25), (15, 20)])
 def test_logs_that_overlap_are_no_parts_and_the_way_out_is_to_join_runs(tmp_path, form, second):
     paths = parts(tmp_path, form, [(0, 20), second])
@@ -240,7 +271,10 @@ def test_logs_that_overlap_are_no_parts_and_the_way_out_is_to_join_runs(tmp_path
     assert any("overlap in time" in line and "`softmap run join`" in line for line in found.said)
     line = next(line for line in found.text.split("\n") if line.startswith("time = "))
     text = f'schema = "softmap.mapping/1"\n[[log]]\n{line}\ncommand = {{ columns = ["cmd_1", "cmd_2"] }}'
-    with pytest.raises(RunError, match="overlap in time .* s and begins at .* import each by itself.*softmap run join"):
+    with pytest.raises(
+        RunError,
+        match="overlap in time .* s and begins at .* import each by itself.*softmap run join",
+    ):
         imported(paths, text)
     assert len(imported(paths[:1], text).run.t) == 20
 
@@ -249,9 +283,12 @@ def test_files_without_a_column_are_named_and_are_no_parts(tmp_path):
     one = parts(tmp_path, "numbered")[0]
     other = write(tmp_path / "camera.csv", "time,m_x,m_y,m_z", "9,1,2,3", "10,1,2,4", "11,1,2,5")
     text = (
-        'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1", "cmd_2"] }'
+        'schema = "softmap.mapping/1"\n[[log]]\n'
+        'time = { column = "time" }\ncommand = { columns = ["cmd_1", "cmd_2"] }'
     )
-    with pytest.raises(RunError, match="camera.csv has no column cmd_1.*give exactly one, or change `file`"):
+    with pytest.raises(
+        RunError, match="camera.csv has no column cmd_1.*give exactly one, or change `file`"
+    ):
         imported([one, other], text)
     found = guess_mapping([one, other])
     assert not any("parts of one log" in line for line in found.assumed)
@@ -261,7 +298,8 @@ def test_logs_of_other_things_with_the_same_names_stay_apart(tmp_path):
     goals = write(tmp_path / "goals.csv", [f"{STEP * k:.2f},{k % 9},{k % 7}" for k in range(40)])
     seen = write(tmp_path / "seen.csv", [f"{STEP * k:.2f},{k % 5},{k % 3}" for k in range(40)])
     text = (
-        'schema = "softmap.mapping/1"\n[[log]]\nheader = false\ntime = { column = 0 }\ncommand = { columns = [1, 2] }'
+        'schema = "softmap.mapping/1"\n[[log]]\n'
+        "header = false\ntime = { column = 0 }\ncommand = { columns = [1, 2] }"
     )
     with pytest.raises(RunError, match="overlap in time"):
         imported([goals, seen], text)

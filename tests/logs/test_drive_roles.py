@@ -1,8 +1,19 @@
-"""Commands and encoders of `--guess` are columns that move; quaternions and constants are left out and named."""
+"""Commands and encoders of `--guess` are columns that move; quaternions and constants are left out
+and named.
+"""
 
 import numpy as np
 import pytest
-from recordings import JOINT_STATE, POSES, TRANSFORMS, joint_state, places, pose_array, transforms, write_mcap
+from recordings import (
+    JOINT_STATE,
+    POSES,
+    TRANSFORMS,
+    joint_state,
+    places,
+    pose_array,
+    transforms,
+    write_mcap,
+)
 
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.guess_columns import drive_unit
@@ -37,18 +48,27 @@ def bag(folder, topic, definition, make):
     messages = []
     for k, s in enumerate(t):
         stamp = 1.7e9 + s
-        messages.append(("/joint_states", JOINT_STATE, joint_state(stamp, DRIVES[k], ("a", "b")), stamp))
+        messages.append(
+            ("/joint_states", JOINT_STATE, joint_state(stamp, DRIVES[k], ("a", "b")), stamp)
+        )
         messages.append((topic, definition, make(stamp, points[k] / 1000), stamp + 1e-4))
     return write_mcap(folder / "bag.mcap", messages)
 
 
 @pytest.mark.parametrize(
     ("topic", "definition", "make"),
-    [("/markers", POSES, pose_array), ("/poses", POSES, pose_array), ("/tf", TRANSFORMS, transforms)],
+    [
+        ("/markers", POSES, pose_array),
+        ("/poses", POSES, pose_array),
+        ("/tf", TRANSFORMS, transforms),
+    ],
 )
 def test_orientations_that_never_change_are_no_commands(tmp_path, topic, definition, make):
     found = guess_mapping([bag(tmp_path, topic, definition, make)])
-    assert line(found, "command") == 'command = { columns = ["position[a]", "position[b]"], unit = "rad" }'
+    assert (
+        line(found, "command")
+        == 'command = { columns = ["position[a]", "position[b]"], unit = "rad" }'
+    )
     assert line(found, "present") == ""
     kind = "orientation.w" if definition is POSES else "rotation.w"
     assert any("a quaternion" in said and kind in said for said in found.unknown)
@@ -61,9 +81,16 @@ def test_static_transforms_do_not_hide_the_markers(tmp_path):
     messages = []
     for k, s in enumerate(t):
         messages.append(
-            ("/tf_static", TRANSFORMS, transforms(1.7e9 + s, fixed, ("cam", "table", "mount", "lab")), 1.7e9 + s)
+            (
+                "/tf_static",
+                TRANSFORMS,
+                transforms(1.7e9 + s, fixed, ("cam", "table", "mount", "lab")),
+                1.7e9 + s,
+            )
         )
-        messages.append(("/markers", POSES, pose_array(1.7e9 + s, points[k] / 1000), 1.7e9 + s + 1e-4))
+        messages.append(
+            ("/markers", POSES, pose_array(1.7e9 + s, points[k] / 1000), 1.7e9 + s + 1e-4)
+        )
     found = guess_mapping([write_mcap(tmp_path / "bag.mcap", messages)])
     assert "poses[0].position.x" in found.text and "transforms" not in found.text.split("schema")[1]
 
@@ -78,7 +105,9 @@ def test_static_transforms_do_not_hide_the_markers(tmp_path):
     ],
 )
 def test_a_unit_quaternion_is_no_encoder(tmp_path, head):
-    path = log(tmp_path, ["cmd_1", "cmd_2", *head, "tip_x", "tip_y", "tip_z"], DRIVES, turning(60), TIP)
+    path = log(
+        tmp_path, ["cmd_1", "cmd_2", *head, "tip_x", "tip_y", "tip_z"], DRIVES, turning(60), TIP
+    )
     found = guess_mapping([path])
     assert line(found, "present") == "" and "cmd_1" in line(found, "command")
     assert any("a quaternion" in said and head[0] in said for said in found.unknown)
@@ -88,7 +117,11 @@ def test_a_unit_quaternion_is_no_encoder(tmp_path, head):
 def test_constants_are_no_encoders_by_a_loose_name(tmp_path, names):
     head = [names.format(k) for k in range(3)]
     path = log(
-        tmp_path, ["enc_1", "enc_2", *head, "tip_x", "tip_y", "tip_z"], DRIVES, np.tile([1.0, 2.0, 0.5], (60, 1)), TIP
+        tmp_path,
+        ["enc_1", "enc_2", *head, "tip_x", "tip_y", "tip_z"],
+        DRIVES,
+        np.tile([1.0, 2.0, 0.5], (60, 1)),
+        TIP,
     )
     found = guess_mapping([path])
     assert "enc_1" in line(found, "command") and head[0] not in found.text.split("schema")[1]
@@ -98,7 +131,13 @@ def test_constants_are_no_encoders_by_a_loose_name(tmp_path, names):
 def test_named_commands_that_rest_are_kept_until_others_move(tmp_path):
     path = log(tmp_path, ["cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z"], 0 * DRIVES + 3, TIP)
     assert "cmd_1" in line(guess_mapping([path]), "command")
-    path = log(tmp_path, ["goal_1", "goal_2", "u1", "u2", "tip_x", "tip_y", "tip_z"], 0 * DRIVES, DRIVES, TIP)
+    path = log(
+        tmp_path,
+        ["goal_1", "goal_2", "u1", "u2", "tip_x", "tip_y", "tip_z"],
+        0 * DRIVES,
+        DRIVES,
+        TIP,
+    )
     assert "u1" in line(guess_mapping([path]), "command")
 
 

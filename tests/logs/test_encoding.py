@@ -1,4 +1,6 @@
-"""Logs in Windows-1252 are read and reported; other bytes are refused with their line and place in the file."""
+"""Logs in Windows-1252 are read and reported; other bytes are refused with their line and place in
+the file.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,9 @@ def test_a_log_in_windows_1252_is_read_and_reported(tmp_path, kind):
     found = guess_mapping([path])
     assert len(import_logs([path], parse_mapping(found.text, path)).run.t) == 50
     path.write_bytes((head + ROWS).encode("utf-8-sig"))
-    assert open_log(path).names[1] == name and not any("1252" in note for note in open_log(path).notes)
+    assert open_log(path).names[1] == name and not any(
+        "1252" in note for note in open_log(path).notes
+    )
 
 
 def test_a_byte_far_down_is_read_as_well(tmp_path):
@@ -51,5 +55,7 @@ def test_a_byte_far_down_is_read_as_well(tmp_path):
 )
 def test_other_bytes_are_refused_with_their_line_and_place(tmp_path, data, line):
     (tmp_path / "log.csv").write_bytes(data)
-    with pytest.raises(RunError, match=rf"line {line} \(byte \d+ of the file\) is not text in UTF-8.*iconv"):
+    with pytest.raises(
+        RunError, match=rf"line {line} \(byte \d+ of the file\) is not text in UTF-8.*iconv"
+    ):
         open_log(tmp_path / "log.csv")

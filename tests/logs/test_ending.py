@@ -1,4 +1,6 @@
-"""Lines below a table are found and counted; a file that ends within its last cell is a *look at* line."""
+"""Lines below a table are found and counted; a file that ends within its last cell is a *look at*
+line.
+"""
 
 import pytest
 from bench_rows import NAMES, rows
@@ -95,13 +97,19 @@ TEXT = "\n".join([HEAD, *rows(60)])
 def test_a_last_number_with_fewer_digits_is_a_look_at(tmp_path, cut):
     doubts = cut_doubts(tmp_path, TEXT[:-cut])
     assert len(doubts) == 1 and "line 61" in doubts[0] and "skip_last_rows = 1" in doubts[0]
-    assert not cut_doubts(tmp_path, TEXT[:-cut] + "\n")  # a program that ends its lines was not cut within one
+    # a program that ends its lines was not cut within one
+    assert not cut_doubts(tmp_path, TEXT[:-cut] + "\n")
 
 
 @pytest.mark.parametrize("form", ["{:.5e}", "{:08.3f}"])
 def test_any_form_of_numbers_shows_it(tmp_path, form):
-    lines = [",".join([*line.split(",")[:-1], form.format(float(line.split(",")[-1]))]) for line in rows(60)]
-    assert cut_doubts(tmp_path, "\n".join([HEAD, *lines])[:-1]) and not cut_doubts(tmp_path, "\n".join([HEAD, *lines]))
+    lines = [
+        ",".join([*line.split(",")[:-1], form.format(float(line.split(",")[-1]))])
+        for line in rows(60)
+    ]
+    assert cut_doubts(tmp_path, "\n".join([HEAD, *lines])[:-1]) and not cut_doubts(
+        tmp_path, "\n".join([HEAD, *lines])
+    )
 
 
 def test_a_last_label_that_begins_another_is_a_look_at(tmp_path):
@@ -121,7 +129,9 @@ def test_decimal_commas_and_wide_text(tmp_path):
 
 def test_a_program_without_a_last_line_end_is_no_doubt(tmp_path):
     assert not cut_doubts(tmp_path, TEXT)
-    free = [",".join([*line.split(",")[:-1], repr(float(line.split(",")[-1]) / 3)]) for line in rows(60)]
+    free = [
+        ",".join([*line.split(",")[:-1], repr(float(line.split(",")[-1]) / 3)]) for line in rows(60)
+    ]
     free[-1] = ",".join([*free[-1].split(",")[:-1], "98.5"])  # as many digits as each number needs
     assert not cut_doubts(tmp_path, "\n".join([HEAD, *free]))
     assert not cut_doubts(tmp_path, "\n".join([HEAD, *rows(12)])[:-1])  # too few rows show a form

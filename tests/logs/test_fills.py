@@ -1,4 +1,6 @@
-"""The largest number of a type, and huge numbers that repeat, stand for a missing value; one huge number is a fault."""
+"""The largest number of a type, and huge numbers that repeat, stand for a missing value; one huge
+number is a fault.
+"""
 
 import numpy as np
 import pytest
@@ -31,9 +33,13 @@ def read(path):
 )  # fmt: skip
 def test_a_number_that_stands_for_missing_is_not_seen(tmp_path, cell):
     done = read(log(tmp_path, [cell] * 6))
-    assert done.run.t_seen.tolist() == pytest.approx([0.05 * k for k in range(60) if not 20 <= k < 26])
+    assert done.run.t_seen.tolist() == pytest.approx(
+        [0.05 * k for k in range(60) if not 20 <= k < 26]
+    )
     assert np.abs(done.run.markers).max() < 1000
-    assert any("stand for missing values" in note and "in 6 of 60 rows" in note for note in done.notes)
+    assert any(
+        "stand for missing values" in note and "in 6 of 60 rows" in note for note in done.notes
+    )
 
 
 @pytest.mark.parametrize("cell", ["3.4028235e38", "1.7976931348623157e308"])
@@ -42,7 +48,8 @@ def test_the_largest_number_of_a_type_may_be_there_once(tmp_path, cell):
 
 
 @pytest.mark.parametrize(
-    "cells", [["1e30"], ["2.5e25", "3.5e25", "1e30"], ["3.6e38"], ["5e25", "6e25", "7e25", "5e25", "5e25"]]
+    "cells",
+    [["1e30"], ["2.5e25", "3.5e25", "1e30"], ["3.6e38"], ["5e25", "6e25", "7e25", "5e25", "5e25"]],
 )
 def test_other_huge_numbers_stay_an_error(tmp_path, cells):
     mapping = guess_mapping([log(tmp_path, [])]).text

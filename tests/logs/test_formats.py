@@ -45,9 +45,15 @@ NOT_READ = {
     ),
     "log.csv": (b"#ROSBAG V2.0\n" + bytes(100), "a ROS 1 bag"),
     "run.mcap": (ros1_mcap(), "an MCAP file of ROS 1 messages: convert the bag"),
-    "log.xlsx": (archive(["[Content_Types].xml", "xl/workbook.xml"]), "a spreadsheet (.xlsx): save the sheet as CSV"),
+    "log.xlsx": (
+        archive(["[Content_Types].xml", "xl/workbook.xml"]),
+        "a spreadsheet (.xlsx): save the sheet as CSV",
+    ),
     "log.CSV": (archive(["[Content_Types].xml", "xl/workbook.xml"]), "a spreadsheet (.xlsx)"),
-    "log.ods": (archive(["mimetype", "content.xml"]), "an OpenDocument file (.ods): save the sheet as CSV"),
+    "log.ods": (
+        archive(["mimetype", "content.xml"]),
+        "an OpenDocument file (.ods): save the sheet as CSV",
+    ),
     "log.xls": (
         b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(500),
         "an old spreadsheet or document (.xls): save the sheet as CSV",
@@ -150,12 +156,18 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
 @pytest.mark.parametrize(
     ("package", "made", "words"),
     [
-        ("scipy", lambda f: (scipy.io.savemat(f / "a.mat", arrays()), f / "a.mat")[1], "MATLAB files need scipy"),
+        (
+            "scipy",
+            lambda f: (scipy.io.savemat(f / "a.mat", arrays()), f / "a.mat")[1],
+            "MATLAB files need scipy",
+        ),
         ("h5py", lambda f: write_mat73(f / "a.mat", arrays()), "HDF5 files need h5py"),
         ("pyarrow", lambda f: write_dataset(f / "set"), "Parquet needs pyarrow"),
     ],
 )
-def test_a_parser_that_is_not_installed_is_named_with_its_extra(tmp_path, monkeypatch, package, made, words):
+def test_a_parser_that_is_not_installed_is_named_with_its_extra(
+    tmp_path, monkeypatch, package, made, words
+):
     path = made(tmp_path)
     (tmp_path / "without").mkdir()
     (tmp_path / f"without/{package}.py").write_text("raise ImportError")
@@ -170,7 +182,8 @@ def test_zstd_that_is_not_installed_is_named_with_its_extra(tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, "zstandard", None)
     (tmp_path / "run.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
     with pytest.raises(
-        RunError, match=r"need zstandard; run pip install 'softmap-edge\[logs\]', or zstd -d run.mcap.zstd"
+        RunError,
+        match=r"need zstandard; run pip install 'softmap-edge\[logs\]', or zstd -d run.mcap.zstd",
     ):
         guess_mapping([tmp_path / "run.mcap.zstd"])
 

@@ -1,4 +1,6 @@
-"""Triples that were not seen on the robot are no markers: desired and computed places, and places that never change."""
+"""Triples that were not seen on the robot are no markers: desired and computed places, and places
+that never change.
+"""
 
 import numpy as np
 import pytest
@@ -14,20 +16,29 @@ DRIVES = np.c_[2.5 * np.sin(1.3 * T), 6 * np.cos(T)]
 def log(folder, head, *columns):
     """A log of time, u1, u2 and columns."""
     rows = np.c_[T, DRIVES, np.concatenate(columns, axis=1)]
-    lines = [",".join(["t", "u1", "u2", *head]), *(",".join(f"{x:.6f}" for x in row) for row in rows)]
+    lines = [
+        ",".join(["t", "u1", "u2", *head]),
+        *(",".join(f"{x:.6f}" for x in row) for row in rows),
+    ]
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
     return folder / "log.csv"
 
 
 def xyz(name):
-    return [name.format(axis) for axis in "xyz"] if "{" in name else [f"{name}_{axis}" for axis in "xyz"]
+    return (
+        [name.format(axis) for axis in "xyz"]
+        if "{" in name
+        else [f"{name}_{axis}" for axis in "xyz"]
+    )
 
 
 def markers(found):
     """The first columns of the proposed markers."""
     text = found.text.split("markers = ")[1] if "markers = " in found.text else ""
     return [
-        row.strip(' ["').split('"')[0] for row in text.split("] }")[0].splitlines()[1:] if row.strip().startswith("[")
+        row.strip(' ["').split('"')[0]
+        for row in text.split("] }")[0].splitlines()[1:]
+        if row.strip().startswith("[")
     ]
 
 
@@ -35,7 +46,9 @@ def left(found, column):
     return next((said for said in found.unknown if f"what {column}," in said), "")
 
 
-@pytest.mark.parametrize("goal", ["des", "target", "goal_tip", "tip_cmd", "reference", "{}_des", "desired.{}"])
+@pytest.mark.parametrize(
+    "goal", ["des", "target", "goal_tip", "tip_cmd", "reference", "{}_des", "desired.{}"]
+)
 @pytest.mark.parametrize("real", ["meas", "tip", "actual", "pos"])
 def test_a_desired_place_is_neither_a_marker_nor_a_command(tmp_path, goal, real):
     path = log(tmp_path, [*xyz(goal), *xyz(real)], TIP + [2.0, -3.0, 1.0], TIP)
@@ -101,7 +114,9 @@ def test_drives_called_x_y_z_stay_commands(tmp_path):
 
 
 # --- places that never change -----------------------------------------------------------------
-@pytest.mark.parametrize("name", ["camera", "sensor_pos", "object", "robot_frame_origin_point", "tag7"])
+@pytest.mark.parametrize(
+    "name", ["camera", "sensor_pos", "object", "robot_frame_origin_point", "tag7"]
+)
 def test_a_place_that_never_changes_is_left_out_and_named(tmp_path, name):
     fixed = np.tile([100.0, 50.0, 700.0], (len(T), 1))
     for real in ("tip", "meas"):
@@ -124,7 +139,11 @@ def test_a_marker_of_a_set_may_rest_and_so_may_the_clamp(tmp_path):
 def test_names():
     assert is_goal("des_ ") and is_goal("tipDesired") and is_goal("cmd_ ")
     assert not is_goal("motor_target_ ") and not is_goal("destination") and not is_goal("tip_ ")
-    assert is_computed("x_est", ["x"]) and is_computed(" d", [" ", " d"]) and not is_computed("D_ ", ["C_ ", "D_ "])
+    assert (
+        is_computed("x_est", ["x"])
+        and is_computed(" d", [" ", " d"])
+        and not is_computed("D_ ", ["C_ ", "D_ "])
+    )
 
 
 def test_follows_needs_the_same_motion_nearby():

@@ -1,4 +1,6 @@
-"""`softmap import --guess` proposes a mapping that imports, says what it assumed, and says what no log can tell."""
+"""`softmap import --guess` proposes a mapping that imports, says what it assumed, and says what no
+log can tell.
+"""
 
 import json
 import re
@@ -32,7 +34,9 @@ def told(lines, *words):
 
 # --- published logs ------------------------------------------------------------------------
 def test_the_trunk(tmp_path):
-    """Two files, a counter, commands and encoders in degrees, three bodies in metres, y up, hanging."""
+    """Two files, a counter, commands and encoders in degrees, three bodies in metres, y up,
+    hanging.
+    """
     folder = published("trunk")
     logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     found = guess_mapping(logs)
@@ -47,16 +51,25 @@ def test_the_trunk(tmp_path):
         assert np.array_equal(getattr(run, name), getattr(right, name)), name
     shift = run.markers - right.markers  # the place of the clamp is a guess, and said to be one
     assert np.nanmax(np.abs(shift - shift[0])) < 1e-9 and np.linalg.norm(shift[0, 0]) < 5.0
-    assert np.isnan(run.markers).any() and not np.isnan(right.markers).any()  # the example keeps them
-    assert told(found.unknown, "how fast 'ID' counts", "100 Hz") and told(found.unknown, "where the clamp is")
-    assert told(found.unknown, "gravity is not declared") and told(found.unknown, "radius of the spools")
-    assert told(found.assumed, "encoders: in deg", "12-bit servo") and told(found.assumed, "runs along -y")
+    # the example keeps them
+    assert np.isnan(run.markers).any() and not np.isnan(right.markers).any()
+    assert told(found.unknown, "how fast 'ID' counts", "100 Hz") and told(
+        found.unknown, "where the clamp is"
+    )
+    assert told(found.unknown, "gravity is not declared") and told(
+        found.unknown, "radius of the spools"
+    )
+    assert told(found.assumed, "encoders: in deg", "12-bit servo") and told(
+        found.assumed, "runs along -y"
+    )
     assert told(found.said, "79 % of the rows repeat")
 
 
 @pytest.mark.parametrize("name", ["val.csv", "train.csv"])
 def test_the_tdcr(tmp_path, name):
-    """Nine tendons named by servo, out of order: the order of the file is kept; a tip; labels of patterns."""
+    """Nine tendons named by servo, out of order: the order of the file is kept; a tip; labels of
+    patterns.
+    """
     path = published("tdcr") / name
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
@@ -65,8 +78,12 @@ def test_the_tdcr(tmp_path, name):
     assert run.command_unit == "mm" and np.array_equal(run.command, raw[:, 2:11])
     assert run.markers[:, 0] == pytest.approx(raw[:, 11:], abs=1e-9) and run.present is None
     assert run.t == pytest.approx(raw[:, 0] - raw[0, 0], abs=1e-6) and done.doubts == ()
-    assert len(set(run.block)) == len({line.split(",")[1] for line in path.read_text().splitlines()[1:]})
-    assert told(found.assumed, "in the order of the file") and told(found.assumed, "'pattern_label'")
+    assert len(set(run.block)) == len(
+        {line.split(",")[1] for line in path.read_text().splitlines()[1:]}
+    )
+    assert told(found.assumed, "in the order of the file") and told(
+        found.assumed, "'pattern_label'"
+    )
 
 
 def test_the_beam(tmp_path):
@@ -78,8 +95,11 @@ def test_the_beam(tmp_path):
     )
     assert list(done.run.extra["marker_labels"]) == ["Tip - 1", "Tip - 2", "Tip - 3"]
     assert done.run.extra["base_markers"].shape == (600, 3, 3)
-    assert np.median(done.run.markers, axis=(0, 1))[2] > 80  # the base frame is at the clamp, z to the tip
-    assert told(found.unknown, "what was commanded") and told(found.assumed, "softmap run align", "b0:X,Y,Z")
+    # the base frame is at the clamp, z to the tip
+    assert np.median(done.run.markers, axis=(0, 1))[2] > 80
+    assert told(found.unknown, "what was commanded") and told(
+        found.assumed, "softmap run align", "b0:X,Y,Z"
+    )
 
 
 # --- recordings of motion capture and ROS --------------------------------------------------
@@ -94,8 +114,13 @@ def test_motion_capture(tmp_path, write, name, unit):
     path = write(tmp_path / name, t, turned / (1 if unit == "mm" else 1000), unit)
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
-    assert all("without commands" in doubt for doubt in done.doubts) and done.run.markers.shape == (60, 2, 3)
-    assert np.nanmedian(done.run.markers[:, 1], axis=0)[2] == pytest.approx(120.0, abs=0.1)  # from the marker "base"
+    assert all("without commands" in doubt for doubt in done.doubts) and done.run.markers.shape == (
+        60,
+        2,
+        3,
+    )
+    # from the marker "base"
+    assert np.nanmedian(done.run.markers[:, 1], axis=0)[2] == pytest.approx(120.0, abs=0.1)
     assert 'axes = ["x", "z", "-y"]' in found.text and 'unit = "file"' in found.text
     assert done.run.visible.sum() == 120 - 5 and told(found.assumed, "1 markers are on the clamp")
 
@@ -121,12 +146,24 @@ XYZ = [f"m{k}_{axis}" for k in range(3) for axis in "xyz"]
 @pytest.mark.parametrize(
     ("head", "scale", "words"),
     [
-        (["time_ms", "cmd_1_deg", "cmd_2_deg"], (1000, 60, 1), ['unit = "ms"', 'command_unit = "deg"']),
-        (["Time [s]", "u1 (mm)", "u2 (mm)"], (1, 8, 1e-3), ['column = "Time [s]", unit = "s"', 'unit = "m", columns']),
+        (
+            ["time_ms", "cmd_1_deg", "cmd_2_deg"],
+            (1000, 60, 1),
+            ['unit = "ms"', 'command_unit = "deg"'],
+        ),
+        (
+            ["Time [s]", "u1 (mm)", "u2 (mm)"],
+            (1, 8, 1e-3),
+            ['column = "Time [s]", unit = "s"', 'unit = "m", columns'],
+        ),
         (["stamp", "motor_a", "motor_b"], (1e9, 0.8, 1), ['unit = "ns"', 'command_unit = "rad"']),
         (["t", "goal1", "goal2"], (1, 2000.4, 1), ["goal1"]),
         (["t", "servo_x_deg", "servo_y_deg"], (1, 60, 1), ['"servo_x_deg", "servo_y_deg"']),
-        (["t", "left_motor_deg", "right_motor_deg"], (1, 60, 1), ['"left_motor_deg", "right_motor_deg"']),
+        (
+            ["t", "left_motor_deg", "right_motor_deg"],
+            (1, 60, 1),
+            ['"left_motor_deg", "right_motor_deg"'],
+        ),
     ],
 )
 def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
@@ -136,18 +173,29 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     found = guess_mapping([path])
     assert all(word in found.text for word in words), found.text
     run = imported(tmp_path, found, [path]).run
-    assert run.markers[5, 2, 2] - run.markers[5, 0, 2] == pytest.approx(120, abs=0.2) and run.channels == 2
+    assert (
+        run.markers[5, 2, 2] - run.markers[5, 0, 2] == pytest.approx(120, abs=0.2)
+        and run.channels == 2
+    )
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
 def test_a_force_beside_a_place_is_no_marker(tmp_path):
-    """Taken for one, it would also turn the frame: the robot would run from its tip to its force."""
+    """Taken for one, it would also turn the frame: the robot would run from its tip to its
+    force.
+    """
     t, points = places(100)
     force = np.column_stack([0 * t, 0 * t, 1 + 0 * t])
     head = ["time", "u1", "u2", "x", "y", "z", "fx", "fy", "fz"]
     seen = np.stack([points[:, 2], force], axis=1)
-    found = guess_mapping([written(tmp_path, bench_log(head, t, np.column_stack([np.sin(t), np.cos(t)]), seen))])
-    assert '["x", "y", "z"]' in found.text and '"fx"' not in found.text and told(found.unknown, "fx, fy, fz", "force")
+    found = guess_mapping(
+        [written(tmp_path, bench_log(head, t, np.column_stack([np.sin(t), np.cos(t)]), seen))]
+    )
+    assert (
+        '["x", "y", "z"]' in found.text
+        and '"fx"' not in found.text
+        and told(found.unknown, "fx, fy, fz", "force")
+    )
 
 
 def test_units_in_the_names_of_markers_are_believed(tmp_path):
@@ -165,18 +213,25 @@ def test_units_in_the_names_of_markers_are_believed(tmp_path):
 def test_rings_of_markers_have_their_clamp_in_the_middle(tmp_path):
     t = np.arange(400) / 50
     angle = np.tile(np.arange(4) * np.pi / 2, 5)
-    rest = np.column_stack([12 * np.cos(angle), 12 * np.sin(angle), np.repeat([20, 45, 70, 95, 120], 4)])
+    rest = np.column_stack(
+        [12 * np.cos(angle), 12 * np.sin(angle), np.repeat([20, 45, 70, 95, 120], 4)]
+    )
     u = 8 * np.column_stack([np.sin(3 * t), np.cos(2 * t), 0 * t])
     points = rest + u[:, None] * (rest[:, 2:] / 60) + [300.0, 40.0, 0.0]
     names = [f"{axis}{k}" for k in range(20) for axis in "xyz"]
     path = written(tmp_path, bench_log(["t", "u0", "u1", *names], t, u[:, :2], points))
     found = guess_mapping([path])
     origin = json.loads(re.search(r"origin_mm = (\[.*?\])", found.text)[1])
-    assert origin == pytest.approx([300, 40, 20], abs=4) and imported(tmp_path, found, [path]).doubts == ()
+    assert (
+        origin == pytest.approx([300, 40, 20], abs=4)
+        and imported(tmp_path, found, [path]).doubts == ()
+    )
 
 
 def test_names_of_another_language(tmp_path):
-    """The first column rises evenly: a clock, whatever its name. Two neighbours differ in the last word: two motors."""
+    """The first column rises evenly: a clock, whatever its name. Two neighbours differ in the last
+    word: two motors.
+    """
     t, points = places(400)
     u = 60 * np.column_stack([np.sin(t), np.cos(t), 0.1 * np.sin(t), 1 + 0 * t])
     head = ["Zeit", "motor_links", "motor_rechts", "pumpe7", "leer"]
@@ -192,11 +247,18 @@ def test_ticks_stay_ticks(tmp_path):
     t, points = places(400)
     u = np.rint(2048 + 900 * np.column_stack([np.sin(t), np.cos(t)]))
     path = written(
-        tmp_path, bench_log(["t", "goal_1", "goal_2", "present_1", "present_2", *XYZ], t, np.hstack([u, u]), points)
+        tmp_path,
+        bench_log(
+            ["t", "goal_1", "goal_2", "present_1", "present_2", *XYZ], t, np.hstack([u, u]), points
+        ),
     )
     found = guess_mapping([path])
     run = imported(tmp_path, found, [path]).run
-    assert run.command_unit == "ticks" and np.array_equal(run.command, u) and np.array_equal(run.present, u)
+    assert (
+        run.command_unit == "ticks"
+        and np.array_equal(run.command, u)
+        and np.array_equal(run.present, u)
+    )
     assert told(found.unknown, "home: the ticks at which the robot rests", "offset = [-")
 
 
@@ -210,14 +272,20 @@ def test_semicolons_labels_current_and_doubled_stamps(tmp_path):
     path = written(tmp_path, "\n".join(f"{line};{part}" for line, part in zip(lines, parts)))
     found = guess_mapping([path])
     run = imported(tmp_path, found, [path]).run
-    assert set(run.block) == {"up", "down"} and run.current.shape == (300, 2) and run.temperature[0] == 21.0
+    assert (
+        set(run.block) == {"up", "down"}
+        and run.current.shape == (300, 2)
+        and run.temperature[0] == 21.0
+    )
     assert 'repeated = "spread"' in found.text and np.diff(run.t) == pytest.approx(0.01, abs=1e-9)
 
 
 def test_without_a_header_it_says_that_it_cannot_know(tmp_path):
     text, _ = made_log()
     path = written(tmp_path, text.split("\n", 1)[1])
-    with pytest.raises(RunError, match=r"no column looks like a command or a marker .*0 \(0 to 1\.9\)") as fault:
+    with pytest.raises(
+        RunError, match=r"no column looks like a command or a marker .*0 \(0 to 1\.9\)"
+    ) as fault:
         guess_mapping([path])
     assert "docs/reference/mapping.md" in str(fault.value) and "\n" not in str(fault.value)
 
@@ -238,23 +306,36 @@ def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
     path = str(write_c3d(tmp_path / "a.c3d", t, points))
     assert main(["import", path, "--guess"]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("# Proposed") and re.search(r"^# UNKNOWN .*where the clamp is", printed, re.MULTILINE)
+    assert printed.startswith("# Proposed") and re.search(
+        r"^# UNKNOWN .*where the clamp is", printed, re.MULTILINE
+    )
     out = str(tmp_path / "map.toml")
     assert main(["import", path, "--guess", "--out", out]) == 0
     said = capsys.readouterr().out
-    assert "assumed   markers" in said and "unknown   what was commanded" in said and f"--map {out}" in said
+    assert (
+        "assumed   markers" in said
+        and "unknown   what was commanded" in said
+        and f"--map {out}" in said
+    )
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 0
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 2
     assert "a run stands there and would be lost" in capsys.readouterr().err
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz"), "--force"]) == 0
     (tmp_path / "map.toml").write_text("corrected by hand")
     assert main(["import", path, "--guess", "--out", out]) == 2
-    assert "stands there already" in capsys.readouterr().err and (tmp_path / "map.toml").read_text()[:3] == "cor"
+    assert (
+        "stands there already" in capsys.readouterr().err
+        and (tmp_path / "map.toml").read_text()[:3] == "cor"
+    )
     assert main(["import", path, "--guess", "--out", out, "--force"]) == 0
     capsys.readouterr()
     assert main(["import", path, "--guess", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["schema"] == "softmap.guess/1" and document["mapping"] in printed and document["unknown"]
+    assert (
+        document["schema"] == "softmap.guess/1"
+        and document["mapping"] in printed
+        and document["unknown"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""A column that is time by its name and mostly by its values is proposed, with the key that reads it and the doubt."""
+"""A column that is time by its name and mostly by its values is proposed, with the key that reads
+it and the doubt.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,11 @@ EVEN = 1000 + STEP * np.arange(COUNT)
 
 
 def proposed(folder, times, name="time"):
-    path = write(folder / "log.csv", ",".join([name, *NAMES[1:]]), rows(len(times), time=lambda k: f"{times[k]:.13g}"))
+    path = write(
+        folder / "log.csv",
+        ",".join([name, *NAMES[1:]]),
+        rows(len(times), time=lambda k: f"{times[k]:.13g}"),
+    )
     found = guess_mapping([path])
     assert "no column holds time" not in found.text
     return found, path
@@ -57,7 +63,9 @@ def test_stray_times_are_left_out(tmp_path, kind):
     assert any(f"leaves out {lost} of {COUNT} rows" in said for said in found.unknown)
     done = read(found, path)
     assert len(done.run.t) == COUNT - lost and (np.diff(done.run.t) < 5 * STEP).all()
-    assert any(f"{lost} rows whose time does not increase were dropped" in note for note in done.notes)
+    assert any(
+        f"{lost} rows whose time does not increase were dropped" in note for note in done.notes
+    )
 
 
 def test_few_falls_of_a_long_log_need_the_key_as_well(tmp_path):
@@ -77,12 +85,16 @@ def test_a_clock_that_was_set_back_once_is_mended(tmp_path, size):
 
 
 @pytest.mark.parametrize(
-    "steps", [((140, 1.0), (200, 2.0)), ((90, 3.0), (150, 1.5), (240, 60.0)), ((100, 60.0), (200, 60.0))]
+    "steps",
+    [((140, 1.0), (200, 2.0)), ((90, 3.0), (150, 1.5), (240, 60.0)), ((100, 60.0), (200, 60.0))],
 )
 def test_a_clock_that_was_set_back_several_times_is_mended_with_a_doubt(tmp_path, steps):
     found, path = proposed(tmp_path, set_back(*steps))
     assert 'jumps = "mend"' in found.text and 'repeated = "drop"' not in found.text
-    assert any(f"at row {steps[-1][0]}: jumps" in said and f"{len(steps)} steps" in said for said in found.unknown)
+    assert any(
+        f"at row {steps[-1][0]}: jumps" in said and f"{len(steps)} steps" in said
+        for said in found.unknown
+    )
     done = read(found, path)
     assert done.run.t == pytest.approx(EVEN, abs=1e-6)
     assert sum("the clock was set by" in doubt for doubt in done.doubts) == len(steps)
@@ -91,13 +103,18 @@ def test_a_clock_that_was_set_back_several_times_is_mended_with_a_doubt(tmp_path
 def test_recordings_in_a_row_are_not_joined(tmp_path):
     times = np.r_[EVEN[:150], EVEN[:150]]
     found, _ = proposed(tmp_path, times)
-    assert 'column = "time", unit = "s" }' in found.text and "mend" not in found.text.split("schema")[1]
+    assert (
+        'column = "time", unit = "s" }' in found.text
+        and "mend" not in found.text.split("schema")[1]
+    )
     assert any("to_row = 149 and from_row = 150" in said for said in found.unknown)
 
 
 def test_several_recordings_in_a_row_are_not_mended(tmp_path):
     found, _ = proposed(tmp_path, np.r_[EVEN[:100], EVEN[:100], EVEN[:100]])
-    assert "mend" not in found.text.split("schema")[1] and any("starts again at row 100" in s for s in found.unknown)
+    assert "mend" not in found.text.split("schema")[1] and any(
+        "starts again at row 100" in s for s in found.unknown
+    )
 
 
 # --- the unit --------------------------------------------------------------------------------
@@ -109,7 +126,9 @@ def test_several_recordings_in_a_row_are_not_mended(tmp_path):
 @pytest.mark.parametrize("rolls", [True, False])
 def test_a_name_states_the_unit(tmp_path, name, unit, rolls):
     scale = {"ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
-    counts = np.rint((EVEN - 1000) * scale) + (2.0**32 - 4 * scale if unit != "ns" and rolls else 1.2e9)
+    counts = np.rint((EVEN - 1000) * scale) + (
+        2.0**32 - 4 * scale if unit != "ns" and rolls else 1.2e9
+    )
     found, path = proposed(tmp_path, counts % 2.0**32 if rolls and unit != "ns" else counts, name)
     assert f'column = "{name}", unit = "{unit}"' in found.text
     run = read(found, path).run
@@ -118,7 +137,9 @@ def test_a_name_states_the_unit(tmp_path, name, unit, rolls):
 
 def test_a_unit_is_a_name_of_time_in_any_column(tmp_path):
     lines = [",".join([*NAMES[1:], "millis"])]
-    lines += [",".join([*row.split(",")[1:], str(5000 + 50 * k)]) for k, row in enumerate(rows(COUNT))]
+    lines += [
+        ",".join([*row.split(",")[1:], str(5000 + 50 * k)]) for k, row in enumerate(rows(COUNT))
+    ]
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     assert 'column = "millis", unit = "ms"' in guess_mapping([tmp_path / "log.csv"]).text
 
@@ -144,4 +165,6 @@ def test_the_longest_rise():
     t = np.array([1.0, 2.0, 90.0, 3.0, 4.0, 0.0, 5.0, 5.0])
     assert t[longest_rise(t)].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert increasing(t).sum() == 3  # too few remain: as far as time rises
-    assert increasing(changed([90], 4e9)).sum() == COUNT - 1 and longest_rise(np.zeros(0)).sum() == 0
+    assert (
+        increasing(changed([90], 4e9)).sum() == COUNT - 1 and longest_rise(np.zeros(0)).sum() == 0
+    )

@@ -1,4 +1,6 @@
-"""The time of a log: seconds with their fraction, counters, nothing; and places among columns without names."""
+"""The time of a log: seconds with their fraction, counters, nothing; and places among columns
+without names.
+"""
 
 import math
 
@@ -20,7 +22,10 @@ def at(k):
 
 def parts(unit, first="full"):
     def written(k):
-        full, fraction = int(at(k)), round((at(k) - int(at(k))) * {"ns": 1e9, "us": 1e6, "ms": 1e3}[unit])
+        full, fraction = (
+            int(at(k)),
+            round((at(k) - int(at(k))) * {"ns": 1e9, "us": 1e6, "ms": 1e3}[unit]),
+        )
         return f"{full},{fraction}" if first == "full" else f"{fraction},{full}"
 
     return written
@@ -53,7 +58,9 @@ def test_a_pair_is_found_by_its_values_where_names_say_nothing(tmp_path):
 
 def test_a_pair_in_a_mapping(tmp_path):
     path = write(tmp_path / "log.csv", ",".join(["s", "n", *NAMES[1:]]), rows(time=parts("ns")))
-    mapping = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { %s }\ncommand = { columns = ["cmd_1"] }'
+    mapping = (
+        'schema = "softmap.mapping/1"\n[[log]]\ntime = { %s }\ncommand = { columns = ["cmd_1"] }'
+    )
     run = import_logs([path], parse_mapping(mapping % 'columns = ["s", "n"]', path)).run
     assert run.t == pytest.approx([at(k) for k in range(40)], abs=1e-6)
     for keys, words in (
@@ -72,7 +79,9 @@ def test_a_pair_in_a_mapping(tmp_path):
 
 @pytest.mark.parametrize(("scale", "unit"), [(1, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_since_1970_have_their_unit_by_size(tmp_path, scale, unit):
-    path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=lambda k: repr(round(at(k) * scale, 4))))
+    path = write(
+        tmp_path / "log.csv", ",".join(NAMES), rows(time=lambda k: repr(round(at(k) * scale, 4)))
+    )
     found = guess_mapping([path])
     assert f'unit = "{unit}"' in found.text
     run = import_logs([path], parse_mapping(found.text, path)).run
@@ -81,9 +90,13 @@ def test_times_since_1970_have_their_unit_by_size(tmp_path, scale, unit):
 
 # --- no time -------------------------------------------------------------------------------
 def test_a_log_without_time_is_declared_so(tmp_path):
-    path = write(tmp_path / "log.csv", ",".join(NAMES[1:]), [line.split(",", 1)[1] for line in rows()])
+    path = write(
+        tmp_path / "log.csv", ",".join(NAMES[1:]), [line.split(",", 1)[1] for line in rows()]
+    )
     found = guess_mapping([path])
-    assert 'time = "none"' in found.text and any("nothing about rates" in line for line in found.unknown)
+    assert 'time = "none"' in found.text and any(
+        "nothing about rates" in line for line in found.unknown
+    )
     done = import_logs([path], parse_mapping(found.text, path))
     assert done.run.timeless and done.run.frames == 40
 
@@ -103,7 +116,9 @@ def test_a_column_of_time_that_is_not_read_is_named(tmp_path, text, words):
 
 def test_times_with_a_unit_in_each_cell_are_refused_with_the_way_out(tmp_path):
     path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=lambda k: f"{STEP * k}s"))
-    with pytest.raises(RunError, match="columns time hold numbers with a unit, such as '0.0s'.*numbers only"):
+    with pytest.raises(
+        RunError, match="columns time hold numbers with a unit, such as '0.0s'.*numbers only"
+    ):
         guess_mapping([path])
 
 
@@ -116,12 +131,18 @@ def test_a_line_that_is_no_row_does_not_hide_the_time(tmp_path):
 
 def test_the_finer_of_two_clocks_is_taken(tmp_path):
     lines = rows(time=lambda k: f"2031-05-07 10:15:{k // 20:02d},{50 * k}")
-    found = guess_mapping([write(tmp_path / "log.csv", ",".join(["date", "time_ms", *NAMES[1:]]), lines)])
+    found = guess_mapping(
+        [write(tmp_path / "log.csv", ",".join(["date", "time_ms", *NAMES[1:]]), lines)]
+    )
     assert 'column = "time_ms", unit = "ms"' in found.text
 
 
 def test_days_of_a_spreadsheet(tmp_path):
-    path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=lambda k: f"{48000.427 + STEP * k / 86400:.10f}"))
+    path = write(
+        tmp_path / "log.csv",
+        ",".join(NAMES),
+        rows(time=lambda k: f"{48000.427 + STEP * k / 86400:.10f}"),
+    )
     found = guess_mapping([path])
     assert 'unit = "d"' in found.text
     run = import_logs([path], parse_mapping(found.text, path)).run
@@ -144,7 +165,9 @@ def test_two_logs_without_time_are_joined_at_a_rate_that_is_assumed(tmp_path):
 def test_places_among_columns_without_names(tmp_path):
     tips = [f"{0.01 * k:.2f}," + ",".join(line.split(",")[3:]) for k, line in enumerate(rows(80))]
     found = guess_mapping([write(tmp_path / "log.csv", tips)])
-    assert "[1, 2, 3]" in found.text and any("their values look like" in line for line in found.unknown)
+    assert "[1, 2, 3]" in found.text and any(
+        "their values look like" in line for line in found.unknown
+    )
 
 
 def test_commands_without_names_are_no_place(tmp_path):
@@ -156,5 +179,8 @@ def test_commands_without_names_are_no_place(tmp_path):
 
 
 def test_a_quaternion_behind_three_columns_makes_them_a_place(tmp_path):
-    poses = [f"{STEP * k},{k % 7},{k % 5},{x},0,0,0,1,0,0" for k, x in enumerate(np.linspace(0.1, 0.2, 60))]
+    poses = [
+        f"{STEP * k},{k % 7},{k % 5},{x},0,0,0,1,0,0"
+        for k, x in enumerate(np.linspace(0.1, 0.2, 60))
+    ]
     assert "[1, 2, 3]" in guess_mapping([write(tmp_path / "log.csv", poses)]).text

@@ -1,4 +1,6 @@
-"""Where the table of a text log begins: lines above the names, units, groups, rows without names, ragged ends."""
+"""Where the table of a text log begins: lines above the names, units, groups, rows without names,
+ragged ends.
+"""
 
 import time
 
@@ -17,7 +19,11 @@ TABBED = [name + ", mm" for name in NAMES]
 ABOVE = {
     "nothing": ([HEAD], {}),
     "a logger's remarks": (
-        ["my logger started on:,2031-5-7_101500", "ctrl:,{'n': 2, 'u0': [1000., 1000.], 'sep': ';'}", HEAD],
+        [
+            "my logger started on:,2031-5-7_101500",
+            "ctrl:,{'n': 2, 'u0': [1000., 1000.], 'sep': ';'}",
+            HEAD,
+        ],
         {},
     ),
     "a table of settings": (["name,value", "mass,3", "length,90", "", HEAD], {}),
@@ -82,10 +88,14 @@ def test_one_row_that_is_cut_is_not_filled_up(tmp_path):
     lines = rows(60)
     for cut, line in ((30, 32), (59, 61)):
         path = write(tmp_path / "log.csv", HEAD, [*lines[:cut], lines[cut][:-8], *lines[cut + 1 :]])
-        with pytest.raises(RunError, match=f"line {line} has 5 cells, expected 6; the file may be cut short"):
+        with pytest.raises(
+            RunError, match=f"line {line} has 5 cells, expected 6; the file may be cut short"
+        ):
             open_log(path).read(list(range(6)))
     path = write(tmp_path / "log.csv", HEAD, [*lines[:30], lines[30] + ",7", *lines[31:]])
-    with pytest.raises(RunError, match="line 32 has 7 cells, expected 6; cells of the line are not named"):
+    with pytest.raises(
+        RunError, match="line 32 has 7 cells, expected 6; cells of the line are not named"
+    ):
         open_log(path).read(list(range(6)))
 
 
@@ -104,12 +114,17 @@ def test_names_over_several_columns_stand_in_front(tmp_path):
 # --- rows without names --------------------------------------------------------------------
 def test_a_row_is_never_taken_for_names(tmp_path):
     """The case: a word in each row made the first row look like names."""
-    lines = [f"1900000000,{50_000_000 * k},world," + ",".join(rows(1, first=k)[0].split(",")[3:]) for k in range(18)]
+    lines = [
+        f"1900000000,{50_000_000 * k},world," + ",".join(rows(1, first=k)[0].split(",")[3:])
+        for k in range(18)
+    ]
     path = write(tmp_path / "log.csv", [line + ",0.0,0.0,0.0,1.0" for line in lines])
     columns = open_log(path)
     assert columns.names == list("0123456789") and len(columns.read([3]).numbers) == 18
     mapping = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { rate_hz = 20 }\nmarkers = { columns = ["x", "y", "z"] }'
-    with pytest.raises(RunError, match=r"line 1 looks like a row.*9 of 10 cells are numbers.*header = false"):
+    with pytest.raises(
+        RunError, match=r"line 1 looks like a row.*9 of 10 cells are numbers.*header = false"
+    ):
         import_logs([path], parse_mapping(mapping, path))
     found = guess_mapping([path])
     assert "header = false" in found.text and "[3, 4, 5]" in found.text
@@ -137,12 +152,16 @@ def test_where_no_line_fits_the_rows_the_message_says_where_they_begin(tmp_path)
     path = write(tmp_path / "log.csv", "bench", HEAD, indexed)
     with pytest.raises(RunError) as fault:
         guess_mapping([path])
-    assert "differ in width (1, 6, 7)" in str(fault.value) and "begin in line 3: set skip_rows = 2" in str(fault.value)
+    assert "differ in width (1, 6, 7)" in str(
+        fault.value
+    ) and "begin in line 3: set skip_rows = 2" in str(fault.value)
     mapping = (
-        'schema = "softmap.mapping/1"\n[[log]]\nskip_rows = 2\nheader = false\ntime = { column = 1 }\n'
+        'schema = "softmap.mapping/1"\n[[log]]\nskip_rows = 2\nheader = false\ntime = { column = '
+        "1 }\n"
         "markers = { columns = [4, 5, 6] }"
     )
-    assert import_logs([path], parse_mapping(mapping, path)).run.frames == 40  # the remedy leads out
+    # the remedy leads out
+    assert import_logs([path], parse_mapping(mapping, path)).run.frames == 40
 
 
 # --- limits --------------------------------------------------------------------------------
@@ -154,7 +173,8 @@ def test_the_search_ends_early_however_long_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "line", ["a," * 40_000, "1," * 40_000, "1:" * 40_000, "1 " * 40_000, "'" * 90_000, '"1,' * 9_000]
+    "line",
+    ["a," * 40_000, "1," * 40_000, "1:" * 40_000, "1 " * 40_000, "'" * 90_000, '"1,' * 9_000],
 )
 def test_odd_heads_take_no_time(tmp_path, line):
     path = write(tmp_path / "log.csv", *[line] * 20)

@@ -1,4 +1,6 @@
-"""Logs become a run as the mapping says: columns, units, clocks, axes, blocks, several logs joined by time."""
+"""Logs become a run as the mapping says: columns, units, clocks, axes, blocks, several logs joined
+by time.
+"""
 
 import hashlib
 import json
@@ -21,27 +23,44 @@ PAGE = (ROOT / "docs/reference/mapping.md").read_text(encoding="utf-8")
 PAGE_MAP = re.search(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
 
 
-# --- what docs/reference/mapping.md says -------------------------------------------------------------
+# --- what docs/reference/mapping.md says ----------------------------------------------------------
 def test_the_example_of_the_page_brings_markers_into_the_base_frame(tmp_path):
-    names = ["stamp", "servo_a", "servo_b"] + [f"m{k}_{axis}" for k in range(1, 6) for axis in "xyz"]
-    base = np.array([[0.0, 0.0, 24.0 * k] for k in range(1, 6)]) + [3.0, 5.0, 0.0]  # x, y, z of five markers
+    names = ["stamp", "servo_a", "servo_b"] + [
+        f"m{k}_{axis}" for k in range(1, 6) for axis in "xyz"
+    ]
+    # x, y, z of five markers
+    base = np.array([[0.0, 0.0, 24.0 * k] for k in range(1, 6)]) + [3.0, 5.0, 0.0]
     seen = np.stack([base[:, 0] + 310, base[:, 2] + 45, 820 - base[:, 1]], axis=1)
     rows = [[1000 + k / 30, 90.0 * k, 0.0, *seen.ravel()] for k in range(4)]
-    lines = ["# finger lab, servo in degrees", ",".join(names), *(",".join(map(str, row)) for row in rows)]
+    lines = [
+        "# finger lab, servo in degrees",
+        ",".join(names),
+        *(",".join(map(str, row)) for row in rows),
+    ]
     run = imported(tmp_path, "\n".join(lines), PAGE_MAP).run
     np.testing.assert_allclose(run.markers, np.broadcast_to(base, (4, 5, 3)), atol=1e-9)
     np.testing.assert_allclose(run.command[:, 0], np.arange(4) * 4 * np.pi)  # 90° of 8 mm
     assert run.t[0] == 0.0 and run.t_seen[-1] == pytest.approx(0.1)
-    assert np.array_equal(imported(tmp_path, "\n".join(lines), PAGE_MAP.replace("skip_rows = 1", "")).run.t, run.t)
+    assert np.array_equal(
+        imported(tmp_path, "\n".join(lines), PAGE_MAP.replace("skip_rows = 1", "")).run.t, run.t
+    )
 
 
 def test_every_key_and_unit_is_on_the_page(tmp_path, monkeypatch):
     asked = set()
     get = toml_table.TomlTable.get
-    monkeypatch.setattr(toml_table.TomlTable, "get", lambda self, key, *rest: asked.add(key) or get(self, key, *rest))
+    monkeypatch.setattr(
+        toml_table.TomlTable,
+        "get",
+        lambda self, key, *rest: asked.add(key) or get(self, key, *rest),
+    )
     (tmp_path / "map.toml").write_text(PAGE_MAP, encoding="utf-8")
     read_mapping(tmp_path / "map.toml")
-    asked |= set(mapping.UNITS) | {unit for units in mapping.UNITS.values() for unit in units} | set(mapping.TIME)
+    asked |= (
+        set(mapping.UNITS)
+        | {unit for units in mapping.UNITS.values() for unit in units}
+        | set(mapping.TIME)
+    )
     assert {"skip_last_rows", "marker_rest_mm", "load_g", "spool_radius_mm"} <= asked
     assert [key for key in sorted(asked) if not re.search(rf"[`\[]{key}\b|, {key}[, ]", PAGE)] == []
 
@@ -78,7 +97,9 @@ def test_units_of_commands(tmp_path, unit, command_unit, extra, factor):
     run = imported(tmp_path, text, mapping).run
     assert run.command == pytest.approx(table[:, 1:3] * factor)
     radius = {"spool_radius_mm": float(extra.split("= ")[1])} if "spool" in extra else {}
-    assert {name: float(run.extra[name]) for name in ("spool_radius_mm",) if name in run.extra} == radius
+    assert {
+        name: float(run.extra[name]) for name in ("spool_radius_mm",) if name in run.extra
+    } == radius
 
 
 def test_signs_offsets_and_ticks(tmp_path):
@@ -123,8 +144,13 @@ def test_empty_cells_of_markers_are_not_visible_and_labels_become_blocks(tmp_pat
     text, table = made_log()
     lines = text.splitlines()
     lines[3] = ",".join(lines[3].split(",")[:6] + ["", "NaN", ""])
-    lines = [line + ("," + "part" if k == 0 else f",{'up' if k < 9 else 'down'}") for k, line in enumerate(lines)]
-    run = imported(tmp_path, "\n".join(lines), ONE_LOG.replace("[[log]]", '[[log]]\nblock = "part"')).run
+    lines = [
+        line + ("," + "part" if k == 0 else f",{'up' if k < 9 else 'down'}")
+        for k, line in enumerate(lines)
+    ]
+    run = imported(
+        tmp_path, "\n".join(lines), ONE_LOG.replace("[[log]]", '[[log]]\nblock = "part"')
+    ).run
     assert not run.visible[2, 1] and run.visible.sum() == 2 * 20 - 1
     assert list(run.block[[0, 7, 8, 19]]) == ["up", "up", "down", "down"]
     assert run.markers[3] == pytest.approx(table[3, 3:].reshape(2, 3) * 1000)
@@ -134,17 +160,22 @@ def test_logs_are_joined_by_time(tmp_path):
     t, s = np.arange(0, 4.001, 0.1), np.arange(-0.5, 5, 0.25)
     slow = np.arange(0, 4.6, 0.5)
     (tmp_path / "u.csv").write_text("t,u\n" + "\n".join(f"{x:.3f},{3 * x:.6f}" for x in t))
-    (tmp_path / "cam.csv").write_text("ms,x,y,z\n" + "\n".join(f"{1000 * x:.1f},{x:.6f},{x * x / 10:.6f},1" for x in s))
-    (tmp_path / "enc.csv").write_text("t,e,T\n" + "\n".join(f"{x:.3f},{2 * x:.6f},{20 + x:.6f}" for x in slow))
-    (tmp_path / "map.toml").write_text(
-        'schema = "softmap.mapping/1"\n'
-        '[[log]]\nfile = "u*.csv"\ntime = { column = "t" }\ncommand = { columns = ["u"] }\n'
-        '[[log]]\nfile = "cam*"\ntime = { column = "ms", unit = "ms" }\n'
-        'markers = { columns = ["x", "y", "z"], unit = "m" }\n'
-        '[[log]]\nfile = "enc*"\ntime = { column = "t" }\npresent = { columns = ["e"] }\n'
-        'temperature = { columns = ["T"] }\n[seen]\nrate_hz = 2\n[commands]\nrate_hz = 20\n[blocks]\nseconds = 2\n'
+    (tmp_path / "cam.csv").write_text(
+        "ms,x,y,z\n" + "\n".join(f"{1000 * x:.1f},{x:.6f},{x * x / 10:.6f},1" for x in s)
     )
-    done = import_logs([tmp_path / n for n in ("enc.csv", "cam.csv", "u.csv")], read_mapping(tmp_path / "map.toml"))
+    (tmp_path / "enc.csv").write_text(
+        "t,e,T\n" + "\n".join(f"{x:.3f},{2 * x:.6f},{20 + x:.6f}" for x in slow)
+    )
+    (tmp_path / "map.toml").write_text(
+        'schema = "softmap.mapping/1"\n[[log]]\nfile = "u*.csv"\ntime = { column = "t" }\ncommand '
+        '= { columns = ["u"] }\n[[log]]\nfile = "cam*"\ntime = { column = "ms", unit = "ms" }\n'
+        'markers = { columns = ["x", "y", "z"], unit = "m" }\n[[log]]\nfile = "enc*"\ntime = { '
+        'column = "t" }\npresent = { columns = ["e"] }\ntemperature = { columns = ["T"] '
+        "}\n[seen]\nrate_hz = 2\n[commands]\nrate_hz = 20\n[blocks]\nseconds = 2\n"
+    )
+    done = import_logs(
+        [tmp_path / n for n in ("enc.csv", "cam.csv", "u.csv")], read_mapping(tmp_path / "map.toml")
+    )
     run = done.run
     assert run.t == pytest.approx(np.arange(81) / 20)
     assert run.command[:, 0] == pytest.approx(3 * run.t)
@@ -160,7 +191,9 @@ def test_load_is_declared_only_where_the_mapping_says_so(tmp_path):
     text, _ = made_log()
     table = '[constant]\nload_g = {{ "*_100g.csv" = 100, "*" = 0 }}\ndeclare_load = {}\n'
     declared = ONE_LOG + table.format("true")
-    assert np.array_equal(imported(tmp_path, text, declared, "log_100g.csv").run.load, np.full(20, 100.0))
+    assert np.array_equal(
+        imported(tmp_path, text, declared, "log_100g.csv").run.load, np.full(20, 100.0)
+    )
     assert np.array_equal(imported(tmp_path, text, declared).run.load, np.zeros(20))
     hidden = imported(tmp_path, text, ONE_LOG + table.format("false"), "log_100g.csv")
     assert hidden.run.load is None and any("not declared" in note for note in hidden.notes)
@@ -203,7 +236,11 @@ def test_the_verb_writes_a_run_and_says_what_it_did(tmp_path, capsys):
         ('{ column = "t" }', "{ }", ["needs `column`, `rate_hz`"]),
         ('{ column = "t" }', "{ rate_hz = 0 }", ["rate_hz = 0", "expected"]),
         ('{ column = "t" }', "{ rate_hz = nan }", ["rate_hz = nan", "expected"]),
-        ('{ column = "t" }', '{ column = "t", unit = "hours" }', ["'hours'", "expected one of s, ms"]),
+        (
+            '{ column = "t" }',
+            '{ column = "t", unit = "hours" }',
+            ["'hours'", "expected one of s, ms"],
+        ),
         ('["a", "b"]', "[]", ["command: columns", "expected a list"]),
         ('["a", "b"]', '["a", "b"], unit = "deg"', ["spool_radius_mm", 'command_unit = "deg"']),
         ('["a", "b"]', '["a", "b"], scale = [1, 2, 3]', ["scale has shape (3,)", "(2,)"]),

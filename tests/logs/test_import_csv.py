@@ -1,4 +1,6 @@
-"""CSV logs as they really are: delimiters, decimals, headers or none, empty and cut rows, doubled times, many rows."""
+"""CSV logs as they really are: delimiters, decimals, headers or none, empty and cut rows, doubled
+times, many rows.
+"""
 
 import numpy as np
 import pytest
@@ -21,8 +23,14 @@ def test_delimiters_and_line_ends_are_found(tmp_path, delimiter, newline):
 def test_decimal_commas_and_columns_by_number(tmp_path):
     text, table = made_log(delimiter=";")
     mapping = ONE_LOG.replace("[[log]]", '[[log]]\ndecimal = ","\ndelimiter = ";"')
-    assert np.array_equal(imported(tmp_path, text.replace(".", ","), mapping).run.command, table[:, 1:3])
-    numbered = ONE_LOG.replace("[[log]]", "[[log]]\nheader = false").replace('"t"', "0").replace('["a", "b"]', "[1, 2]")
+    assert np.array_equal(
+        imported(tmp_path, text.replace(".", ","), mapping).run.command, table[:, 1:3]
+    )
+    numbered = (
+        ONE_LOG.replace("[[log]]", "[[log]]\nheader = false")
+        .replace('"t"', "0")
+        .replace('["a", "b"]', "[1, 2]")
+    )
     numbered = numbered.replace('[["x", "y", "z"], ["p", "q", "r"]]', "[3, 4, 5, 6, 7, 8]")
     bare = text.replace(";", ",").split("\n", 1)[1]
     assert np.array_equal(imported(tmp_path, bare, numbered).run.command, table[:, 1:3])
@@ -57,15 +65,22 @@ def test_a_row_written_twice_is_one_row(tmp_path):
     text, table = made_log()
     lines = text.splitlines()
     done = imported(tmp_path, "\n".join([*lines[:6], lines[5], lines[5], *lines[6:]]))
-    assert np.array_equal(done.run.command, table[:, 1:3]) and any("2 rows that repeat" in note for note in done.notes)
+    assert np.array_equal(done.run.command, table[:, 1:3]) and any(
+        "2 rows that repeat" in note for note in done.notes
+    )
 
 
 def test_times_of_a_coarse_clock_can_be_spread(tmp_path):
     """Four rows a stamp, as a logger writes that empties its buffer."""
     text, table = made_log(rows=40)
     lines = text.splitlines()
-    stamped = [lines[0], *(f"{0.4 * (k // 4):.1f},{line.split(',', 1)[1]}" for k, line in enumerate(lines[1:]))]
-    assert '"spread"' in (message := fault(tmp_path, "\n".join(stamped))) and '"drop"' not in message
+    stamped = [
+        lines[0],
+        *(f"{0.4 * (k // 4):.1f},{line.split(',', 1)[1]}" for k, line in enumerate(lines[1:])),
+    ]
+    assert (
+        '"spread"' in (message := fault(tmp_path, "\n".join(stamped))) and '"drop"' not in message
+    )
     spread = ONE_LOG.replace('column = "t"', 'column = "t", repeated = "spread"')
     done = imported(tmp_path, "\n".join(stamped), spread)
     run = done.run
@@ -76,7 +91,9 @@ def test_times_of_a_coarse_clock_can_be_spread(tmp_path):
 def test_repeated_times_can_be_dropped(tmp_path):
     text, table = made_log()
     doubled = text.replace("\n0.5,", "\n0.4,", 1)
-    run = imported(tmp_path, doubled, ONE_LOG.replace('column = "t"', 'column = "t", repeated = "drop"')).run
+    run = imported(
+        tmp_path, doubled, ONE_LOG.replace('column = "t"', 'column = "t", repeated = "drop"')
+    ).run
     assert len(run.t) == 19 and np.array_equal(run.command[5], table[6, 1:3])
 
 
@@ -91,7 +108,9 @@ def test_the_wrong_delimiter_is_recognised(tmp_path):
     text, _ = made_log(delimiter=";")
     message = fault(tmp_path, text, ONE_LOG.replace("[[log]]", '[[log]]\ndelimiter = ","'))
     assert "cut by ';'" in message
-    message = fault(tmp_path, text.replace(".", ","), ONE_LOG.replace("[[log]]", '[[log]]\ndecimal = "."'))
+    message = fault(
+        tmp_path, text.replace(".", ","), ONE_LOG.replace("[[log]]", '[[log]]\ndecimal = "."')
+    )
     assert 'decimal = ","' in message
 
 
@@ -99,7 +118,9 @@ def test_decimal_commas_are_found(tmp_path):
     for mark in (";", "\t"):
         text, table = made_log(delimiter=mark)
         done = imported(tmp_path, text.replace(".", ","))
-        assert np.array_equal(done.run.command, table[:, 1:3]) and any("decimal commas" in note for note in done.notes)
+        assert np.array_equal(done.run.command, table[:, 1:3]) and any(
+            "decimal commas" in note for note in done.notes
+        )
 
 
 @pytest.mark.parametrize("cut", [";", "\t", " ", "|"])
@@ -125,8 +146,13 @@ def test_columns_between_spaces(tmp_path):
 def test_comments_above_the_header_and_units_below_it(tmp_path):
     text, table = made_log()
     lines = text.splitlines()
-    done = imported(tmp_path, "\n".join(["# a bench", "", "% of ours", lines[0], "s,mm,mm" + ",m" * 6, *lines[1:]]))
-    assert np.array_equal(done.run.command, table[:, 1:3]) and any("units" in note for note in done.notes)
+    done = imported(
+        tmp_path,
+        "\n".join(["# a bench", "", "% of ours", lines[0], "s,mm,mm" + ",m" * 6, *lines[1:]]),
+    )
+    assert np.array_equal(done.run.command, table[:, 1:3]) and any(
+        "units" in note for note in done.notes
+    )
 
 
 def test_a_comma_at_the_end_of_each_row(tmp_path):
@@ -143,21 +169,28 @@ def test_blank_and_empty_rows_are_left_out(tmp_path):
     lines[9:9] = ["," * 8]
     done = imported(tmp_path, "\n".join(lines) + "\n\n")
     assert np.array_equal(done.run.t, table[:, 0])
-    assert any("2 blank lines" in n for n in done.notes) and any("1 empty rows" in n for n in done.notes)
+    assert any("2 blank lines" in n for n in done.notes) and any(
+        "1 empty rows" in n for n in done.notes
+    )
     broken = [*lines[:-1], "oops," + lines[-1].split(",", 1)[1]]
-    assert "line 24, column t: 'oops'" in fault(tmp_path, "\n".join(broken))  # lines are the file's own
+    # lines are the file's own
+    assert "line 24, column t: 'oops'" in fault(tmp_path, "\n".join(broken))
 
 
 def test_missing_rows_are_counted(tmp_path):
     text, _ = made_log(rows=60)
     lines = text.splitlines()
     done = imported(tmp_path, "\n".join(lines[:20] + lines[25:40] + lines[41:]))
-    assert any("6 rows are missing in 2 gaps" in n and "0.6 s after line 20" in n for n in done.notes)
+    assert any(
+        "6 rows are missing in 2 gaps" in n and "0.6 s after line 20" in n for n in done.notes
+    )
     assert not any("missing" in note for note in imported(tmp_path, text).notes)
 
 
 def test_cells_without_a_value(tmp_path):
-    """Two rates in one file: rows without command are no command rows, an encoder between its values is on the line."""
+    """Two rates in one file: rows without command are no command rows, an encoder between its
+    values is on the line.
+    """
     text, table = made_log(rows=41)
     lines = [line.split(",") for line in text.splitlines()]
     for k, row in enumerate(lines[1:]):
@@ -166,7 +199,9 @@ def test_cells_without_a_value(tmp_path):
         row[3:] = row[3:] if k % 5 == 0 else [""] * 6
     mapping = ONE_LOG.replace('["a", "b"] }', '["a"] }\npresent = { columns = ["b"] }')
     done = imported(tmp_path, "\n".join(map(",".join, lines)), mapping)
-    assert np.array_equal(done.run.t, table[::2, 0]) and np.array_equal(done.run.command[:, 0], table[::2, 1])
+    assert np.array_equal(done.run.t, table[::2, 0]) and np.array_equal(
+        done.run.command[:, 0], table[::2, 1]
+    )
     assert done.run.present[::2, 0] == pytest.approx(table[::4, 2])
     assert done.run.present[1, 0] == pytest.approx(table[[0, 4], 2].mean())
     assert np.array_equal(done.run.t_seen, table[::5, 0]) and done.run.visible is None
@@ -175,22 +210,31 @@ def test_cells_without_a_value(tmp_path):
     )
     for row in lines[1:]:
         row[2] = ""
-    assert "present: its column 1 holds no value" in fault(tmp_path, "\n".join(map(",".join, lines)), mapping)
+    assert "present: its column 1 holds no value" in fault(
+        tmp_path, "\n".join(map(",".join, lines)), mapping
+    )
 
 
 def test_two_columns_of_one_name_are_not_guessed(tmp_path):
     text, table = made_log()
     mapping = ONE_LOG.replace('"b"', '"a"')
-    assert "columns 1 and 2 are all called 'a'" in fault(tmp_path, text.replace("t,a,b", "t,a,a", 1), mapping)
+    assert "columns 1 and 2 are all called 'a'" in fault(
+        tmp_path, text.replace("t,a,b", "t,a,a", 1), mapping
+    )
     numbered = ONE_LOG.replace('["a", "b"]', "[1, 2]")
-    assert np.array_equal(imported(tmp_path, text.replace("t,a,b", "t,a,a", 1), numbered).run.command, table[:, 1:3])
+    assert np.array_equal(
+        imported(tmp_path, text.replace("t,a,b", "t,a,a", 1), numbered).run.command, table[:, 1:3]
+    )
 
 
 def test_many_rows_take_little_memory(tmp_path):
-    """100 000 rows of 17 columns in a process of its own; `python -m benches.import_rows` does a million."""
+    """100 000 rows of 17 columns in a process of its own; `python -m benches.import_rows` does a
+    million.
+    """
     from benches.import_rows import measure, write_log
 
     write_log(tmp_path, 100_000)
     _, seconds, megabytes, rows = measure(tmp_path)
     assert rows == 100_000 and seconds < 10.0  # of work
-    assert megabytes < 150.0  # of the whole process, 35 MB of them the interpreter and numpy; the log is 16 MB
+    # of the whole process, 35 MB of them the interpreter and numpy; the log is 16 MB
+    assert megabytes < 150.0

@@ -1,4 +1,6 @@
-"""Wrong units, y-up logs and swapped axes are suspected in one line that names the remedy; right ones are not."""
+"""Wrong units, y-up logs and swapped axes are suspected in one line that names the remedy; right
+ones are not.
+"""
 
 import numpy as np
 import pytest
@@ -20,11 +22,23 @@ markers = {{ columns = [["x0", "y0", "z0"], ["x1", "y1", "z1"], ["x2", "y2", "z2
 """
 
 
-def robot(time=1.0, command=1.0, present=1.0, markers=1.0, turn=((1, 0, 0), (0, 1, 0), (0, 0, 1)), shift=0.0):
-    """A log of a hanging robot of 120 mm, ±30° of two motors that move it by 40 mm; each kind times a factor."""
+def robot(
+    time=1.0,
+    command=1.0,
+    present=1.0,
+    markers=1.0,
+    turn=((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    shift=0.0,
+):
+    """A log of a hanging robot of 120 mm, ±30° of two motors that move it by 40 mm; each kind times
+    a factor.
+    """
     u = 30 * np.column_stack([np.sin(0.9 * T), np.sin(1.3 * T)])
     q = 30 * np.column_stack([np.sin(0.9 * T - 0.1), np.sin(1.3 * T - 0.1)])
-    points = np.stack([np.column_stack([1.3 * s**2 * q, np.full(len(T), 120 * s)]) for s in (0.33, 0.66, 1.0)], axis=1)
+    points = np.stack(
+        [np.column_stack([1.3 * s**2 * q, np.full(len(T), 120 * s)]) for s in (0.33, 0.66, 1.0)],
+        axis=1,
+    )
     points = points + 0.05 * np.random.default_rng(0).normal(size=points.shape)
     seen = ((points + shift) @ np.asarray(turn).T).reshape(len(T), 9) * markers
     rows = np.column_stack([T * time, u * command, q * present, seen])
@@ -32,7 +46,9 @@ def robot(time=1.0, command=1.0, present=1.0, markers=1.0, turn=((1, 0, 0), (0, 
 
 
 def mapping(top='command_unit = "deg"', time="", command="", present="", markers="", frame=""):
-    return MAP.format(top=top, time=time, command=command, present=present, markers=markers, frame=frame)
+    return MAP.format(
+        top=top, time=time, command=command, present=present, markers=markers, frame=frame
+    )
 
 
 def doubts(folder, log, told):
@@ -49,7 +65,11 @@ def test_a_log_as_it_should_be_raises_no_doubt(tmp_path):
 @pytest.mark.parametrize(
     ("factors", "told", "words"),
     [
-        ({"command": np.pi / 180}, {}, ["command: at most 0.523", 'unit = "deg" looks like rad', 'set unit = "rad"']),
+        (
+            {"command": np.pi / 180},
+            {},
+            ["command: at most 0.523", 'unit = "deg" looks like rad', 'set unit = "rad"'],
+        ),
         ({}, {"command": ', unit = "rad"'}, ["command: at most 30", "looks like deg"]),
         ({"present": np.pi / 180}, {}, ["times as far as command", "deg and rad"]),
         (
@@ -72,7 +92,11 @@ def test_another_unit_is_suspected(tmp_path, factors, told, words):
     ("factors", "told", "words"),
     [
         ({"markers": 1e-3}, {}, ["markers:", 'unit = "mm", which looks like m: set unit = "m"']),
-        ({}, {"markers": ', unit = "m"'}, ["markers:", 'unit = "m", which looks like mm: set unit = "mm"']),
+        (
+            {},
+            {"markers": ', unit = "m"'},
+            ["markers:", 'unit = "m", which looks like mm: set unit = "mm"'],
+        ),
         ({}, {"top": "", "command": ', unit = "m"'}, ["command:", "looks like mm"]),
     ],
 )
@@ -86,9 +110,13 @@ def test_other_quantities(tmp_path):
     log = "\n".join([lines[0] + ",i,T,w", *(line + ",0.4,295,0.1" for line in lines[1:])])
     extra = 'current = { columns = ["i", "i"] }\nload = { columns = ["w"] }\n'
     told = mapping().replace("markers =", extra + "markers =")
-    assert any("current: at most 0.4" in doubt and '"A"' in doubt for doubt in doubts(tmp_path, log, told))
+    assert any(
+        "current: at most 0.4" in doubt and '"A"' in doubt for doubt in doubts(tmp_path, log, told)
+    )
     assert any('looks like kg: set unit = "kg"' in doubt for doubt in doubts(tmp_path, log, told))
-    message = fault(tmp_path, log, told.replace("markers =", 'temperature = { columns = ["T"] }\nmarkers ='))
+    message = fault(
+        tmp_path, log, told.replace("markers =", 'temperature = { columns = ["T"] }\nmarkers =')
+    )
     assert 'temperature: at most 295 with unit = "degC" looks like K: set unit = "K"' in message
 
 
@@ -105,7 +133,11 @@ TURNS = {
 def test_a_frame_that_is_not_the_base_frame_is_seen_at_rest(tmp_path, turn):
     matrix, axes = TURNS[turn]
     found = doubts(tmp_path, robot(turn=matrix), mapping())
-    assert len(found) == 1 and "at rest they run along" in found[0] and f"set frame.axes = {axes}" in found[0]
+    assert (
+        len(found) == 1
+        and "at rest they run along" in found[0]
+        and f"set frame.axes = {axes}" in found[0]
+    )
     run = imported(tmp_path, robot(turn=matrix), mapping(frame=f"[frame]\naxes = {axes}"))
     assert run.doubts == () and np.median(run.run.markers[:, 2, 2]) == pytest.approx(120, abs=0.1)
 
@@ -127,13 +159,18 @@ def test_proposed_axes_are_never_a_mirror():
 
 def test_an_origin_far_from_the_robot_is_told(tmp_path):
     found = doubts(tmp_path, robot(shift=[900, -400, 100]), mapping())
-    assert any("from the origin of the base frame" in doubt and "frame.origin_mm" in doubt for doubt in found)
+    assert any(
+        "from the origin of the base frame" in doubt and "frame.origin_mm" in doubt
+        for doubt in found
+    )
 
 
 def test_a_cloud_of_markers_has_no_axis():
     assert rest_axis(np.random.default_rng(0).normal(size=(20, 3)), None) is None
     assert rest_axis(np.array([[3.0, 0, 4]]), None) == pytest.approx([0.6, 0, 0.8])
-    assert rest_axis(np.array([[10.0, 0, 0], [-10, 0, 0]]), np.array([0, 0, -50.0])) == pytest.approx([0, 0, 1])
+    assert rest_axis(
+        np.array([[10.0, 0, 0], [-10, 0, 0]]), np.array([0, 0, -50.0])
+    ) == pytest.approx([0, 0, 1])
 
 
 def test_right_logs_of_real_robots_raise_no_doubt(tmp_path):
@@ -156,16 +193,22 @@ base = { columns = [["p", "q", "r"], ["u", "v", "w"]], unit = "%s" }
 """
 
 
-@pytest.mark.parametrize(("stated", "scale", "said"), [("mm", 1e-3, "m"), ("m", 1.0, "mm"), ("mm", 1.0, None)])
+@pytest.mark.parametrize(
+    ("stated", "scale", "said"), [("mm", 1e-3, "m"), ("m", 1.0, "mm"), ("mm", 1.0, None)]
+)
 def test_a_base_in_another_unit_is_doubted_by_its_own_key(tmp_path, stated, scale, said):
     base = scale * np.array([40.0, 3.0, 8.0, -38.0, 12.0, 9.0])
     lines = ["t,x,y,z,p,q,r,u,v,w"]
     for k in range(60):
         tip = [20 * np.sin(k / 9), 10 * np.cos(k / 7), 120.0]
-        lines.append(",".join(f"{x:.6f}" for x in (0.05 * k, *tip, *(base + 1e-5 * scale * np.sin(k)))))
+        lines.append(
+            ",".join(f"{x:.6f}" for x in (0.05 * k, *tip, *(base + 1e-5 * scale * np.sin(k))))
+        )
     doubts = imported(tmp_path, "\n".join(lines) + "\n", BASED % stated).doubts
     named = [doubt for doubt in doubts if doubt.startswith("base: span")]
-    assert bool(named) == (said is not None) and all(f'set unit = "{said}"' in doubt for doubt in named)
+    assert bool(named) == (said is not None) and all(
+        f'set unit = "{said}"' in doubt for doubt in named
+    )
     assert not any(doubt.startswith("markers: span") for doubt in doubts)
 
 
@@ -180,10 +223,19 @@ current = { columns = ["i", "j"] }
 
 
 def readings(folder, frozen, begin, end, parts=(0, 300)):
-    """Logs of two servos; the column `frozen` keeps its last reading in rows `begin` to before `end`."""
+    """Logs of two servos; the column `frozen` keeps its last reading in rows `begin` to before
+    `end`.
+    """
     rng, paths = np.random.default_rng(3), []
-    table = {"t": 0.05 * np.arange(300), "a": 5 * np.sin(np.arange(300) / 9), "b": 4 * np.cos(np.arange(300) / 7)}
-    table |= {"d": 0.9 * table["a"] + rng.normal(0, 0.02, 300), "e": 0.9 * table["b"] + rng.normal(0, 0.02, 300)}
+    table = {
+        "t": 0.05 * np.arange(300),
+        "a": 5 * np.sin(np.arange(300) / 9),
+        "b": 4 * np.cos(np.arange(300) / 7),
+    }
+    table |= {
+        "d": 0.9 * table["a"] + rng.normal(0, 0.02, 300),
+        "e": 0.9 * table["b"] + rng.normal(0, 0.02, 300),
+    }
     table |= {name: 100 + 40 * np.sin(np.arange(300) / 8) + rng.normal(0, 2, 300) for name in "ij"}
     if frozen:
         table[frozen][begin:end] = table[frozen][begin]
@@ -196,14 +248,27 @@ def readings(folder, frozen, begin, end, parts=(0, 300)):
 
 
 @pytest.mark.parametrize(
-    ("column", "name"), [("d", "present: column 1"), ("e", "present: column 2"), ("i", "current: column 1")]
+    ("column", "name"),
+    [("d", "present: column 1"), ("e", "present: column 2"), ("i", "current: column 1")],
 )
 @pytest.mark.parametrize("parts", [(0, 300), (0, 150, 300), (0, 100, 200, 300)])
-def test_a_reading_that_stands_still_while_its_command_moves_is_named(tmp_path, column, name, parts):
-    named = [doubt for doubt in readings(tmp_path, column, 140, 220, parts) if "to the last digit" in doubt]
-    assert len(named) == 1 and named[0].startswith(f"{name} repeats") and "rows 140 to 219 (7 to 10.95 s)" in named[0]
+def test_a_reading_that_stands_still_while_its_command_moves_is_named(
+    tmp_path, column, name, parts
+):
+    named = [
+        doubt
+        for doubt in readings(tmp_path, column, 140, 220, parts)
+        if "to the last digit" in doubt
+    ]
+    assert (
+        len(named) == 1
+        and named[0].startswith(f"{name} repeats")
+        and "rows 140 to 219 (7 to 10.95 s)" in named[0]
+    )
 
 
 @pytest.mark.parametrize(("column", "begin", "end"), [("", 0, 0), ("d", 100, 112), ("a", 100, 200)])
 def test_readings_that_move_are_not_named(tmp_path, column, begin, end):
-    assert not [doubt for doubt in readings(tmp_path, column, begin, end) if "to the last digit" in doubt]
+    assert not [
+        doubt for doubt in readings(tmp_path, column, begin, end) if "to the last digit" in doubt
+    ]

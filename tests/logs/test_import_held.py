@@ -1,4 +1,6 @@
-"""Encoders that are read more slowly than they are logged are found, told and un-held; stillness is left alone."""
+"""Encoders that are read more slowly than they are logged are found, told and un-held; stillness is
+left alone.
+"""
 
 import numpy as np
 import pytest
@@ -14,24 +16,32 @@ def test_unholding_removes_the_lag_of_a_slow_encoder():
     smooth, found = unhold(t, held)
     assert found.hold_s == pytest.approx(0.05) and found.share == pytest.approx(0.8, abs=0.01)
     inside = slice(0, 1995)  # the last hold has no next value
-    chord = 30 * 0.05**2 / 8  # the farthest a line over one hold leaves a curve of this acceleration
+    # the farthest a line over one hold leaves a curve of this acceleration
+    chord = 30 * 0.05**2 / 8
     assert np.abs(smooth - truth)[inside].max() <= chord + 1e-12
     assert np.abs(held - truth)[inside].max() > 50 * chord  # doing nothing fails
 
 
 def test_stillness_stays_and_slow_poses_are_left_alone():
     t = np.arange(1000) / 100
-    ramp = np.minimum(np.maximum(t - 2, 0), 3.0) + np.maximum(t - 8, 0)  # still, moves, still for 3 s, moves
+    # still, moves, still for 3 s, moves
+    ramp = np.minimum(np.maximum(t - 2, 0), 3.0) + np.maximum(t - 8, 0)
     smooth, found = unhold(t, ramp[(np.arange(1000) // 5) * 5][:, None])
     assert found.hold_s == pytest.approx(0.05)
     assert np.abs(smooth[:, 0] - ramp)[:990].max() <= 0.05 + 1e-9
-    for rows in (np.repeat(np.arange(20.0), 50)[:, None], np.arange(1000.0)[:, None], np.zeros((1000, 1))):
+    for rows in (
+        np.repeat(np.arange(20.0), 50)[:, None],
+        np.arange(1000.0)[:, None],
+        np.zeros((1000, 1)),
+    ):
         same, found = unhold(t, rows)
         assert found.hold_s == 0.0 and np.array_equal(same, rows)
 
 
 def test_channels_read_in_turn_are_unheld_one_by_one():
-    """A bus that asks one motor a row: some value is new in every row, and each is six rows old at most."""
+    """A bus that asks one motor a row: some value is new in every row, and each is six rows old at
+    most.
+    """
     t = np.arange(3000) / 100
     truth = 30 * np.sin(t[:, None] * [0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
     row = np.arange(3000)[:, None]
@@ -54,7 +64,8 @@ def test_a_coarse_encoder_in_slow_motion_is_not_held():
 
 
 HELD_MAP = ONE_LOG.replace(
-    'command = { columns = ["a", "b"] }', 'command = { columns = ["a"] }\npresent = { columns = ["b"] }'
+    'command = { columns = ["a", "b"] }',
+    'command = { columns = ["a"] }\npresent = { columns = ["b"] }',
 )
 
 
@@ -71,10 +82,15 @@ def held_log():
 
 def test_the_import_says_what_was_held_and_undoes_it(tmp_path):
     done = imported(tmp_path, held_log(), HELD_MAP)
-    assert any("80 % of the rows repeat" in note and "every 50 ms" in note and "un-held" in note for note in done.notes)
+    assert any(
+        "80 % of the rows repeat" in note and "every 50 ms" in note and "un-held" in note
+        for note in done.notes
+    )
     assert np.abs(done.run.present - done.run.command)[:495].max() < 0.1
     kept = imported(tmp_path, held_log(), HELD_MAP.replace('["b"]', '["b"], held = "keep"'))
-    assert np.abs(kept.run.present - kept.run.command)[:495].max() > 2.0 and not any("un-held" in n for n in kept.notes)
+    assert np.abs(kept.run.present - kept.run.command)[:495].max() > 2.0 and not any(
+        "un-held" in n for n in kept.notes
+    )
 
 
 def test_repeated_frames_are_old_pictures(tmp_path):
@@ -85,7 +101,9 @@ def test_repeated_frames_are_old_pictures(tmp_path):
         row[3:] = cells[k - k % 4 if k < 300 or k >= 400 else 300][3:]
     text = "\n".join([lines[0], *(",".join(row) for row in cells)])
     done = imported(tmp_path, text, HELD_MAP)
-    assert done.run.frames == 75 + 100 + 25 and np.all(np.diff(done.run.markers[:75], axis=0).any(axis=(1, 2)))
+    assert done.run.frames == 75 + 100 + 25 and np.all(
+        np.diff(done.run.markers[:75], axis=0).any(axis=(1, 2))
+    )
     assert any("300 frames" in note and "slower than the log" in note for note in done.notes)
     assert any("repeat" in doubt and "0.25 s" in doubt for doubt in done.doubts)
     kept = imported(tmp_path, text, HELD_MAP.replace('unit = "m"', 'unit = "m", held = "keep"'))

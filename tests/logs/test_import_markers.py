@@ -1,4 +1,6 @@
-"""Markers by name: those that drop out, exchange their labels or sit on the clamp; labels of the protocol for folds."""
+"""Markers by name: those that drop out, exchange their labels or sit on the clamp; labels of the
+protocol for folds.
+"""
 
 import numpy as np
 import pytest
@@ -27,7 +29,11 @@ def chain(frames=400, seed=0):
 def written(t, points, part=None):
     head = ["t", *(f"{name} {axis}" for name in NAMES for axis in "xyz"), "part"]
     rows = [
-        [f"{x:.4f}", *("" if np.isnan(v) else f"{v:.6f}" for v in row), part[k] if part is not None else "all"]
+        [
+            f"{x:.4f}",
+            *("" if np.isnan(v) else f"{v:.6f}" for v in row),
+            part[k] if part is not None else "all",
+        ]
         for k, (x, row) in enumerate(zip(t, points.reshape(len(t), -1)))
     ]
     return "\n".join(",".join(row) for row in [head, *rows])
@@ -43,7 +49,11 @@ def exchanged(points, first, last, order):
 def test_a_swap_is_reported_by_name_and_frame_and_left(tmp_path):
     t, points = chain()
     done = imported(tmp_path, written(t, exchanged(points, 100, 180, (0, 2, 1))), MAP)
-    assert [d for d in done.doubts if "second and third change places at frame 100 (2 s)" in d and '"mend"' in d]
+    assert [
+        d
+        for d in done.doubts
+        if "second and third change places at frame 100 (2 s)" in d and '"mend"' in d
+    ]
     assert [d for d in done.doubts if "second and third change places at frame 180 (3.6 s)" in d]
     assert done.run.markers[150, 1, 2] == pytest.approx(120, abs=0.5)
 
@@ -51,7 +61,9 @@ def test_a_swap_is_reported_by_name_and_frame_and_left(tmp_path):
 def test_a_swap_is_mended_where_the_mapping_says_so(tmp_path):
     t, points = chain()
     mixed = exchanged(exchanged(points, 100, 180, (0, 2, 1)), 250, 400, (1, 2, 0))
-    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    done = imported(
+        tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"')
+    )
     assert done.run.markers == pytest.approx(points, abs=1e-6) and all(
         "without commands" in doubt for doubt in done.doubts
     )
@@ -63,7 +75,9 @@ def test_a_swap_behind_a_short_dropout_is_found(tmp_path):
     t, points = chain()
     mixed = exchanged(points, 200, 400, (1, 0, 2))
     mixed[195:200, :2] = np.nan
-    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    done = imported(
+        tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"')
+    )
     seen = done.run.visible
     assert done.run.markers[seen] == pytest.approx(points[seen], abs=1e-6) and (~seen).sum() == 10
 
@@ -72,7 +86,8 @@ def test_a_swap_behind_a_short_dropout_is_found(tmp_path):
 def test_markers_that_keep_their_places_are_never_accused(seed):
     t, points = chain(seed=seed)
     assert find_swaps(points, t, NAMES) == []
-    points[np.random.default_rng(seed).random(points.shape[:2]) < 0.3] = np.nan  # dropouts are no swaps
+    # dropouts are no swaps
+    points[np.random.default_rng(seed).random(points.shape[:2]) < 0.3] = np.nan
     assert find_swaps(points, t, NAMES) == []
     few = points[::25]  # half a second between frames: each moves as far as the others are
     assert find_swaps(few, t[::25], NAMES) == []
@@ -80,10 +95,14 @@ def test_markers_that_keep_their_places_are_never_accused(seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_many_swaps_of_many_markers_are_undone_exactly(seed):
-    """Random exchanges of random groups of eight markers, any of them again, with 5 % of the sights lost."""
+    """Random exchanges of random groups of eight markers, any of them again, with 5 % of the sights
+    lost.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(600) / 100
-    base = rng.permutation(np.stack(np.meshgrid([0, 30.0], [0, 30.0], [40, 80.0]), -1).reshape(8, 3))
+    base = rng.permutation(
+        np.stack(np.meshgrid([0, 30.0], [0, 30.0], [40, 80.0]), -1).reshape(8, 3)
+    )
     points = base + 2 * np.sin(3 * t)[:, None, None] + 0.05 * rng.normal(size=(600, 8, 3))
     mixed, order, orders = points.copy(), np.arange(8), [tuple(range(8))] * 600
     for frame in np.sort(rng.choice(np.arange(5, 595), 12, replace=False)):
@@ -99,11 +118,17 @@ def test_many_swaps_of_many_markers_are_undone_exactly(seed):
     assert first == (begin == tuple(range(8)))
 
 
-@pytest.mark.parametrize(("first", "order"), [(1, (1, 0, 2)), (30, (0, 2, 1)), (120, (1, 2, 0)), (199, (1, 0, 2))])
-def test_a_log_that_begins_with_exchanged_markers_gets_the_names_of_most_frames(tmp_path, first, order):
+@pytest.mark.parametrize(
+    ("first", "order"), [(1, (1, 0, 2)), (30, (0, 2, 1)), (120, (1, 2, 0)), (199, (1, 0, 2))]
+)
+def test_a_log_that_begins_with_exchanged_markers_gets_the_names_of_most_frames(
+    tmp_path, first, order
+):
     t, points = chain()
     mixed = exchanged(points, 0, first, order)
-    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    done = imported(
+        tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"')
+    )
     assert done.run.markers == pytest.approx(points, abs=1e-6)
     assert any("names of most of its frames" in note for note in done.notes)
 
@@ -111,7 +136,9 @@ def test_a_log_that_begins_with_exchanged_markers_gets_the_names_of_most_frames(
 def test_of_two_halves_the_first_gives_the_names(tmp_path):
     t, points = chain()
     mixed = exchanged(points, 200, 400, (1, 0, 2))
-    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    done = imported(
+        tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"')
+    )
     assert done.run.markers == pytest.approx(points, abs=1e-6)
 
 
@@ -126,9 +153,15 @@ def test_dropouts_are_counted_by_name(tmp_path):
 
 def test_labels_are_the_columns_common_names_or_given(tmp_path):
     t, points = chain()
-    assert list(imported(tmp_path, written(t, points), MAP).run.extra["marker_labels"]) == list(NAMES)
+    assert list(imported(tmp_path, written(t, points), MAP).run.extra["marker_labels"]) == list(
+        NAMES
+    )
     given = MAP.replace('"third z"]]', '"third z"]], labels = ["a", "b", "tip"]')
-    assert list(imported(tmp_path, written(t, points), given).run.extra["marker_labels"]) == ["a", "b", "tip"]
+    assert list(imported(tmp_path, written(t, points), given).run.extra["marker_labels"]) == [
+        "a",
+        "b",
+        "tip",
+    ]
     message = fault(tmp_path, written(t, points), given.replace('"a", ', ""))
     assert "labels = " in message and "expected 3 texts" in message
     text, _ = made_log()
@@ -141,12 +174,18 @@ def test_markers_on_the_clamp_stand_beside_the_others(tmp_path):
         MAP.replace('["first x", "first y", "first z"], ', "")
         + 'base = { columns = ["first x", "first y", "first z"] }\n'
     )
-    done = imported(tmp_path, written(t, points), apart + "[frame]\norigin_mm = [0, 0, 40]\n[seen]\nrate_hz = 10\n")
+    done = imported(
+        tmp_path,
+        written(t, points),
+        apart + "[frame]\norigin_mm = [0, 0, 40]\n[seen]\nrate_hz = 10\n",
+    )
     run = done.run
     assert run.markers.shape == (80, 2, 3) and run.extra["base_markers"].shape == (80, 1, 3)
     assert run.extra["base_markers"][:, 0] == pytest.approx(points[::5, 0] - [0, 0, 40], abs=1e-5)
     alone = ONE_LOG.replace("markers =", "base =")
-    assert "base markers belong to the log with the markers" in fault(tmp_path, made_log()[0], alone)
+    assert "base markers belong to the log with the markers" in fault(
+        tmp_path, made_log()[0], alone
+    )
 
 
 def test_labels_of_the_protocol_become_blocks_and_folds(tmp_path):

@@ -1,10 +1,21 @@
-"""rosbag2 recordings in MCAP become runs: joint states, poses and transforms by topic; a second decoder agrees."""
+"""rosbag2 recordings in MCAP become runs: joint states, poses and transforms by topic; a second
+decoder agrees.
+"""
 
 import struct
 
 import numpy as np
 import pytest
-from recordings import JOINT_STATE, LABELS, POSES, TRANSFORMS, joint_state, places, robot_messages, write_mcap
+from recordings import (
+    JOINT_STATE,
+    LABELS,
+    POSES,
+    TRANSFORMS,
+    joint_state,
+    places,
+    robot_messages,
+    write_mcap,
+)
 
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
@@ -30,12 +41,15 @@ time = { column = "log_time" }
 markers = { unit = "m", columns = [COLUMNS] }
 """
 TF = ", ".join(
-    str([f"transforms[{label}].transform.translation.{axis}" for axis in "xyz"]).replace("'", '"') for label in LABELS
+    str([f"transforms[{label}].transform.translation.{axis}" for axis in "xyz"]).replace("'", '"')
+    for label in LABELS
 )
 
 
 def recorded(folder, mapping=None, compression="zstd", messages=None):
-    path = write_mcap(folder / "run.mcap", robot_messages() if messages is None else messages, compression)
+    path = write_mcap(
+        folder / "run.mcap", robot_messages() if messages is None else messages, compression
+    )
     (folder / "map.toml").write_text(mapping or MAP.replace("COLUMNS", TF))
     return import_logs([path], read_mapping(folder / "map.toml"))
 
@@ -47,10 +61,13 @@ def test_topics_of_one_recording_are_joined_by_time(tmp_path, compression):
     assert run.t == pytest.approx(t, abs=1e-6)  # a float of seconds since 1970 resolves 0.2 µs
     goal = np.column_stack([np.sin(3 * t), np.cos(3 * t)])
     assert run.command == pytest.approx(goal, abs=1e-12)
-    assert np.abs(run.present - 0.9 * goal)[:59].max() < 0.9 * 9 * 0.01**2 / 2 + 1e-6  # on the line between two states
+    # on the line between two states
+    assert np.abs(run.present - 0.9 * goal)[:59].max() < 0.9 * 9 * 0.01**2 / 2 + 1e-6
     assert run.markers[~run.visible].shape == (1, 3) and not run.visible[2, 2]
     assert run.markers[[0, 1, 3]] == pytest.approx(points[[0, 4, 12]], abs=1e-9)
-    assert list(run.extra["marker_labels"]) == [f"transforms[{label}].transform.translation" for label in LABELS]
+    assert list(run.extra["marker_labels"]) == [
+        f"transforms[{label}].transform.translation" for label in LABELS
+    ]
 
 
 def test_poses_have_numbers_where_they_have_no_names(tmp_path):
@@ -63,7 +80,10 @@ def test_poses_have_numbers_where_they_have_no_names(tmp_path):
 def test_topics_are_listed(tmp_path):
     path = write_mcap(tmp_path / "run.mcap", robot_messages())
     found = {topic.name: (topic.type, topic.count) for topic in topics(path)}
-    assert found["/goal"] == ("sensor_msgs/msg/JointState", 60) and found["/tf"] == ("tf2_msgs/msg/TFMessage", 15)
+    assert found["/goal"] == ("sensor_msgs/msg/JointState", 60) and found["/tf"] == (
+        "tf2_msgs/msg/TFMessage",
+        15,
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,13 +97,16 @@ def test_topics_are_listed(tmp_path):
 def test_what_a_mapping_gets_wrong(tmp_path, old, new, words):
     with pytest.raises(RunError) as fault:
         recorded(tmp_path, MAP.replace("COLUMNS", TF).replace(old, new, 1))
-    assert all(word in str(fault.value) for word in words) and "\n" not in str(fault.value), str(fault.value)
+    assert all(word in str(fault.value) for word in words) and "\n" not in str(fault.value), str(
+        fault.value
+    )
 
 
 def test_a_topic_of_a_csv_is_refused(tmp_path):
     (tmp_path / "log.csv").write_text("t,u\n0,1\n1,2\n")
     (tmp_path / "map.toml").write_text(
-        'schema = "softmap.mapping/1"\n[[log]]\ntopic = "/a"\ntime = { column = "t" }\ncommand = { columns = ["u"] }\n'
+        'schema = "softmap.mapping/1"\n[[log]]\ntopic = "/a"\ntime = { column = "t" }\ncommand = '
+        '{ columns = ["u"] }\n'
     )
     with pytest.raises(RunError, match="topic = '/a' is for MCAP files"):
         import_logs([tmp_path / "log.csv"], read_mapping(tmp_path / "map.toml"))
@@ -96,14 +119,20 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path):
     (tmp_path / "map.toml").write_text(MAP.replace("COLUMNS", TF))
     with pytest.warns(RecordingWarning, match="run.mcap was cut short: it is read up to [12]"):
         done = import_logs([cut], read_mapping(tmp_path / "map.toml"))
-    assert 50 < len(done.run.t) < 400 and len(done.damage) == 1, "one sentence for three topics of one file"
+    assert 50 < len(done.run.t) < 400 and len(done.damage) == 1, (
+        "one sentence for three topics of one file"
+    )
 
 
 def chunk_of(folder, size, data, compression="zstd"):
     """A recording of one chunk that states `size` and holds `data`."""
     text = compression.encode()
     body = (
-        struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(text)) + text + struct.pack("<Q", len(data)) + data
+        struct.pack("<QQQI", 0, 0, size, 0)
+        + struct.pack("<I", len(text))
+        + text
+        + struct.pack("<Q", len(data))
+        + data
     )
     start = struct.pack("<BQII", 1, 8, 0, 0)  # a header without profile and library
     whole = b"\x89MCAP0\r\n" + start + struct.pack("<BQ", 6, len(body)) + body
@@ -122,7 +151,9 @@ def test_a_chunk_that_unpacks_to_more_than_it_states_is_stopped(tmp_path):
     packer = zstandard.ZstdCompressor().compressobj()
     bomb = b"".join(packer.compress(zeros) for _ in range(64)) + packer.flush()
     squeezer = lz4.frame.LZ4FrameCompressor()
-    brick = squeezer.begin() + b"".join(squeezer.compress(zeros) for _ in range(64)) + squeezer.flush()
+    brick = (
+        squeezer.begin() + b"".join(squeezer.compress(zeros) for _ in range(64)) + squeezer.flush()
+    )
     for data, compression in ((bomb, "zstd"), (brick, "lz4")):
         path = chunk_of(tmp_path, 1000, data, compression)
         tracemalloc.start()
@@ -171,8 +202,12 @@ def test_another_decoder_reads_the_same_numbers(tmp_path):
         ours = open_mcap(path, topic).numbers
         ours = ours[:, 2:] if topic != "/tf" else ours[:, 1:-1]
         with path.open("rb") as file:
-            decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic])
-            theirs = [[v for n, v in flat(message) if "stamp" not in n] for _, _, _, message in decoded]
+            decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
+                topics=[topic]
+            )
+            theirs = [
+                [v for n, v in flat(message) if "stamp" not in n] for _, _, _, message in decoded
+            ]
         for row, other in zip(ours, theirs, strict=True):
             row = row[np.isfinite(row) & (row < 1e9)]
             assert list(row) == pytest.approx([x for x in other if x < 1e9])
@@ -189,11 +224,35 @@ MIXED = (
 def test_alignment_order_bounds_and_constants(order):
     types = parse_definition(*MIXED)
     e = struct.pack
-    body = e(order + "h", -2) + b"\0" * 6 + e(order + "d", 1.5) + b"\1" + b"\0" * 3 + e(order + "ff", 0.25, 4.0)
-    body += e(order + "I", 3) + b"hi\0" + b"\0" + e(order + "I", 2) + b"\7\7" + b"\0" * 2 + e(order + "Iii", 2, 5, -6)
+    body = (
+        e(order + "h", -2)
+        + b"\0" * 6
+        + e(order + "d", 1.5)
+        + b"\1"
+        + b"\0" * 3
+        + e(order + "ff", 0.25, 4.0)
+    )
+    body += (
+        e(order + "I", 3)
+        + b"hi\0"
+        + b"\0"
+        + e(order + "I", 2)
+        + b"\7\7"
+        + b"\0" * 2
+        + e(order + "Iii", 2, 5, -6)
+    )
     body += b"\0" + b"\0" * ((-len(body) - 1) % 8) + e(order + "q", 7)
     numbers = read_message(MIXED[0], types, bytes([0, int(order == "<"), 0, 0]) + body)
-    assert numbers == {"a": -2, "b": 1.5, "c": 1, "d[0]": 0.25, "d[1]": 4, "g[0]": 5, "g[1]": -6, "i": 7}
+    assert numbers == {
+        "a": -2,
+        "b": 1.5,
+        "c": 1,
+        "d[0]": 0.25,
+        "d[1]": 4,
+        "g[0]": 5,
+        "g[1]": -6,
+        "i": 7,
+    }
 
 
 BAR = "\n" + "=" * 80 + "\nMSG: "
@@ -215,12 +274,24 @@ def test_structs_without_a_byte_are_read():
         ("float64 x", b"\0\7\0\0" + b"\0" * 8, "expected plain CDR"),
         ("float64[1000000] x", b"\0\1\0\0" + b"\0" * 8, "longer than its message"),
         ("pkg/A x\n" + "=" * 80 + "\nMSG: pkg/A\npkg/A y", b"\0\1\0\0", "without end"),
-        ("pkg/B[4000000000] x\n" + "=" * 80 + "\nMSG: pkg/B\n", b"\0\1\0\0\0", "longer than its message"),
+        (
+            "pkg/B[4000000000] x\n" + "=" * 80 + "\nMSG: pkg/B\n",
+            b"\0\1\0\0\0",
+            "longer than its message",
+        ),
         ("pkg/Absent x", b"\0\1\0\0", "not defined"),
         ("float64 x; y", b"\0\1\0\0", "not defined|no field|ends early"),
-        ("\n".join(f"float64[1000] x{k}" for k in range(5)), b"\0\1\0\0" + b"\0" * 40_000, "more than 4096"),
+        (
+            "\n".join(f"float64[1000] x{k}" for k in range(5)),
+            b"\0\1\0\0" + b"\0" * 40_000,
+            "more than 4096",
+        ),
         (NESTED % "uint8[0] x", b"\0\1\0\0" + b"\0" * 1000, "more values than it has bytes"),
-        (NESTED % "\n".join(f"float64[0] x{k}" for k in range(9)), b"\0\1\0\0" + b"\0" * 1000, "more values than"),
+        (
+            NESTED % "\n".join(f"float64[0] x{k}" for k in range(9)),
+            b"\0\1\0\0" + b"\0" * 1000,
+            "more values than",
+        ),
         (f"float64[{'9' * 5000}] x", b"\0\1\0\0" + b"\0" * 8, "longer than any message"),
         ("wstring x", b"\0\1\0\0\0\0\0\0", "wstring"),
     ],

@@ -1,4 +1,6 @@
-"""TRC, Motive's CSV and C3D become runs by the same mapping: labels, units, dropouts, rates; damaged ones do not."""
+"""TRC, Motive's CSV and C3D become runs by the same mapping: labels, units, dropouts, rates;
+damaged ones do not.
+"""
 
 import time
 
@@ -86,7 +88,11 @@ def test_two_c3d_markers_of_one_name_stay_two(tmp_path):
 @pytest.mark.parametrize(
     ("form", "change", "words"),
     [
-        ("trc", lambda b: b.replace(b"Frame#", b"Farme"), ["line", "Frame#, Time and markers", "export it again"]),
+        (
+            "trc",
+            lambda b: b.replace(b"Frame#", b"Farme"),
+            ["line", "Frame#, Time and markers", "export it again"],
+        ),
         ("trc", lambda b: b.replace(b"\tX3\tY3\tZ3", b""), ["3 markers, line 5 has 6"]),
         ("trc", lambda b: b"\n".join(b.split(b"\n")[:6]), ["holds no frames"]),
         ("trc", lambda b: b[:-30], ["cells, expected 11"]),
@@ -103,7 +109,9 @@ def test_damaged_files_are_refused_in_one_line(tmp_path, form, change, words):
     path.write_bytes(change(path.read_bytes()))
     with pytest.raises(RunError) as fault:
         taken(tmp_path, path)
-    assert "\n" not in str(fault.value) and all(word in str(fault.value) for word in words), str(fault.value)
+    assert "\n" not in str(fault.value) and all(word in str(fault.value) for word in words), str(
+        fault.value
+    )
 
 
 def test_a_c3d_file_that_ends_early_is_read_as_far_as_it_goes(tmp_path):
@@ -126,7 +134,9 @@ def test_a_missing_package_says_what_to_install(tmp_path, monkeypatch):
 
 
 def test_a_head_of_very_many_columns_is_read_in_linear_time(tmp_path):
-    """What a damaged head may hold within one line; compared by pairs, its names alone would take minutes."""
+    """What a damaged head may hold within one line; compared by pairs, its names alone would take
+    minutes.
+    """
     count = 40_000
     rows = [
         ["Format Version", "1.23"],
@@ -155,9 +165,14 @@ base = {{ columns = [{}] }}
 
 
 def test_the_beam_falls_under_gravity_and_further_with_a_load(tmp_path):
-    """Published recordings: nothing is commanded, six labelled markers at 100 Hz in m; the tip falls along -x."""
+    """Published recordings: nothing is commanded, six labelled markers at 100 Hz in m; the tip
+    falls along -x.
+    """
     named = {kind: [f"{kind} - {k}" for k in (1, 2, 3)] for kind in ("Tip", "Base")}
-    columns = [", ".join(str([f"{name}.{axis}" for axis in "xyz"]) for name in names) for names in named.values()]
+    columns = [
+        ", ".join(str([f"{name}.{axis}" for axis in "xyz"]) for name in names)
+        for names in named.values()
+    ]
     drop = {}
     for name in ("gravity_V2_a", "load52_V2_a", "load101_V2_a"):
         done = taken(tmp_path, published("beam") / f"beam_{name}.c3d", BEAM.format(*columns))

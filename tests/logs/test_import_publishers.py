@@ -1,4 +1,6 @@
-"""Rows of another publisher or device, which hold nothing that the mapping names, decide about no other row."""
+"""Rows of another publisher or device, which hold nothing that the mapping names, decide about no
+other row.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ command = { columns = ["position[left]", "position[right]"], unit = "rad" }
 
 
 def two_publishers(folder, ahead=0.0, late=0.0, repeated=""):
-    """Import a topic of the arm at 50 Hz and the gripper, whose stamps are ahead of when they are logged."""
+    """Import a topic of the arm at 50 Hz and the gripper, whose stamps are ahead of when they are
+    logged.
+    """
     messages = []
     for k in range(200):
         at = START + 0.02 * k
@@ -40,16 +44,25 @@ def test_messages_of_another_publisher_are_left_out_and_counted(tmp_path, ahead,
     done = two_publishers(tmp_path, ahead, repeated=repeated)
     assert done.run.t == pytest.approx(0.02 * np.arange(200), abs=1e-6)
     assert done.run.command[:, 1] == pytest.approx(-np.arange(200))
-    assert any("200 of 400 messages hold none of the columns that the mapping names" in note for note in done.notes)
+    assert any(
+        "200 of 400 messages hold none of the columns that the mapping names" in note
+        for note in done.notes
+    )
 
 
 def test_transforms_of_another_node_are_left_out(tmp_path):
-    """Its clock is 2 s ahead; a frame in which the marker alone is missing is of this node and is not counted."""
+    """Its clock is 2 s ahead; a frame in which the marker alone is missing is of this node and is
+    not counted.
+    """
     messages = []
     for k in range(60):
         at = START + 0.04 * k
-        messages.append(("/tf", TRANSFORMS, transforms(at, np.full((1, 3), 0.001 * k), ("tip",)), at))
-        messages.append(("/tf", TRANSFORMS, transforms(at + 2.0, np.ones((1, 3)), ("base_link",)), at))
+        messages.append(
+            ("/tf", TRANSFORMS, transforms(at, np.full((1, 3), 0.001 * k), ("tip",)), at)
+        )
+        messages.append(
+            ("/tf", TRANSFORMS, transforms(at + 2.0, np.ones((1, 3)), ("base_link",)), at)
+        )
     path = write_mcap(tmp_path / "run.mcap", messages)
     tip = ", ".join(f'"transforms[tip].transform.translation.{axis}"' for axis in "xyz")
     (tmp_path / "map.toml").write_text(
@@ -69,9 +82,13 @@ def test_a_proposed_mapping_takes_the_columns_of_one_publisher(tmp_path):
 
 def test_columns_of_two_publishers_are_no_command(tmp_path):
     two_publishers(tmp_path, 0.01)
-    both = MAP.replace('"position[right]"', '"position[right]", "position[gripper_l]"').replace("REPEATED", "")
+    both = MAP.replace('"position[right]"', '"position[right]", "position[gripper_l]"').replace(
+        "REPEATED", ""
+    )
     (tmp_path / "map.toml").write_text(both)
-    with pytest.raises(RunError, match="no row has all commands; name in `command` the columns of one publisher"):
+    with pytest.raises(
+        RunError, match="no row has all commands; name in `command` the columns of one publisher"
+    ):
         import_logs([tmp_path / "run.mcap"], read_mapping(tmp_path / "map.toml"))
 
 
@@ -89,7 +106,9 @@ def csv(folder, lines):
 
 
 def test_lines_of_another_device_in_one_table_are_left_out(tmp_path):
-    lines = [line for k in range(50) for line in (f"{0.1 * k:.2f},{k},", f"{0.1 * k - 0.05:.2f},,1")]
+    lines = [
+        line for k in range(50) for line in (f"{0.1 * k:.2f},{k},", f"{0.1 * k - 0.05:.2f},,1")
+    ]
     done = csv(tmp_path, lines)
     assert list(done.run.command[:, 0]) == list(range(50))
     assert any("50 of 100 rows hold none of the columns" in note for note in done.notes)
@@ -97,21 +116,37 @@ def test_lines_of_another_device_in_one_table_are_left_out(tmp_path):
 
 def test_empty_cells_at_times_that_rise_stay_what_they_were(tmp_path):
     done = csv(tmp_path, [f"{0.1 * k:.2f},{k if k % 5 else ''}," for k in range(1, 50)])
-    assert "log.csv: 9 of 49 rows have no command and were left out" in [f"log.csv: {n}" for n in done.notes]
+    assert "log.csv: 9 of 49 rows have no command and were left out" in [
+        f"log.csv: {n}" for n in done.notes
+    ]
 
 
 def test_times_in_errors_differ_where_they_do(tmp_path):
-    for step, said in ((0.0002, "1700000000.9998 s after 1700000001 s"), (0.5, "1700000000.5 s after 1700000001 s")):
+    for step, said in (
+        (0.0002, "1700000000.9998 s after 1700000001 s"),
+        (0.5, "1700000000.5 s after 1700000001 s"),
+    ):
         with pytest.raises(RunError) as fault:
-            csv(tmp_path, ["1700000000,0,", "1700000001,1,", f"{1700000001 - step},2,", "1700000002,3,"])
+            csv(
+                tmp_path,
+                ["1700000000,0,", "1700000001,1,", f"{1700000001 - step},2,", "1700000002,3,"],
+            )
         assert said in str(fault.value)
-    with pytest.raises(RunError, match="stands still at row 2 .*: 1700000001.25 s after 1700000001.25 s"):
+    with pytest.raises(
+        RunError, match="stands still at row 2 .*: 1700000001.25 s after 1700000001.25 s"
+    ):
         csv(tmp_path, ["1700000000,0,", "1700000001.25,1,", "1700000001.25,2,"])
-    with pytest.raises(RunError, match="t_seen: 1700000009 to 1700000010 s lies outside .* 1700000000 to 1700000002 s"):
+    with pytest.raises(
+        RunError,
+        match="t_seen: 1700000009 to 1700000010 s lies outside .* 1700000000 to 1700000002 s",
+    ):
         Run(
-            t=np.array([0.0, 2.0]) + START, command=np.zeros((2, 1)), t_seen=np.array([9.0, 10.0]) + START,
-            markers=np.ones((2, 1, 3)), robot="r",
-        )  # fmt: skip
+            t=np.array([0.0, 2.0]) + START,
+            command=np.zeros((2, 1)),
+            t_seen=np.array([9.0, 10.0]) + START,
+            markers=np.ones((2, 1, 3)),
+            robot="r",
+        )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Servo ticks without a calibration: a learned model takes them, figures carry the unit, no advice is a circle."""
+"""Servo ticks without a calibration: a learned model takes them, figures carry the unit, no advice
+is a circle.
+"""
 
 import json
 import re
@@ -21,8 +23,15 @@ from softmap_edge.run.rest_command import home_command
 
 def log(run, head, *, separator=",", decimal=".", encoders=False):
     """The run as text with the columns `head`, a comma for the decimals if so."""
-    rows = [run.t[:, None], run.ticks, *([run.ticks] if encoders else []), run.markers.reshape(run.frames, -1)]
-    lines = [separator.join(f"{x:.4f}" for x in row).replace(".", decimal) for row in np.hstack(rows)]
+    rows = [
+        run.t[:, None],
+        run.ticks,
+        *([run.ticks] if encoders else []),
+        run.markers.reshape(run.frames, -1),
+    ]
+    lines = [
+        separator.join(f"{x:.4f}" for x in row).replace(".", decimal) for row in np.hstack(rows)
+    ]
     return "\n".join([separator.join(head), *lines])
 
 
@@ -30,15 +39,23 @@ POINTS = [f"m{k}_{axis}" for k in (1, 2, 3) for axis in "xyz"]
 LOGS = {
     "case": lambda: CASE.read_text(),
     "encoders": lambda: log(
-        arm(), ["t", "goal_1", "goal_2", "present_1", "present_2", *POINTS], separator=";", decimal=",", encoders=True
+        arm(),
+        ["t", "goal_1", "goal_2", "present_1", "present_2", *POINTS],
+        separator=";",
+        decimal=",",
+        encoders=True,
     ),
     "one motor": lambda: log(arm(1), ["time_s", "motor", *POINTS]),
-    "four motors": lambda: log(arm(4, home=512.0, size=400.0), ["stamp", *(f"servo{k}" for k in range(4)), *POINTS]),
+    "four motors": lambda: log(
+        arm(4, home=512.0, size=400.0), ["stamp", *(f"servo{k}" for k in range(4)), *POINTS]
+    ),
 }
 
 
 @pytest.mark.parametrize("make", LOGS.values(), ids=LOGS)
-def test_a_proposed_mapping_of_ticks_leads_to_a_model_and_a_comparison(make, tmp_path, monkeypatch, capsys):
+def test_a_proposed_mapping_of_ticks_leads_to_a_model_and_a_comparison(
+    make, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     Path("log.csv").write_text(make())
     assert main(["import", "log.csv", "--guess", "--out", "m.toml"]) == 0
@@ -57,7 +74,9 @@ def test_a_proposed_mapping_of_ticks_leads_to_a_model_and_a_comparison(make, tmp
 def test_ticks_are_ticks_in_whichever_field_they_are(kinds):
     """Learned from one and compared with the other, alone and several together."""
     one, two = (arm(seed=k, held=kind == "held") for k, kind in enumerate(kinds))
-    model = learn_model([one, replace(arm(seed=7), t=one.t)] if kinds[0] == "ticks" else one, static=True)
+    model = learn_model(
+        [one, replace(arm(seed=7), t=one.t)] if kinds[0] == "ticks" else one, static=True
+    )
     assert model.command_unit == "ticks" and model.channels == 2
     found = compare(model, two)
     assert found.error["rms_mm"] < 0.3
@@ -89,7 +108,9 @@ def test_inverse_kinematics_answers_in_ticks(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     reach = [f"{x:.3f}" for x in target]
     assert main(["track", "--workspace", "--bundle", "b", "--reach", *reach]) == 0
-    assert re.search(r"within reach, where \(25[12]\.\d\d, -24[78]\.\d\d\) ticks acts", capsys.readouterr().out)
+    assert re.search(
+        r"within reach, where \(25[12]\.\d\d, -24[78]\.\d\d\) ticks acts", capsys.readouterr().out
+    )
     assert main(["track", "--workspace", "--bundle", "b", "--json"]) == 0
     assert "commands_ticks" in json.loads(capsys.readouterr().out)
     assert main(["track", "O", "--plan", "--bundle", "b", "--amplitude", "4"]) == 0
@@ -106,8 +127,24 @@ def test_an_emulated_robot_is_driven_in_ticks(tmp_path, monkeypatch, capsys):
         drive = ["track", "O", "--sim", "--bundle", "b", "--amplitude", "4", "--json"]
         assert main([*drive, *(["--hide", hidden] if hidden else [])]) == 0
         off[hidden] = json.loads(capsys.readouterr().out)["seen_mm"]["mean"]
-    assert off[""] < 0.3 < 3.0 < off["backlash"] < 6.0  # 1.2 mm of play at a spool of 280 ticks/mm bend it by 3 mm
-    assert main(["next", "--protocol", "validation", "--minutes", "1", "--bundle", "b", "--out", "n.csv"]) == 0
+    # 1.2 mm of play at a spool of 280 ticks/mm bend it by 3 mm
+    assert off[""] < 0.3 < 3.0 < off["backlash"] < 6.0
+    assert (
+        main(
+            [
+                "next",
+                "--protocol",
+                "validation",
+                "--minutes",
+                "1",
+                "--bundle",
+                "b",
+                "--out",
+                "n.csv",
+            ]
+        )
+        == 0
+    )
     assert main(["record", "n.csv", "--emulated", "--bundle", "b", "--out", "r.npz"]) == 0
     assert main(["compare", "r.npz", "--bundle", "b"]) == 0
 
@@ -115,18 +152,23 @@ def test_an_emulated_robot_is_driven_in_ticks(tmp_path, monkeypatch, capsys):
 def in_degrees():
     """A model of an arm whose commands are angles that are not counted from home."""
     run = arm()
-    return learn_model(replace(run, ticks=None, command=run.ticks / 10.0, command_unit="deg"), static=True)
+    return learn_model(
+        replace(run, ticks=None, command=run.ticks / 10.0, command_unit="deg"), static=True
+    )
 
 
 def test_a_range_far_from_home_is_reported_and_its_middle_is_the_pose_at_rest():
     notes = learn_model(arm(), static=True).made_from["notes"]
     assert any("taken to be 2048, 2048, the middle" in note and "offset" in note for note in notes)
-    assert any("far from 0" in note and "offset" in note for note in in_degrees().made_from["notes"])
+    assert any(
+        "far from 0" in note and "offset" in note for note in in_degrees().made_from["notes"]
+    )
     centred = arm(home=0.0)
     model = learn_model(centred, static=True)
     assert not any("offset" in note for note in model.made_from["notes"])
     away = learn_model(arm(), static=True)
-    np.testing.assert_allclose(away.rest, model.rest, atol=1.5)  # the middle of the range, not ticks of 0
+    # the middle of the range, not ticks of 0
+    np.testing.assert_allclose(away.rest, model.rest, atol=1.5)
     for reach, home in (
         ([[-5, 9]], [0.0]), ([[2, 20]], [2.0]), ([[-20, -1]], [-1.0]), ([[1200, 3000], [-4, 4]], [2100.0, 0.0]),
         ([[7, 7]], [7.0]), ([[-3100, -1200]], [-2150.0]),
@@ -140,7 +182,9 @@ def test_a_calibration_takes_commands_in_ticks_as_it_takes_ticks():
     one, two = (calibrate(MODEL, each, home=HOME) for each in (run, held))
     np.testing.assert_array_equal(one.calibration.A, two.calibration.A)
     assert two.calibration.run == held.hash() == two.model.made_from["calibration"]
-    np.testing.assert_array_equal(converted(two.model, held).command, converted(one.model, run).command)
+    np.testing.assert_array_equal(
+        converted(two.model, held).command, converted(one.model, run).command
+    )
 
 
 @pytest.mark.parametrize("in_ticks", [True, False])

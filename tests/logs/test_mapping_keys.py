@@ -1,4 +1,6 @@
-"""Keys and values of a mapping that do not exist: one error that lists the right ones and names the nearest."""
+"""Keys and values of a mapping that do not exist: one error that lists the right ones and names the
+nearest.
+"""
 
 from pathlib import Path
 
@@ -32,8 +34,18 @@ def refused(text):
         ('{ column = "t" }', "{ rate = 100 }", "rate_hz", TIME_KEYS),
         ("time =", "tme =", "time", LOG),
         ("time =", "skip_row = 1\ntime =", "skip_rows", LOG),
-        ("markers = { columns", "markers = { colums", "columns", ("columns", "swaps", "labels", "not_seen")),
-        ("command = { columns", "command = { unwarp = 4096, columns", "unwrap", ("columns", "unwrap")),
+        (
+            "markers = { columns",
+            "markers = { colums",
+            "columns",
+            ("columns", "swaps", "labels", "not_seen"),
+        ),
+        (
+            "command = { columns",
+            "command = { unwarp = 4096, columns",
+            "unwrap",
+            ("columns", "unwrap"),
+        ),
         ('"z"]] }', '"z"]], swap = "mend" }', "swaps", ("swaps",)),
         ('"z"]] }\n', '"z"]] }\n[sean]\nrate_hz = 10\n', "seen", KEYS),
         ('"z"]] }\n', '"z"]] }\n[seen]\nfast_pm = 10\n', "fast_ppm", ("clock_step",)),

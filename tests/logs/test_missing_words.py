@@ -1,4 +1,6 @@
-"""Words in columns of numbers: taken as missing, counted and named; a column of text stays a column of text."""
+"""Words in columns of numbers: taken as missing, counted and named; a column of text stays a column
+of text.
+"""
 
 import numpy as np
 import pytest
@@ -23,18 +25,38 @@ def with_words(cells):
 def test_the_case(tmp_path):
     found = guess_mapping([CASE])
     assert '["tip_x", "tip_y", "tip_z"]' in found.text
-    for words in (("tip_x '#N/A' in 5 of 40 rows", "tip_y '--' in 5 of 40 rows"), ("infinite", "tip_z 5")):
+    for words in (
+        ("tip_x '#N/A' in 5 of 40 rows", "tip_y '--' in 5 of 40 rows"),
+        ("infinite", "tip_z 5"),
+    ):
         assert any(all(word in line for word in words) for line in found.said)
     (tmp_path / "map.toml").write_text(found.text)
     done = import_logs([CASE], read_mapping(tmp_path / "map.toml"))
-    assert done.run.frames == 35 and any("5 of 40 rows show no marker" in note for note in done.notes)
+    assert done.run.frames == 35 and any(
+        "5 of 40 rows show no marker" in note for note in done.notes
+    )
     named = next(note for note in done.notes if "'#N/A'" in note)
     assert "first in line 2" in named
 
 
 @pytest.mark.parametrize(
     "word",
-    ["#N/A", "-", "--", "---", "lost", "LOST", "missing", "?", "*", "n.a.", "no data", "#DIV/0!", "#VALUE!", "1.#QNAN"]
+    [
+        "#N/A",
+        "-",
+        "--",
+        "---",
+        "lost",
+        "LOST",
+        "missing",
+        "?",
+        "*",
+        "n.a.",
+        "no data",
+        "#DIV/0!",
+        "#VALUE!",
+        "1.#QNAN",
+    ]
     + ["-1.#IND", "nan(0x8000)", "NaN(ind)", "out of view", "kein Wert", "—"],
 )
 def test_a_word_of_any_program_is_missing_and_named(tmp_path, word):
@@ -42,7 +64,10 @@ def test_a_word_of_any_program_is_missing_and_named(tmp_path, word):
     done = imported(tmp_path, text)
     assert (~done.run.visible).sum(axis=0).tolist() == [2, 0] and len(done.run.t) == 19
     (named,) = [note for note in done.notes if "words in columns of numbers" in note]
-    assert f"y '{word}' in 2 of 20 rows (first in line 5)" in named and f"b '{word}' in 1 of 20 rows" in named
+    assert (
+        f"y '{word}' in 2 of 20 rows (first in line 5)" in named
+        and f"b '{word}' in 1 of 20 rows" in named
+    )
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "NULL", "None", "NA", "n/a", "-nan"])
@@ -57,7 +82,9 @@ def test_words_that_say_missing_need_no_explanation(tmp_path, word):
 def test_infinite_numbers_are_missing(tmp_path, word):
     text, _ = with_words({(3, 4): word})
     done = imported(tmp_path, text)
-    assert (~done.run.visible).sum() == 1 and any("infinite values" in note and "y 1" in note for note in done.notes)
+    assert (~done.run.visible).sum() == 1 and any(
+        "infinite values" in note and "y 1" in note for note in done.notes
+    )
 
 
 @pytest.mark.parametrize("cell", ["12mm", "1.2.3", "0x1F", "3 4", "1/2", "2024-01-01"])
@@ -77,7 +104,9 @@ def test_labels_stay_labels(tmp_path):
     text, _ = made_log()
     lines = text.splitlines()
     label = ["part", *(["rest"] * 10), *(["move"] * 10)]
-    (tmp_path / "log.csv").write_text("\n".join(f"{line},{word}" for line, word in zip(lines, label)) + "\n")
+    (tmp_path / "log.csv").write_text(
+        "\n".join(f"{line},{word}" for line, word in zip(lines, label)) + "\n"
+    )
     assert 'block = "part"' in guess_mapping([tmp_path / "log.csv"]).text
 
 

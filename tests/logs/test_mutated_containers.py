@@ -1,13 +1,23 @@
-"""Damaged files of arrays, .db3, folders and packed logs give an error of ours, within limits of time and memory.
+"""Damaged files of arrays, .db3, folders and packed logs give an error of ours, within limits of
+time and memory.
 
-As test_mutated_logs.py; each format is one line of FORMATS. Foreign parsers run in a child of the child.
+As test_mutated_logs.py; each format is one line of FORMATS. Foreign parsers run in a child of the
+child.
 """
 
 import gzip
 
 import pytest
 from containers import ARRAYS, arrays, messages, write_dataset, write_db3, write_folder, write_mat73
-from damage import Format, assert_10000, assert_some, run_all, spoil_bytes, spoil_npz_file, spoil_text
+from damage import (
+    Format,
+    assert_10000,
+    assert_some,
+    run_all,
+    spoil_bytes,
+    spoil_npz_file,
+    spoil_text,
+)
 from recordings import BAG_MAP as MAP
 from recordings import write_mcap
 from spoiled_bytes import LOG, spoil_binary, spoil_counts
@@ -17,7 +27,12 @@ from spoiled_bytes import LOG, spoil_binary, spoil_counts
 def npz_sample(folder):
     import numpy as np
 
-    np.savez(folder / "log.npz", **arrays(), part=np.array(["a", "b"] * 40), when=np.arange(80).astype("M8[ms]"))
+    np.savez(
+        folder / "log.npz",
+        **arrays(),
+        part=np.array(["a", "b"] * 40),
+        when=np.arange(80).astype("M8[ms]"),
+    )
     return folder / "log.npz"
 
 
@@ -36,7 +51,11 @@ def mat_sample(folder, packed=False):
 
     cells = np.empty(3, object)
     cells[:] = ["a", np.zeros(2), {"x": np.ones((2, 2))}]
-    values = arrays(20) | {"log": {"x": np.arange(20.0), "in": {"y": np.eye(3)}}, "c": cells, "title": "a text"}
+    values = arrays(20) | {
+        "log": {"x": np.arange(20.0), "in": {"y": np.eye(3)}},
+        "c": cells,
+        "title": "a text",
+    }
     scipy.io.savemat(folder / "log.mat", values, do_compression=packed)
     return folder / "log.mat"
 
@@ -62,7 +81,9 @@ def hdf5_sample(folder):
 
     with h5py.File(folder / "log.h5", "w", libver="latest") as file:
         for name, value in arrays(40).items():
-            file.create_dataset(f"run/{name}", data=value, chunks=True, compression="gzip", fletcher32=True)
+            file.create_dataset(
+                f"run/{name}", data=value, chunks=True, compression="gzip", fletcher32=True
+            )
         file["names"] = ["a", "b"] * 20
         file["table"] = np.zeros(40, [("a", "<f4"), ("b", "<i2")])
     return folder / "log.h5"
@@ -101,7 +122,9 @@ def gzip_sample(folder):
 def zstd_sample(folder):
     import zstandard
 
-    (folder / "log.csv.zst").write_bytes(zstandard.ZstdCompressor(write_checksum=True).compress(named_log()))
+    (folder / "log.csv.zst").write_bytes(
+        zstandard.ZstdCompressor(write_checksum=True).compress(named_log())
+    )
     return folder / "log.csv.zst"
 
 
@@ -118,7 +141,9 @@ def spoil_in_folder(name, spoil):
             if path.is_file():
                 place = folder / sample.name / path.relative_to(sample)
                 place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_bytes(spoil(path.read_bytes(), rng) if path.name == name else path.read_bytes())
+                place.write_bytes(
+                    spoil(path.read_bytes(), rng) if path.name == name else path.read_bytes()
+                )
         return folder / sample.name
 
     return spoilt
@@ -170,7 +195,14 @@ FORMATS = [
     Format("dataset info", dataset_sample, spoil_in_folder("info.json", text_of), use, SOME),
     Format("db3", db3_sample, spoil_binary, use_bag, SOME),
     Format("db3 counts", db3_sample, spoil_counts, use_bag, SOME, felt=0.05),
-    Format("metadata", folder_sample, spoil_in_folder("metadata.yaml", text_of), use_bag, SOME, felt=0.01),
+    Format(
+        "metadata",
+        folder_sample,
+        spoil_in_folder("metadata.yaml", text_of),
+        use_bag,
+        SOME,
+        felt=0.01,
+    ),
     Format("gzip", gzip_sample, spoil_binary, use, SOME),
     Format("zstd", zstd_sample, spoil_binary, use, SOME),
 ]

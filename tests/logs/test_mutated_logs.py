@@ -1,4 +1,5 @@
-"""Damaged logs of every format, and damaged mappings, give an error of ours: never a crash or another exception.
+"""Damaged logs of every format, and damaged mappings, give an error of ours: never a crash or
+another exception.
 
 Each format is one line of FORMATS; `damage.py` says how files are spoiled and used.
 """
@@ -6,7 +7,15 @@ Each format is one line of FORMATS; `damage.py` says how files are spoiled and u
 import pytest
 from bench_rows import NAMES, rows, write
 from damage import Format, assert_10000, assert_some, run_all, spoil_one_of, spoil_text_file
-from recordings import JOINT_STATE, places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
+from recordings import (
+    JOINT_STATE,
+    places,
+    robot_messages,
+    write_c3d,
+    write_mcap,
+    write_motive,
+    write_trc,
+)
 from spoiled_bytes import LOG, spoil_binary, spoil_counts
 
 MAP = """schema = "softmap.mapping/1"
@@ -65,17 +74,34 @@ def qtm_sample(folder):
 def nexus_sample(folder):
     head = ["Trajectories", "20", ",,robot:tip,,", "Frame,Sub Frame,X,Y,Z", ",,mm,mm,mm"]
     lines = [f"{k + 1},0," + ",".join(line.split(",")[3:]) for k, line in enumerate(rows(20))]
-    return write(folder / "take.csv", head, lines, "", "Devices", "1000", "Frame,Sub Frame,F", ",,N", "1,0,2")
+    return write(
+        folder / "take.csv", head, lines, "", "Devices", "1000", "Frame,Sub Frame,F", ",,N", "1,0,2"
+    )
 
 
 def lvm_sample(folder):
-    head = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t,", "X_Columns\tNo", "***End_of_Header***\t"]
-    head += ["Delta_X\t0,05\t0,05", "***End_of_Header***\t\t", "\t".join(["X_Value", *NAMES[1:], "Comment"])]
-    return write(folder / "log.lvm", head, ["\t" + line.split("\t", 1)[1] for line in rows(20, "\t", ",")])
+    head = [
+        "LabVIEW Measurement\t",
+        "Separator\tTab",
+        "Decimal_Separator\t,",
+        "X_Columns\tNo",
+        "***End_of_Header***\t",
+    ]
+    head += [
+        "Delta_X\t0,05\t0,05",
+        "***End_of_Header***\t\t",
+        "\t".join(["X_Value", *NAMES[1:], "Comment"]),
+    ]
+    return write(
+        folder / "log.lvm", head, ["\t" + line.split("\t", 1)[1] for line in rows(20, "\t", ",")]
+    )
 
 
 def typed_sample(folder):
-    lines = [f"frame,{k},{k / 20},0,1," + ",".join(line.split(",")[3:]) + ",1,tip" for k, line in enumerate(rows(20))]
+    lines = [
+        f"frame,{k},{k / 20},0,1," + ",".join(line.split(",")[3:]) + ",1,tip"
+        for k, line in enumerate(rows(20))
+    ]
     return write(folder / "old.csv", "comment,a", "righthanded", "info,version,1.1", lines)
 
 
@@ -101,7 +127,9 @@ def bare_mcap_sample(folder):
 
 
 def message_sample(folder):
-    """One message, without the recording around it: every byte of the damage is felt by the decoder."""
+    """One message, without the recording around it: every byte of the damage is felt by the
+    decoder.
+    """
     from mcap_ros2._dynamic import serialize_dynamic
     from recordings import joint_state
 
@@ -155,7 +183,9 @@ def use_mcap(path):
 
 
 def use_guess(path):
-    """Propose a mapping; what it proposes is text that can be read, whatever the trial import says."""
+    """Propose a mapping; what it proposes is text that can be read, whatever the trial import
+    says.
+    """
     from softmap_edge.logs.guess import guess_mapping
     from softmap_edge.logs.mapping import parse_mapping
 

@@ -1,4 +1,6 @@
-"""A run without commands is reported at import and by `softmap check`; guess knows usual names of other languages."""
+"""A run without commands is reported at import and by `softmap check`; guess knows usual names of
+other languages.
+"""
 
 from pathlib import Path
 
@@ -24,7 +26,11 @@ def log(folder, names=("x", "y", "z"), drive=()):
     lines = [",".join(["t", *drive, *names])]
     for t in T:
         places = [10 * np.sin(t), 3 * np.cos(t), 90 - np.sin(t) ** 2]
-        lines.append(",".join(f"{x:.3f}" for x in (t, *(30 * np.sin(t + k) for k in range(len(drive))), *places)))
+        lines.append(
+            ",".join(
+                f"{x:.3f}" for x in (t, *(30 * np.sin(t + k) for k in range(len(drive))), *places)
+            )
+        )
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
     return folder / "log.csv"
 
@@ -34,7 +40,12 @@ def test_an_import_without_commands_is_reported(tmp_path, capsys, kind):
     text = f'schema = "softmap.mapping/1"\n[[log]]\ntime = {{ column = "t" }}\n{MARKERS[kind]}\n'
     done = import_logs([log(tmp_path)], parse_mapping(text, Path("map.toml")))
     assert done.run.channels == 0
-    assert sum("without commands" in doubt and "`command` or `ticks`" in doubt for doubt in done.doubts) == 1
+    assert (
+        sum(
+            "without commands" in doubt and "`command` or `ticks`" in doubt for doubt in done.doubts
+        )
+        == 1
+    )
     done.run.save(tmp_path / "run.npz")
     main(["check", str(tmp_path / "run.npz")])
     assert "look at   0 channels: a run without commands" in capsys.readouterr().out
@@ -65,7 +76,9 @@ def test_commands_are_recognised_by_names_of_other_languages(tmp_path, kind):
     path = log(tmp_path, ("tip_x", "tip_y", "tip_z"), drive)
     found = guess_mapping([path])
     done = import_logs([path], parse_mapping(found.text, Path("map.toml")))
-    assert done.run.channels == channels and (done.run.present is not None) == (kind == "goals and readings")
+    assert done.run.channels == channels and (done.run.present is not None) == (
+        kind == "goals and readings"
+    )
     line = next(line for line in found.text.split("\n") if line.startswith("command = "))
     assert all(f'"{name}"' in line for name in drive[:channels])
 
@@ -73,5 +86,7 @@ def test_commands_are_recognised_by_names_of_other_languages(tmp_path, kind):
 @pytest.mark.parametrize("name", ["Kraft", "Insolation", "Distanz", "Liste", "Feuchte"])
 def test_other_words_are_no_commands(tmp_path, name):
     found = guess_mapping([log(tmp_path, ("tip_x", "tip_y", "tip_z"), [f"{name}_1", f"{name}_2"])])
-    assert "command = " not in found.text and any("what was commanded" in line for line in found.unknown)
+    assert "command = " not in found.text and any(
+        "what was commanded" in line for line in found.unknown
+    )
     assert any("without commands" in line for line in found.said)

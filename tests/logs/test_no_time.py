@@ -15,7 +15,10 @@ COUNT = 500
 def moves(seed):
     phase, s = np.random.default_rng(seed).uniform(0, 6, 2), 0.05 * np.arange(COUNT)
     pairs = ((0.31, phase[0], 0.05), (0.23, phase[1], 0.04))
-    return np.stack([8 * np.sin(6.283 * f * s + p) * (0.6 + 0.4 * np.sin(6.283 * g * s)) for f, p, g in pairs], axis=1)
+    return np.stack(
+        [8 * np.sin(6.283 * f * s + p) * (0.6 + 0.4 * np.sin(6.283 * g * s)) for f, p, g in pairs],
+        axis=1,
+    )
 
 
 def run(seed, late=0, timeless=True):
@@ -40,7 +43,16 @@ def model():
 def test_a_delay_in_rows_is_not_called_latency(model):
     found = diagnose(model, run(2, late=3))
     named = {effect.name for effect in found.effects}
-    timed = {"latency", "lag", "rate_limit", "creep", "tendon_creep", "zero_drift", "clock_shift", "camera_drift"}
+    timed = {
+        "latency",
+        "lag",
+        "rate_limit",
+        "creep",
+        "tendon_creep",
+        "zero_drift",
+        "clock_shift",
+        "camera_drift",
+    }
     assert not named & timed
     assert timed <= {one.name for one in found.not_testable if "no time" in one.why}
     assert any("the log has no time" in line for line in found.remarks)
@@ -50,7 +62,9 @@ def test_a_delay_in_rows_is_not_called_latency(model):
 
 def test_check_says_what_a_log_without_time_cannot_identify():
     lines = sentences(summary(run(2)))
-    assert any("no time recorded" in line for line in lines) and any("the log has no time" in line for line in lines)
+    assert any("no time recorded" in line for line in lines) and any(
+        "the log has no time" in line for line in lines
+    )
     assert not any("no time" in line for line in sentences(summary(run(2, timeless=False))))
 
 
@@ -64,7 +78,9 @@ markers = { columns = [["x", "y", "z"], ["u", "v", "w"]], unit = "mm" }
 
 
 def rows(first):
-    """A log of 300 rows whose encoder is read every third row; two markers change their names at row 100."""
+    """A log of 300 rows whose encoder is read every third row; two markers change their names at
+    row 100.
+    """
     lines = [f"{first},a,p,x,y,z,u,v,w"]
     for k in range(300):
         one, two = [5 * np.sin(k / 20), 0.01 * k, 40.0], [9 * np.sin(k / 20), 0.02 * k, 90.0]
@@ -82,7 +98,9 @@ def test_an_unused_column_of_time_is_named_and_no_rate_is_claimed(tmp_path, name
     said = " ".join([*found.notes, *found.doubts])
     assert "every 3 rows" in said and "change places at frame 100;" in said
     assert not re.search(r"\d (ms|s|Hz)\b", said)
-    assert not any("are called" in doubt for doubt in imported(tmp_path, rows("number"), LOG).doubts)
+    assert not any(
+        "are called" in doubt for doubt in imported(tmp_path, rows("number"), LOG).doubts
+    )
 
 
 @pytest.mark.parametrize(

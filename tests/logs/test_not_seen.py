@@ -1,4 +1,6 @@
-"""Places that stand for "not seen": recognised, counted, set aside and reported, in logs and runs."""
+"""Places that stand for "not seen": recognised, counted, set aside and reported, in logs and
+runs.
+"""
 
 from dataclasses import replace
 
@@ -60,7 +62,10 @@ def test_markers_that_are_lost_together_and_two_constants():
     found = not_seen(points, u)
     assert found.mask.sum() == 4 * 29 + 10
     first, second = found.lines(["a", "b", "c", "d"], "so")
-    assert first == "29 of 400 frames at exactly (0, 0, 0) are taken as not seen: a 29, b 29, c 29, d 29; so"
+    assert (
+        first
+        == "29 of 400 frames at exactly (0, 0, 0) are taken as not seen: a 29, b 29, c 29, d 29; so"
+    )
     assert second == "10 of 400 frames at exactly (-1, -1, -1) are taken as not seen: b 10; so"
 
 
@@ -133,8 +138,11 @@ def test_a_csv_with_lost_markers(tmp_path, number):
     (doubt,) = done.doubts
     assert "are taken as not seen: m" in doubt and 'markers.not_seen = "keep" keeps them' in doubt
     kept = import_logs([log], mapped(tmp_path, table(NAMES, 'not_seen = "keep", ')))
-    assert kept.run.visible is None and not any("not seen" in line for line in (*kept.notes, *kept.doubts))
-    assert summary(kept.run)["not_seen"] == [] and lost_points(kept.run)[1] == []  # the key is kept in the run
+    assert kept.run.visible is None and not any(
+        "not seen" in line for line in (*kept.notes, *kept.doubts)
+    )
+    # the key is kept in the run
+    assert summary(kept.run)["not_seen"] == [] and lost_points(kept.run)[1] == []
 
 
 def test_numbers_that_a_mapping_declares_as_not_seen(tmp_path):
@@ -158,7 +166,8 @@ def test_motion_capture_with_zeros(tmp_path, write):
     log = write(tmp_path / name, t, points / (1 if write is write_trc else 1000))
     columns = ", ".join(f'["{m}.x", "{m}.y", "{m}.z"]' for m in ("base", "middle", "tip"))
     text = (
-        f'schema = "softmap.mapping/1"\n[[log]]\ntime = {{ column = "time" }}\nmarkers = {{ columns = [{columns}] }}\n'
+        'schema = "softmap.mapping/1"\n[[log]]\n'
+        f'time = {{ column = "time" }}\nmarkers = {{ columns = [{columns}] }}\n'
     )
     done = import_logs([log], mapped(tmp_path, text))
     assert (done.run.visible[:, 1] == ~lost).all() and done.run.visible[:, [0, 2]].all()
@@ -170,7 +179,9 @@ def test_a_proposal_says_it_and_takes_the_unit_of_the_rest(tmp_path):
     (tmp_path / "map.toml").write_text(found.text)
     run = import_logs([CASES / "lost.csv"], read_mapping(tmp_path / "map.toml")).run
     assert run.frames == 35 and 'unit = "mm"' in found.text
-    assert any(line.startswith("look at: 5 of 40 frames at exactly (0, 0, 0)") for line in found.said)
+    assert any(
+        line.startswith("look at: 5 of 40 frames at exactly (0, 0, 0)") for line in found.said
+    )
     points = dropped() / 1000
     text = written(tmp_path / "m.csv", 1000 * points, NAMES, "9999999").read_text()
     assert 'unit = "mm"' in guess_mapping([tmp_path / "m.csv"]).text and "9999999" in text
@@ -179,7 +190,9 @@ def test_a_proposal_says_it_and_takes_the_unit_of_the_rest(tmp_path):
 # --- runs of other origin ------------------------------------------------------------------------
 def old_run(**more):
     points = dropped()
-    return Run(t=T, t_seen=T, command=SINES, markers=np.nan_to_num(points), **more), np.isfinite(points).all(axis=2)
+    return Run(t=T, t_seen=T, command=SINES, markers=np.nan_to_num(points), **more), np.isfinite(
+        points
+    ).all(axis=2)
 
 
 def test_check_never_calls_such_a_run_sound(tmp_path, capsys):
@@ -187,7 +200,11 @@ def test_check_never_calls_such_a_run_sound(tmp_path, capsys):
     run.save(tmp_path / "old.npz")
     assert main(["check", str(tmp_path / "old.npz")]) == 1
     out = capsys.readouterr().out
-    assert out.startswith("not sound") and "at exactly (0, 0, 0) are taken as not seen" in out and "visible" in out
+    assert (
+        out.startswith("not sound")
+        and "at exactly (0, 0, 0) are taken as not seen" in out
+        and "visible" in out
+    )
     replace(run, visible=seen).save(tmp_path / "good.npz")
     assert main(["check", str(tmp_path / "good.npz")]) == 0
     assert capsys.readouterr().out.startswith("sound ")
@@ -217,7 +234,9 @@ def test_what_is_not_seen_is_no_error_and_teaches_nothing():
     clean = replace(run, visible=seen)
     fits = [learn(one, degree=2, static=True) for one in (run, clean)]
     assert fits[0].error_mm == pytest.approx(fits[1].error_mm) and fits[0].error_mm < 0.2
-    assert any("at exactly (0, 0, 0)" in note for note in fits[0].notes) and "taken" not in str(fits[1].notes)
+    assert any("at exactly (0, 0, 0)" in note for note in fits[0].notes) and "taken" not in str(
+        fits[1].notes
+    )
     model = learned_model(clean, fits[1])
     errors = [compare(model, one).error["rms_mm"] for one in (run, clean)]
     assert errors[0] == pytest.approx(errors[1]) and errors[0] < 0.2

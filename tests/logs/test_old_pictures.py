@@ -1,4 +1,6 @@
-"""Places that repeat to the last digit: old pictures where noise or a beat shows it, else a finger at rest."""
+"""Places that repeat to the last digit: old pictures where noise or a beat shows it, else a finger
+at rest.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,10 @@ RESTING = {
     "tenths": (body(REST, noise=0.01, digits=1), REST),
     "tenths on stairs": (body(STAIRS, noise=0.03, digits=1), STAIRS),
     "tenths without noise": (body(REST, noise=0, digits=1), REST),
-    "a marker at the origin": (np.concatenate([np.zeros((K, 1, 3)), body(REST, noise=0.02, digits=1)], axis=1), REST),
+    "a marker at the origin": (
+        np.concatenate([np.zeros((K, 1, 3)), body(REST, noise=0.02, digits=1)], axis=1),
+        REST,
+    ),
     "a plane": (body(REST, noise=0.01, digits=1) * [1, 0, 1], REST),
     "all digits without noise": (body(REST, noise=0, digits=None), REST),
     "slowly": (body(SLOWLY, count=1, noise=0, digits=0), SLOWLY),
@@ -28,7 +33,9 @@ RESTING = {
 def test_repeats_of_a_resting_or_coarse_finger_stay(name):
     points, u = RESTING[name]
     held, still = repeated_frames(T, points)
-    assert (points[1:] == points[:-1]).all(axis=(1, 2)).sum() > 1, "nothing repeats: this tests nothing"
+    assert (points[1:] == points[:-1]).all(axis=(1, 2)).sum() > 1, (
+        "nothing repeats: this tests nothing"
+    )
     assert not held.any() and not still.any() and not not_seen(points, u).mask.any()
 
 
@@ -36,7 +43,11 @@ SLOW = {
     "every second row": (np.arange(K) // 2 * 2, 0.05, 3),
     "every third row without noise": (np.arange(K) // 3 * 3, 0.0, 3),
     "every second row, tenths": (np.arange(K) // 2 * 2, 0.05, 1),
-    "30 pictures in 50 rows": (np.floor(np.floor(np.arange(K) * 0.6) / 0.6 + 0.999).astype(int), 0.05, 3),
+    "30 pictures in 50 rows": (
+        np.floor(np.floor(np.arange(K) * 0.6) / 0.6 + 0.999).astype(int),
+        0.05,
+        3,
+    ),
     "here and there": (np.arange(K) - np.isin(np.arange(K) % 23, (7, 20)), 0.05, 3),
     "three in a row": (np.arange(K) - np.maximum(np.arange(K) % 40 - 36, 0), 0.05, 2),
 }
@@ -50,7 +61,9 @@ def test_old_pictures_are_left_out(name):
     assert np.array_equal(held, np.r_[False, np.diff(rows) == 0])
 
 
-@pytest.mark.parametrize("u", [SINES, STAIRS, 0.2 * SINES, REST], ids=["moving", "stairs", "slowly", "resting"])
+@pytest.mark.parametrize(
+    "u", [SINES, STAIRS, 0.2 * SINES, REST], ids=["moving", "stairs", "slowly", "resting"]
+)
 @pytest.mark.parametrize(("noise", "digits"), [(0.05, 3), (0.3, 2), (0.002, 5), (0.01, None)])
 def test_every_stale_frame_of_one_marker_counts_where_noise_tells(u, noise, digits):
     points = body(u, noise=noise, digits=digits)
@@ -67,5 +80,12 @@ def test_every_stale_frame_of_one_marker_counts_where_noise_tells(u, noise, digi
 @pytest.mark.parametrize("name", [name for name in [*GOOD, *BUT_ALSO] if "full pulls" not in name])
 def test_noise_is_told_from_motion(name):
     points, _ = (GOOD | BUT_ALSO)[name]
-    noisy = name in ("noise", "stairs", "no commands", "one marker", "a clamp marker at the origin", "a slow camera")
+    noisy = name in (
+        "noise",
+        "stairs",
+        "no commands",
+        "one marker",
+        "a clamp marker at the origin",
+        "a slow camera",
+    )
     assert is_improbable(points.reshape(K, -1)) == noisy

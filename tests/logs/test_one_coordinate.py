@@ -1,4 +1,6 @@
-"""One coordinate that stands for "not seen": a depth of 0 or 65535 among others; numbers that were measured stay."""
+"""One coordinate that stands for "not seen": a depth of 0 or 65535 among others; numbers that were
+measured stay.
+"""
 
 import numpy as np
 import pytest
@@ -48,7 +50,10 @@ def test_a_coordinate_at_one_far_number_is_not_seen(make, how, name):
     assert (found.mask[:, -1] == rows).all() and not found.mask[:, :-1].any()
     if found.coordinates:
         (line,) = found.lines([f"m{k}" for k in range(camera.shape[1])], "so")
-        assert f"with {'xyz'[axis]} at exactly {number:g} are taken as not seen: m{camera.shape[1] - 1}" in line
+        assert (
+            f"with {'xyz'[axis]} at exactly {number:g} are taken as not seen: "
+            f"m{camera.shape[1] - 1}" in line
+        )
 
 
 def test_a_number_that_two_markers_show_once_each():
@@ -61,7 +66,9 @@ def test_a_number_that_two_markers_show_once_each():
 @pytest.mark.parametrize("name", [*GOOD, *BUT_ALSO])
 @pytest.mark.parametrize("digits", [None, 1, 0])
 def test_coordinates_that_were_measured_stay(name, digits):
-    """Resting fingers, a plane, a marker at the origin, coarse digits; of a camera, and of the finger itself."""
+    """Resting fingers, a plane, a marker at the origin, coarse digits; of a camera, and of the
+    finger itself.
+    """
     points, u = (GOOD | BUT_ALSO)[name]
     for places in (points, turned(points)):
         seen = places if digits is None else np.round(places, digits)
@@ -83,11 +90,19 @@ def test_an_import_sets_them_aside_and_a_run_is_searched(tmp_path):
     camera[rows, 2, 2] = 0.0
     head = ",".join(["t", "u", "v", *(f"{a}{m}" for m in range(4) for a in "xyz")])
     table = np.column_stack([T, SINES, camera.reshape(K, -1)])
-    (tmp_path / "log.csv").write_text(head + "\n" + "\n".join(",".join(f"{x:.4f}" for x in row) for row in table))
+    (tmp_path / "log.csv").write_text(
+        head + "\n" + "\n".join(",".join(f"{x:.4f}" for x in row) for row in table)
+    )
     for keys, found in (("", True), ('not_seen = "keep", ', False)):
         (tmp_path / "map.toml").write_text(MAP % keys)
         done = import_logs([tmp_path / "log.csv"], read_mapping(tmp_path / "map.toml"))
-        assert any("with z at exactly 0 are taken as not seen: marker 2" in text for text in done.doubts) == found
+        assert (
+            any(
+                "with z at exactly 0 are taken as not seen: marker 2" in text
+                for text in done.doubts
+            )
+            == found
+        )
         assert done.run.visible is None or (done.run.visible[:, 2] == ~rows).all() == found
     mask, (line,) = lost_points(Run(t=T, command=SINES, t_seen=T, markers=camera))
     assert (mask[:, 2] == rows).all() and mask.sum() == rows.sum() and "with z at exactly 0" in line

@@ -1,4 +1,6 @@
-"""Parsers of foreign formats run within limits: whatever they do, the parent gets arrays or one error."""
+"""Parsers of foreign formats run within limits: whatever they do, the parent gets arrays or one
+error.
+"""
 
 import os
 import resource
@@ -19,14 +21,17 @@ from softmap_edge.logs.readers.in_child import MEGABYTES, Answer, read_in_child
 def answer(path, rows):
     print("a parser that prints")
     text = path.read_text()
-    return Answer({"x": np.arange(rows * 2.0).reshape(rows, 2), "none": np.zeros((0, 3))}, {"text": text})
+    return Answer(
+        {"x": np.arange(rows * 2.0).reshape(rows, 2), "none": np.zeros((0, 3))}, {"text": text}
+    )
 
 
 def use(path, how):
     print(how)
     match how:
         case "memory":
-            np.ones(MEGABYTES * 2**18)  # twice the limit: a child may give memory back that it inherited
+            # twice the limit: a child may give memory back that it inherited
+            np.ones(MEGABYTES * 2**18)
         case "loop":
             while True:
                 pass
@@ -46,7 +51,9 @@ def use(path, how):
 
 
 def limits(path):
-    core, file = (resource.getrlimit(what)[0] for what in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE))
+    core, file = (
+        resource.getrlimit(what)[0] for what in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE)
+    )
     return Answer(document={"fds": len(os.listdir("/proc/self/fd")), "core": core, "file": file})
 
 
@@ -59,7 +66,9 @@ def path(tmp_path):
 
 def test_arrays_and_a_document_come_back(path):
     found = read_in_child(path, "file", answer, rows=3)
-    assert found.arrays["x"].tolist() == [[0, 1], [2, 3], [4, 5]] and found.arrays["none"].shape == (0, 3)
+    assert found.arrays["x"].tolist() == [[0, 1], [2, 3], [4, 5]] and found.arrays[
+        "none"
+    ].shape == (0, 3)
     assert found.document == {"text": "text"}
 
 
@@ -103,7 +112,8 @@ def test_a_parser_without_end_is_stopped(path, monkeypatch):
 def test_several_threads_read_at_once(path):
     found = []
     work = [
-        threading.Thread(target=lambda: found.append(read_in_child(path, "file", answer, rows=2))) for _ in range(6)
+        threading.Thread(target=lambda: found.append(read_in_child(path, "file", answer, rows=2)))
+        for _ in range(6)
     ]
     for thread in work:
         thread.start()

@@ -1,4 +1,6 @@
-"""A list of markers that gets shorter when one is lost: identities shift, and columns show their neighbours."""
+"""A list of markers that gets shorter when one is lost: identities shift, and columns show their
+neighbours.
+"""
 
 import numpy as np
 import pytest
@@ -17,14 +19,21 @@ def markers(count=5, noise=0.05, seed=0, digits=None):
     """Markers (K, M, 3) mm up a finger that bends."""
     rng = np.random.default_rng(seed)
     s = np.linspace(1 / count, 1, count)
-    points = np.stack([np.c_[30 * a**2 * np.sin(T), 10 * a**2 * np.cos(T), 100 * a + 0 * T] for a in s], axis=1)
+    points = np.stack(
+        [np.c_[30 * a**2 * np.sin(T), 10 * a**2 * np.cos(T), 100 * a + 0 * T] for a in s], axis=1
+    )
     points = points + noise * rng.normal(size=points.shape)
     return points if digits is None else np.round(points, digits)
 
 
 def listed(points, lost):
-    """What a tracker without labels writes: the markers that it sees, one after the other; and which they are."""
-    rows, shows = np.full_like(points, np.nan), np.tile(np.arange(points.shape[1]), (len(points), 1))
+    """What a tracker without labels writes: the markers that it sees, one after the other; and
+    which they are.
+    """
+    rows, shows = (
+        np.full_like(points, np.nan),
+        np.tile(np.arange(points.shape[1]), (len(points), 1)),
+    )
     for k in range(len(points)):
         seen = np.flatnonzero(~lost[k])
         rows[k, : len(seen)], shows[k, : len(seen)] = points[k, seen], seen
@@ -55,15 +64,21 @@ def test_columns_that_show_a_neighbour_are_found_and_mended(name):
     points, lost = markers(), LOST[name]
     rows, shows = listed(points, lost)
     found = find_shifted(rows)
-    assert np.array_equal(found.shows[np.isfinite(rows).all(axis=2)], shows[np.isfinite(rows).all(axis=2)])
-    assert np.array_equal(found.mended(rows), np.where(lost[..., None], np.nan, points), equal_nan=True)
+    assert np.array_equal(
+        found.shows[np.isfinite(rows).all(axis=2)], shows[np.isfinite(rows).all(axis=2)]
+    )
+    assert np.array_equal(
+        found.mended(rows), np.where(lost[..., None], np.nan, points), equal_nan=True
+    )
 
 
 @pytest.mark.parametrize("count", [2, 3, 12])
 def test_lists_of_any_length(count):
     points = markers(count)
     rows, shows = listed(points, stretches((0, 100, 150), count=count))
-    assert np.array_equal(find_shifted(rows).wrong, (shows != np.arange(count)) & np.isfinite(rows).all(axis=2))
+    assert np.array_equal(
+        find_shifted(rows).wrong, (shows != np.arange(count)) & np.isfinite(rows).all(axis=2)
+    )
 
 
 def test_columns_that_keep_their_markers_stay():
@@ -71,7 +86,8 @@ def test_columns_that_keep_their_markers_stay():
     assert find_shifted(points) is None
     for lost in LOST.values():  # empty cells where the marker is lost
         assert find_shifted(np.where(lost[..., None], np.nan, points)) is None
-    assert find_shifted(np.where(stretches((4, 50, 90))[..., None], np.nan, points)) is None  # the tip, and it is last
+    # the tip, and it is last
+    assert find_shifted(np.where(stretches((4, 50, 90))[..., None], np.nan, points)) is None
     assert find_shifted(markers(1)) is None and find_shifted(np.full((K, 5, 3), np.nan)) is None
 
 
@@ -112,7 +128,9 @@ def test_other_lists_that_get_shorter(make, name, count):
     assert (found is not None) == wrong.any()
     if found is not None:
         assert np.array_equal(found.wrong & np.isfinite(rows).all(axis=2), wrong)
-        assert np.array_equal(found.mended(rows), np.where(lost[..., None], np.nan, points), equal_nan=True)
+        assert np.array_equal(
+            found.mended(rows), np.where(lost[..., None], np.nan, points), equal_nan=True
+        )
 
 
 @pytest.mark.parametrize("pair", [(2, 3), (3, 2), (0, 4), (4, 0), (1, 0)])
@@ -129,7 +147,10 @@ def test_two_markers_at_one_place_are_one_measurement(pair, rows):
         rows == np.s_[:30] and found.wrong[:30, list(pair)].any(axis=1).all()
     )
     (line,) = found.lines("abcde", "")
-    assert f"{expected.any(axis=1).sum()} of 300 frames give two markers one place" in line and "abcde"[lost] in line
+    assert (
+        f"{expected.any(axis=1).sum()} of 300 frames give two markers one place" in line
+        and "abcde"[lost] in line
+    )
 
 
 def test_markers_that_are_always_at_one_place():
@@ -178,7 +199,10 @@ def test_an_import_sets_them_aside_or_mends_them(tmp_path, fill):
     done = import_logs([log], mapped(tmp_path, COLUMNS))
     right = np.isfinite(rows).all(axis=2) & (shows == np.arange(5))
     assert np.array_equal(done.run.visible, right)
-    assert any("30 of 300 frames list fewer markers" in doubt and "m1, m2, m3" in doubt for doubt in done.doubts)
+    assert any(
+        "30 of 300 frames list fewer markers" in doubt and "m1, m2, m3" in doubt
+        for doubt in done.doubts
+    )
     mended = import_logs([log], mapped(tmp_path, COLUMNS, 'swaps = "mend", '))
     assert np.array_equal(mended.run.visible, ~lost)
     assert mended.run.markers[~lost] == pytest.approx(points[~lost], abs=1e-3)
@@ -192,10 +216,18 @@ def test_a_list_of_poses_in_a_recording(tmp_path):
     messages = []
     for k, t in enumerate(T):
         poses = [
-            {"position": dict(zip("xyz", map(float, place))), "orientation": turn} for place in points[k, ~lost[k]]
+            {"position": dict(zip("xyz", map(float, place))), "orientation": turn}
+            for place in points[k, ~lost[k]]
         ]
         stamp = {"sec": int(t), "nanosec": int(round(t % 1 * 1e9))}
-        messages.append(("/markers", POSES, {"header": {"stamp": stamp, "frame_id": ""}, "poses": poses}, float(t)))
+        messages.append(
+            (
+                "/markers",
+                POSES,
+                {"header": {"stamp": stamp, "frame_id": ""}, "poses": poses},
+                float(t),
+            )
+        )
     log = write_mcap(tmp_path / "log.mcap", messages)
     columns = [[f"poses[{k}].position.{axis}" for axis in "xyz"] for k in range(3)]
     done = import_logs([log], mapped(tmp_path, columns, head='time = { column = "time" }'))
@@ -207,4 +239,6 @@ def test_a_run_of_other_origin_is_looked_at():
     rows, shows = listed(markers(), LOST["one"])
     run = Run(t=T, t_seen=T, markers=np.nan_to_num(rows), visible=np.isfinite(rows).all(axis=2))
     mask, (line,) = lost_points(run)
-    assert np.array_equal(mask, (shows != np.arange(5)) & run.visible) and "list fewer markers" in line
+    assert (
+        np.array_equal(mask, (shows != np.arange(5)) & run.visible) and "list fewer markers" in line
+    )

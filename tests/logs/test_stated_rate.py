@@ -50,7 +50,10 @@ def test_what_is_no_rate_is_none(line):
 @pytest.mark.parametrize("counter", ["frame", None])
 def test_a_stated_rate_is_proposed_and_not_assumed(tmp_path, line, counter):
     named = [*([counter] if counter else []), *NAMES[1:]]
-    body = [",".join([*([str(k + 7)] if counter else []), *row.split(",")[1:]]) for k, row in enumerate(rows(60))]
+    body = [
+        ",".join([*([str(k + 7)] if counter else []), *row.split(",")[1:]])
+        for k, row in enumerate(rows(60))
+    ]
     path = write(tmp_path / "log.csv", "Bench 3", line, ",".join(named), body)
     found = guess_mapping([path])
     assert "rate_hz = 20 }" in found.text and "assumed = true" not in found.text

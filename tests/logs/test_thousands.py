@@ -1,4 +1,6 @@
-"""Digits in groups of three are read where a cell is clear; an error about a comma never leads back to itself."""
+"""Digits in groups of three are read where a cell is clear; an error about a comma never leads back
+to itself.
+"""
 
 import re
 
@@ -56,7 +58,9 @@ def log(folder, group, point, mark, quote=""):
 def test_groups_of_digits_are_read(tmp_path, group, point, mark, quote):
     path = log(tmp_path, group, point, mark, quote)
     run = import_logs([path], parse_mapping(MAP % tuple(NAMES[1:]), path)).run
-    assert run.markers[:, 0] == pytest.approx(np.array([values(k)[2:] for k in range(60)]), abs=1e-4)
+    assert run.markers[:, 0] == pytest.approx(
+        np.array([values(k)[2:] for k in range(60)]), abs=1e-4
+    )
     assert run.command == pytest.approx(np.array([values(k)[:2] for k in range(60)]), abs=1e-3)
     found = guess_mapping([path])
     assert "markers = " in found.text and any("groups of three" in said for said in found.said)
@@ -64,7 +68,10 @@ def test_groups_of_digits_are_read(tmp_path, group, point, mark, quote):
 
 def test_whole_numbers_follow_the_clear_cells_of_their_log(tmp_path):
     lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
-    lines += [f"{0.05 * k:.2f};{0.1 * k:.1f};{0.2 * k:.1f};12,3{k:02d};-1,500.{k};90,{k:03d}" for k in range(60)]
+    lines += [
+        f"{0.05 * k:.2f};{0.1 * k:.1f};{0.2 * k:.1f};12,3{k:02d};-1,500.{k};90,{k:03d}"
+        for k in range(60)
+    ]
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
     run = import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path)).run
@@ -86,7 +93,9 @@ def test_the_remedy_of_an_error_leads_to_no_circle(tmp_path, cell, decimal):
     lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
     lines += [f"{0.05 * k};{0.1 * k};0.2;{cell if k == 40 else 25.5};1.5;90.0" for k in range(60)]
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    mapping = (MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")).replace("[[log]]\n", f"[[log]]\n{decimal}")
+    mapping = (MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")).replace(
+        "[[log]]\n", f"[[log]]\n{decimal}"
+    )
     try:
         import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path))
     except RunError as fault:
@@ -101,11 +110,18 @@ def test_the_remedy_of_an_error_leads_to_no_circle(tmp_path, cell, decimal):
 
 
 def whole_numbers(folder, mark, clock, point=""):
-    """A log of whole numbers in groups of three digits; its time is in ms, or in s with a decimal mark."""
+    """A log of whole numbers in groups of three digits; its time is in ms, or in s with a decimal
+    mark.
+    """
     lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
     for k in range(60):
         time = f"{50 * k}" if clock == "ms" else f"{0.05 * k:.3f}".replace(".", point)
-        cells = [time, f"{k % 9}", f"{k % 7}", *(f"{x:,}".replace(",", mark) for x in (900 + 8 * k, 300 + k, 2000 - k))]
+        cells = [
+            time,
+            f"{k % 9}",
+            f"{k % 7}",
+            *(f"{x:,}".replace(",", mark) for x in (900 + 8 * k, 300 + k, 2000 - k)),
+        ]
         lines.append(";".join(cells))
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
     mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
@@ -128,7 +144,9 @@ def test_whole_numbers_without_any_decimal_mark_are_asked_about(tmp_path, mark):
     read = {}
     for key, value in re.findall(r'(decimal = "[.,]")[^"]* to read ([\d.]+)', str(fault.value)):
         stated = mapping.replace("[[log]]\n", f"[[log]]\n{key}\n")
-        read[float(value)] = 1000 * import_logs([path], parse_mapping(stated, path)).run.markers[13, 0, 0]
+        read[float(value)] = (
+            1000 * import_logs([path], parse_mapping(stated, path)).run.markers[13, 0, 0]
+        )
     assert len(read) == 2 and list(read) == pytest.approx(list(read.values()))
 
 
@@ -153,12 +171,17 @@ def test_a_stated_mark_that_the_log_contradicts_is_doubted(tmp_path):
     stated = mapping.replace("[[log]]\n", '[[log]]\ndecimal = ","\n')
     found = import_logs([path], parse_mapping(stated, path))
     assert any("leave decimal out to read 2000" in doubt for doubt in found.doubts)
-    assert not any("decimal" in doubt for doubt in import_logs([path], parse_mapping(mapping, path)).doubts)
+    assert not any(
+        "decimal" in doubt for doubt in import_logs([path], parse_mapping(mapping, path)).doubts
+    )
 
 
 def test_three_decimals_stay_decimals(tmp_path):
     lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
-    lines += [f"{50 * k};{k % 9};{k % 7};{20 + k / 64:.3f};{12 + k / 8:.3f};{90 + k:.3f}" for k in range(60)]
+    lines += [
+        f"{50 * k};{k % 9};{k % 7};{20 + k / 64:.3f};{12 + k / 8:.3f};{90 + k:.3f}"
+        for k in range(60)
+    ]
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
     mapping = mapping.replace('"time" }', '"time", unit = "ms" }').replace('"um"', '"mm"')
@@ -175,8 +198,30 @@ def test_groups_in_rows_of_types_are_refused_by_their_line(tmp_path, cell):
 
 
 def test_the_rules():
-    clear = {"25,039.0": ",", "-1,234,567": ",", "25.039,0": ".", "1'234": "'", "1\u00a0234,5": "'", "1,234.5e3": ","}
+    clear = {
+        "25,039.0": ",",
+        "-1,234,567": ",",
+        "25.039,0": ".",
+        "1'234": "'",
+        "1\u00a0234,5": "'",
+        "1,234.5e3": ",",
+    }
     assert {cell: grouping_of(cell) for cell in clear} == clear
-    for cell in ("25,039", "25.039", "0,039.0", "1.234.567", "25,03.1", "12345,678.0", "m1,234.5", "", "1.5", "abc"):
+    for cell in (
+        "25,039",
+        "25.039",
+        "0,039.0",
+        "1.234.567",
+        "25,03.1",
+        "12345,678.0",
+        "m1,234.5",
+        "",
+        "1.5",
+        "abc",
+    ):
         assert grouping_of(cell) is None, cell
-    assert plain("25,039", ",") == "25039" and plain("25,039", None) is None and plain("-25.039,5", None) == "-25039.5"
+    assert (
+        plain("25,039", ",") == "25039"
+        and plain("25,039", None) is None
+        and plain("-25.039,5", None) == "-25039.5"
+    )

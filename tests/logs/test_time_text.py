@@ -1,4 +1,6 @@
-"""Time as people write it: ISO 8601, local dates, times of day; what decides the order of day and month."""
+"""Time as people write it: ISO 8601, local dates, times of day; what decides the order of day and
+month.
+"""
 
 import datetime
 
@@ -146,13 +148,18 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_a_log_with_dates(tmp_path, form):
     time, style = FORMS[form]
-    path = write(tmp_path / "log.csv", style.get("cut", ",").join(["Zeitpunkt", *NAMES[1:]]), rows(time=time, **style))
+    path = write(
+        tmp_path / "log.csv",
+        style.get("cut", ",").join(["Zeitpunkt", *NAMES[1:]]),
+        rows(time=time, **style),
+    )
     found = guess_mapping([path])
     assert not any("no column holds time" in line for line in [*found.assumed, *found.unknown])
     run = import_logs([path], parse_mapping(found.text, path)).run
     assert run.t == pytest.approx(STEP * np.arange(40), abs=1e-5) and run.channels == 2
     mapping = (
-        'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "Zeitpunkt" }\ncommand = { columns = ["cmd_1"] }'
+        'schema = "softmap.mapping/1"\n[[log]]\n'
+        'time = { column = "Zeitpunkt" }\ncommand = { columns = ["cmd_1"] }'
     )
     by_hand = import_logs([path], parse_mapping(mapping, path)).run
     assert np.diff(by_hand.t) == pytest.approx(STEP, abs=1e-5)
@@ -161,7 +168,11 @@ def test_a_log_with_dates(tmp_path, form):
 def test_a_date_and_a_time_of_day_in_two_columns(tmp_path):
     for cut in (",", " "):
         form = stamp(f"%d.%m.%Y{cut}%H:%M:%S.{{f}}", MIDNIGHT)
-        path = write(tmp_path / "log.csv", cut.join(["Datum", "Uhrzeit", *NAMES[1:]]), rows(cut=cut, time=form))
+        path = write(
+            tmp_path / "log.csv",
+            cut.join(["Datum", "Uhrzeit", *NAMES[1:]]),
+            rows(cut=cut, time=form),
+        )
         found = guess_mapping([path])
         assert 'columns = ["Datum", "Uhrzeit"]' in found.text
         run = import_logs([path], parse_mapping(found.text, path)).run
@@ -177,7 +188,9 @@ def test_a_date_and_a_time_of_day_in_two_parts_of_a_log(tmp_path, cut):
         write(tmp_path / "b.csv", head, rows(40 - cut, time=form, first=cut)),
     ]
     log = 'time = { columns = ["Datum", "Uhrzeit"] }\ncommand = { columns = ["cmd_1"] }\n'
-    mapping = 'schema = "softmap.mapping/1"\n' + "".join(f'[[log]]\nfile = "{path.name}"\n{log}' for path in paths)
+    mapping = 'schema = "softmap.mapping/1"\n' + "".join(
+        f'[[log]]\nfile = "{path.name}"\n{log}' for path in paths
+    )
     run = import_logs(paths, parse_mapping(mapping, paths[0])).run
     assert np.diff(run.t) == pytest.approx(STEP, abs=1e-5) and len(run.t) == 40
 
@@ -191,7 +204,9 @@ def test_a_cell_that_is_no_time_is_named_with_its_line(tmp_path):
         import_logs([path], parse_mapping(mapping, path))
     with pytest.raises(RunError, match=r"time holds dates or times; leave unit"):
         path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=FORMS["iso"][0]))
-        import_logs([path], parse_mapping(mapping.replace('"time" }', '"time", unit = "ms" }'), path))
+        import_logs(
+            [path], parse_mapping(mapping.replace('"time" }', '"time", unit = "ms" }'), path)
+        )
 
 
 def test_dates_that_can_be_read_in_two_ways_are_asked_about(tmp_path):
@@ -200,5 +215,7 @@ def test_dates_that_can_be_read_in_two_ways_are_asked_about(tmp_path):
     mapping = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1"] }'
     with pytest.raises(RunError, match=r'set time.date_order = "dmy" or "mdy"'):
         import_logs([path], parse_mapping(mapping, path))
-    run = import_logs([path], parse_mapping(mapping.replace('"time" }', '"time", date_order = "dmy" }'), path)).run
+    run = import_logs(
+        [path], parse_mapping(mapping.replace('"time" }', '"time", date_order = "dmy" }'), path)
+    ).run
     assert len(run.t) == 8  # the remedy leads out

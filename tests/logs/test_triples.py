@@ -1,4 +1,6 @@
-"""Which columns of a log are places, decided by names, sizes and values; what is left out is named with the reason."""
+"""Which columns of a log are places, decided by names, sizes and values; what is left out is named
+with the reason.
+"""
 
 import numpy as np
 import pytest
@@ -18,9 +20,15 @@ SMALL = np.c_[0.3 * np.sin(T), 0.04 + 0 * T, 0.3 * np.cos(T)]
 def log(folder, head, *columns):
     """A log of time, two commands and more columns."""
     rows = np.c_[
-        T, 5 * np.sin(T), 4 * np.cos(T), np.concatenate([np.reshape(c, (len(T), -1)) for c in columns], axis=1)
+        T,
+        5 * np.sin(T),
+        4 * np.cos(T),
+        np.concatenate([np.reshape(c, (len(T), -1)) for c in columns], axis=1),
     ]
-    lines = [",".join(["time", "cmd_1", "cmd_2", *head]), *(",".join(f"{x:.6f}" for x in row) for row in rows)]
+    lines = [
+        ",".join(["time", "cmd_1", "cmd_2", *head]),
+        *(",".join(f"{x:.6f}" for x in row) for row in rows),
+    ]
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
     return folder / "log.csv"
 
@@ -58,14 +66,33 @@ def test_the_cases(tmp_path, name, unit, columns, reason):
 @pytest.mark.parametrize("form", ["{}_{}", "{}.{}", "{}{}", "{1}_{0}"])
 @pytest.mark.parametrize(
     "name",
-    ["rpy", "euler", "omega", "theta", "F", "M", "f", "moment", "gravity", "q", "eul", "angles", "ori", "R", "B"]
+    [
+        "rpy",
+        "euler",
+        "omega",
+        "theta",
+        "F",
+        "M",
+        "f",
+        "moment",
+        "gravity",
+        "q",
+        "eul",
+        "angles",
+        "ori",
+        "R",
+        "B",
+    ]
     + ["strain", "tof", "torque", "tau", "imu_acc", "tip_velocity", "wrench.force", "foo"],
 )
 def test_no_name_makes_a_small_triple_a_place_or_turns_the_unit(tmp_path, name, form):
     for scale, unit in ((1.0, "mm"), (1e-3, "m")):
         path = log(tmp_path, [*xyz("tip"), *xyz(name, form)], TIP * scale, SMALL)
         found = guess_mapping([path])
-        assert f'markers = {{ unit = "{unit}"' in found.text and '["tip_x", "tip_y", "tip_z"]' in found.text
+        assert (
+            f'markers = {{ unit = "{unit}"' in found.text
+            and '["tip_x", "tip_y", "tip_z"]' in found.text
+        )
         assert imported(tmp_path, found, path).run.markers.shape == (40, 1, 3)
         assert named(found, xyz(name, form)[0], "left out")
 
@@ -84,18 +111,26 @@ def test_no_name_makes_a_small_triple_a_place_or_turns_the_unit(tmp_path, name, 
 )
 def test_values_decide_where_a_name_says_nothing(tmp_path, values, reason):
     found = guess_mapping([log(tmp_path, [*xyz("tip"), *xyz("foo")], TIP, values)])
-    assert named(found, "foo_x, foo_y, foo_z", reason, "left out") and found.text.count('    ["') == 1
+    assert (
+        named(found, "foo_x, foo_y, foo_z", reason, "left out") and found.text.count('    ["') == 1
+    )
 
 
 def test_a_quaternion_is_named_once(tmp_path):
     turn = np.c_[0 * T, 0 * T, np.sin(T / 2), np.cos(T / 2)]
-    found = guess_mapping([log(tmp_path, [*xyz("tip"), *(f"q{axis}" for axis in "xyzw")], TIP, turn)])
+    found = guess_mapping(
+        [log(tmp_path, [*xyz("tip"), *(f"q{axis}" for axis in "xyzw")], TIP, turn)]
+    )
     assert named(found, "qx, qy, qz, qw", "a quaternion") and found.text.count('    ["') == 1
 
 
 def test_markers_of_any_name_that_fit_stay(tmp_path):
     heights = [0.25, 0.5, 0.75, 1.0]
-    for names in (["m1", "m2", "m3", "m4"], ["base", "middle", "elbow", "tip"], ["a1", "b1", "c1", "d1"]):
+    for names in (
+        ["m1", "m2", "m3", "m4"],
+        ["base", "middle", "elbow", "tip"],
+        ["a1", "b1", "c1", "d1"],
+    ):
         head = [column for name in names for column in xyz(name)]
         path = log(tmp_path, head, *(TIP * h for h in heights))
         found = guess_mapping([path])
@@ -103,7 +138,9 @@ def test_markers_of_any_name_that_fit_stay(tmp_path):
         base = run.extra.get("base_markers", np.zeros((40, 0, 3)))
         assert run.markers.shape[1] + base.shape[1] == 4 and not named(found, "left out")
     found = guess_mapping([log(tmp_path, [*xyz("tip"), *xyz("wobble")], TIP, TIP * 0.5)])
-    assert found.text.count('    ["') == 2 and any("by size alone" in line for line in found.assumed)
+    assert found.text.count('    ["') == 2 and any(
+        "by size alone" in line for line in found.assumed
+    )
 
 
 # --- names that are there twice, and names in brackets --------------------------------------------
@@ -111,24 +148,37 @@ def test_a_second_group_of_the_same_name_is_taken_by_number(tmp_path):
     found = guess_mapping([CASES / "same.csv"])
     assert "[2, 3, 4]" in found.text and "[5, 6, 7]" in found.text
     run = imported(tmp_path, found, CASES / "same.csv").run
-    assert run.markers.shape == (40, 2, 3) and run.markers[0, :, 2] == pytest.approx([45.3, 90.3], abs=0.5)
+    assert run.markers.shape == (40, 2, 3) and run.markers[0, :, 2] == pytest.approx(
+        [45.3, 90.3], abs=0.5
+    )
 
 
 def test_other_names_that_are_there_twice(tmp_path):
     path = log(tmp_path, [*xyz("tip"), *xyz("tip"), *xyz("tip")], TIP * 0.4, TIP * 0.7, TIP)
     found = guess_mapping([path])
-    assert imported(tmp_path, found, path).run.markers.shape == (40, 3, 3) and "[9, 10, 11]" in found.text
+    assert (
+        imported(tmp_path, found, path).run.markers.shape == (40, 3, 3)
+        and "[9, 10, 11]" in found.text
+    )
     path = log(tmp_path, ["note", *xyz("tip"), "note"], T**2, TIP, -T)
     found = guess_mapping([path])
     assert named(found, "note (column 3)", "note (column 7)", "left out")
-    path = log(tmp_path, ["enc", "enc", *xyz("tip")], 5 * np.sin(T) + 0.01, 4 * np.cos(T) - 0.01, TIP)
+    path = log(
+        tmp_path, ["enc", "enc", *xyz("tip")], 5 * np.sin(T) + 0.01, 4 * np.cos(T) - 0.01, TIP
+    )
     found = guess_mapping([path])
-    assert "present = { columns = [3, 4]" in found.text and imported(tmp_path, found, path).run.present is not None
+    assert (
+        "present = { columns = [3, 4]" in found.text
+        and imported(tmp_path, found, path).run.present is not None
+    )
 
 
 def test_names_with_parentheses(tmp_path):
     found = guess_mapping([CASES / "paren.csv"])
-    assert 'columns = ["u_t(0)", "u_t(1)"]' in found.text and '"p_tip(1)", "p_tip(2)", "p_tip(3)"' in found.text
+    assert (
+        'columns = ["u_t(0)", "u_t(1)"]' in found.text
+        and '"p_tip(1)", "p_tip(2)", "p_tip(3)"' in found.text
+    )
     assert 'column = "Test time"' in found.text
     run = imported(tmp_path, found, CASES / "paren.csv").run
     assert run.marker_names == ["p_tip"] and run.channels == 2
@@ -146,7 +196,9 @@ def test_names_with_parentheses(tmp_path):
 def test_other_brackets(tmp_path, commands, places):
     count = len(places) // 3
     path = log(tmp_path, places, *(TIP * (k + 1) / count for k in range(count)))
-    text = path.read_text().replace("cmd_1", f'"{commands[0]}"').replace("cmd_2", f'"{commands[1]}"')
+    text = (
+        path.read_text().replace("cmd_1", f'"{commands[0]}"').replace("cmd_2", f'"{commands[1]}"')
+    )
     for place in places:
         text = text.replace(place, f'"{place}"', 1) if "," in place else text
     path.write_text(text)
@@ -156,14 +208,18 @@ def test_other_brackets(tmp_path, commands, places):
 
 
 def test_channels_in_brackets_are_no_place(tmp_path):
-    for names in (["u(1)", "u(2)", "u(3)"], ["q(1)", "q(2)", "q(3)"], ["joint_position[0]", "joint_position[1]"]):
+    for names in (
+        ["u(1)", "u(2)", "u(3)"],
+        ["q(1)", "q(2)", "q(3)"],
+        ["joint_position[0]", "joint_position[1]"],
+    ):
         values = [np.sin(T + k) for k in range(len(names))]
         path = log(tmp_path, names, *values)
         found = guess_mapping([path])
         assert "\nmarkers" not in found.text
 
 
-# --- joint states ----------------------------------------------------------------------------------
+# --- joint states ---------------------------------------------------------------------------------
 def test_joint_states_are_rad_and_marked(tmp_path):
     found = guess_mapping([CASES / "joints.csv"])
     assert 'unit = "rad"' in found.text and 'command_unit = "rad"' in found.text
@@ -171,9 +227,13 @@ def test_joint_states_are_rad_and_marked(tmp_path):
 
 
 @pytest.mark.parametrize("size", [0.02, 0.1, 0.6, 3.0])
-@pytest.mark.parametrize("name", ["/joint_states/position[{}]", "JointState.position.{}", "joint_state_{}"])
+@pytest.mark.parametrize(
+    "name", ["/joint_states/position[{}]", "JointState.position.{}", "joint_state_{}"]
+)
 def test_joint_states_of_any_size_and_name(tmp_path, size, name):
-    path = log(tmp_path, [name.format("left"), name.format("right")], size * np.sin(T), size * np.cos(T))
+    path = log(
+        tmp_path, [name.format("left"), name.format("right")], size * np.sin(T), size * np.cos(T)
+    )
     text = path.read_text().replace("cmd_1", "a_1").replace("cmd_2", "a_2")
     path.write_text(text)
     found = guess_mapping([path])

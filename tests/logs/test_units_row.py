@@ -1,4 +1,6 @@
-"""A line of units next to the names of a text log, and what the message names where a column is missing."""
+"""A line of units next to the names of a text log, and what the message names where a column is
+missing.
+"""
 
 import pytest
 from bench_rows import rows, write
@@ -20,9 +22,13 @@ UNITS = {
     "brackets around some": f"{HEAD}\n[since start],[deg],[deg],mm,mm,mm",
     "units that are not known": f"{HEAD}\ndate,counts,counts,px,px,px",
     "units that never repeat": f"{HEAD}\nUTC,deg,rad,mm,cm,m",
-    "units, then types": f"{HEAD}\nUTC,deg,deg,mm,mm,mm\nstring,float32,float32,float64,float64,float64",
+    "units, then types": (
+        f"{HEAD}\nUTC,deg,deg,mm,mm,mm\nstring,float32,float32,float64,float64,float64"
+    ),
     "units above the names": f"UTC,deg,deg,mm,mm,mm\n{HEAD}",
-    "lines of a vendor above": f"MoCapPro,v4\nCapture rate (Hz),50\n\n{HEAD},Comment\nISO 8601,deg,deg,mm,mm,mm,",
+    "lines of a vendor above": (
+        f"MoCapPro,v4\nCapture rate (Hz),50\n\n{HEAD},Comment\nISO 8601,deg,deg,mm,mm,mm,"
+    ),
 }
 KNOWN = [kind for kind in UNITS if "not known" not in kind and "repeat" not in kind]
 
@@ -73,7 +79,8 @@ command = { columns = ["a0", "a1", "a2", "a3", "a4", "a5", "a6", "a7", "a8"] }""
 
 
 @pytest.mark.parametrize(
-    ("above", "line"), [([], 1), (["bench 3", ""], 3), (["Rate,50", "Operator,Q", ""], 4), (["# 7", "# 8"], 3)]
+    ("above", "line"),
+    [([], 1), (["bench 3", ""], 3), (["Rate,50", "Operator,Q", ""], 4), (["# 7", "# 8"], 3)],
 )
 def test_a_missing_column_names_the_line_of_the_names_and_the_ways_out(tmp_path, above, line):
     path = write(tmp_path / "log.csv", [*above, HEAD], rows())
@@ -81,7 +88,11 @@ def test_a_missing_column_names_the_line_of_the_names_and_the_ways_out(tmp_path,
         import_logs([path], parse_mapping(MISSING, path))
     text = str(fault.value)
     assert "no column clock, a0" in text and "a6 and 2 more" in text
-    assert f"line {line} was taken for the names" in text and "skip_rows" in text and "header = false" in text
+    assert (
+        f"line {line} was taken for the names" in text
+        and "skip_rows" in text
+        and "header = false" in text
+    )
 
 
 @pytest.mark.parametrize("count", [12, 60, 400])

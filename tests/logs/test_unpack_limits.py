@@ -51,7 +51,9 @@ def test_a_file_that_grows_too_far_is_stopped_early(tmp_path, monkeypatch, name,
 def test_a_text_log_is_unpacked_no_further_than_it_is_read(tmp_path, monkeypatch, ending):
     monkeypatch.setattr(text, "LIMIT", 2**21)
     dense = LINE + os.urandom(2**22).hex().encode()
-    assert "holds more than 2097152 bytes when unpacked" in stopped(pack(tmp_path / f"log.csv.{ending}", dense))
+    assert "holds more than 2097152 bytes when unpacked" in stopped(
+        pack(tmp_path / f"log.csv.{ending}", dense)
+    )
     said = stopped(pack(tmp_path / f"bag.mcap.{ending}", MCAP + os.urandom(2**22)))
     assert "when unpacked" not in said  # other formats have limits of their own
 
@@ -59,7 +61,9 @@ def test_a_text_log_is_unpacked_no_further_than_it_is_read(tmp_path, monkeypatch
 def test_a_format_that_is_not_read_is_refused_after_the_first_piece(tmp_path, monkeypatch):
     asked = []
     pieces = packed._pieces
-    monkeypatch.setattr(packed, "_pieces", lambda *given: (asked.append(1) or piece for piece in pieces(*given)))
+    monkeypatch.setattr(
+        packed, "_pieces", lambda *given: (asked.append(1) or piece for piece in pieces(*given))
+    )
     said = stopped(pack(tmp_path / "run.bag.gz", b"#ROSBAG V2.0\n" + os.urandom(2**23)))
     assert "ROS 1 bag" in said and "run.bag.gz" in said and len(asked) == 1
 
@@ -68,7 +72,9 @@ def test_an_ordinary_log_is_read_whatever_its_size(tmp_path, monkeypatch):
     monkeypatch.setattr(packed, "_UNSUSPECTED", 100)
     data = "\n".join([",".join(NAMES), *rows(4000)]) + "\n"
     for ending in ("gz", "zst"):
-        assert "markers" in guess_mapping([pack(tmp_path / f"log.csv.{ending}", data.encode())]).text
+        assert (
+            "markers" in guess_mapping([pack(tmp_path / f"log.csv.{ending}", data.encode())]).text
+        )
 
 
 def test_many_gigabytes_of_zeros_take_no_time(tmp_path):

@@ -1,4 +1,6 @@
-"""Text logs in UTF-16 and UTF-32, with and without a mark of byte order, are read as those in UTF-8 are."""
+"""Text logs in UTF-16 and UTF-32, with and without a mark of byte order, are read as those in UTF-8
+are.
+"""
 
 import codecs
 
@@ -83,14 +85,17 @@ def test_a_row_that_was_cut_within_a_character_is_left_out_by_the_key(tmp_path, 
 
 
 @pytest.mark.parametrize("whole", ["\u00e4", "\u20ac", "\U0001f916", "a"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"]
+)
 def test_a_complete_last_character_is_no_cut(tmp_path, whole, encoding):
     (tmp_path / "log.csv").write_bytes((TEXT + whole).encode(encoding))
     assert not is_cut(tmp_path / "log.csv")
 
 
 @pytest.mark.parametrize(
-    "start", [bytes(400), b"\0\1" * 200, bytes(range(256)), b"t,a\0b\n" * 30, b"\x01\x00\x00\x02" * 50]
+    "start",
+    [bytes(400), b"\0\1" * 200, bytes(range(256)), b"t,a\0b\n" * 30, b"\x01\x00\x00\x02" * 50],
 )
 def test_bytes_that_are_no_text_stay_an_error(tmp_path, start):
     (tmp_path / "log.csv").write_bytes(start)

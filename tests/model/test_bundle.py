@@ -57,11 +57,14 @@ LEANING = (np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0)))
     ],
 )
 def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, grams, limit):
-    """The limits that docs/reference/effects.md states: shares of what the load moves, RMS over vertices and eleven
-    commands."""
+    """The limits that docs/reference/effects.md states: shares of what the load moves, RMS over
+    vertices and eleven commands.
+    """
     u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
     simulator = Simulator(Finger.builtin())
-    truth = simulator.path(u, gravity=gravity, load=9.80665e-3 * grams * np.array(gravity)) - simulator.path(u)
+    truth = simulator.path(
+        u, gravity=gravity, load=9.80665e-3 * grams * np.array(gravity)
+    ) - simulator.path(u)
     t = np.arange(11.0)
     loaded = Run(t=t, command=u, t_seen=t, gravity=np.array(gravity), load=np.full(11, grams))
 
@@ -109,7 +112,12 @@ def test_saving_loses_nothing_that_stands_beside_or_in_place_of_a_bundle(finger,
     (tmp_path / "link").symlink_to(mine)
     save_bundle(model, tmp_path / "link")  # a bundle is replaced, also behind a link
     assert (tmp_path / "link").is_symlink() and load_bundle(mine).robot == model.robot
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["link", "mine", "mine.part", "there"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        "link",
+        "mine",
+        "mine.part",
+        "there",
+    ]
     assert (tmp_path / "mine.part" / "precious").exists() and (there / "thesis.tex").exists()
 
 

@@ -1,4 +1,6 @@
-"""Contact: the built-in finger against a wall, beside its finite elements pushed as hard as it takes."""
+"""Contact: the built-in finger against a wall, beside its finite elements pushed as hard as it
+takes.
+"""
 
 import numpy as np
 import pytest
@@ -67,6 +69,8 @@ def test_a_wall_acts_on_one_side_only_and_not_before_it_is_reached(model):
 def test_a_large_sphere_is_a_plane(model):
     commands = [[9.0, 3.0], [11.0, -2.0]]
     plane = seen(model, commands, distance=42.0, heading=10.0, tilt=5.0, height=90.0)
-    sphere = seen(model, commands, distance=42.0, heading=10.0, tilt=5.0, height=90.0, curvature=1e-6)
+    sphere = seen(
+        model, commands, distance=42.0, heading=10.0, tilt=5.0, height=90.0, curvature=1e-6
+    )
     assert np.abs(plane - seen(model, commands)).max() > 1.0
     np.testing.assert_allclose(sphere, plane, atol=0.02)

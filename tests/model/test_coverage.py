@@ -1,4 +1,6 @@
-"""Commands that taught a model: leverage covers combinations of channels, a box per channel does not."""
+"""Commands that taught a model: leverage covers combinations of channels, a box per channel does
+not.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,8 @@ def test_leverage_is_that_of_the_hat_matrix():
     x = np.column_stack([np.ones(60), q, q[:, 0] ** 2, q[:, 0] * q[:, 1], q[:, 1] ** 2])
     hat = np.diag(x @ np.linalg.inv(x.T @ x) @ x.T)
     coverage = Coverage.of(u)
-    np.testing.assert_allclose(coverage.excess(u), hat / hat.max(), rtol=2e-3)  # ε is 1e-5 of the features
+    # ε is 1e-5 of the features
+    np.testing.assert_allclose(coverage.excess(u), hat / hat.max(), rtol=2e-3)
     assert not coverage.outside(u).any()
 
 
@@ -59,8 +62,14 @@ def test_a_run_that_leaves_them_is_warned_of_in_one_line():
     model, t = learn_model(recorded(seconds=60.0)), np.arange(0.0, 30.0, 0.02)
     assert command_extrapolation(model, run_of(wander(t + 3.0, 9.0), t)) == []
     (farther,) = command_extrapolation(model, run_of(wander(t, 15.0), t))
-    assert "channel 0 goes from" in farther and "extrapolates" in farther and "leverage up to" in farther
-    together = learn_model(run_of(np.repeat(wander(t)[:, :1], 2, axis=1) + 0.3 * wander(t + 9.0), t))
+    assert (
+        "channel 0 goes from" in farther
+        and "extrapolates" in farther
+        and "leverage up to" in farther
+    )
+    together = learn_model(
+        run_of(np.repeat(wander(t)[:, :1], 2, axis=1) + 0.3 * wander(t + 9.0), t)
+    )
     reach = 0.6 * together.command_range[:, 1].min()
     apart = reach * np.stack([np.sin(t), -np.sin(t)], axis=1)
     (said,) = command_extrapolation(together, run_of(apart, t))
@@ -89,15 +98,26 @@ def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):
 
 
 def test_a_diagnosis_sets_frames_aside_that_the_model_can_only_guess():
-    """A polynomial of the commands that taught it is far off where both bend far at once: no effect of the robot."""
+    """A polynomial of the commands that taught it is far off where both bend far at once: no effect
+    of the robot.
+    """
 
-    def kinked(u):  # a robot that no cubic follows: its second servo pulls less while the first one pulls far
-        return arc(np.stack([u[:, 0], u[:, 1] * (1.0 - 1.5 * (np.maximum(u[:, 0] - 6.0, 0.0) / 4.0) ** 2)], axis=1))
+    # a robot that no cubic follows: its second servo pulls less while the first one pulls far
+    def kinked(u):
+        return arc(
+            np.stack(
+                [u[:, 0], u[:, 1] * (1.0 - 1.5 * (np.maximum(u[:, 0] - 6.0, 0.0) / 4.0) ** 2)],
+                axis=1,
+            )
+        )
 
     def seen(u, t, seed):
         markers = kinked(u)[::3]
         return Run(
-            t=t, command=u, t_seen=t[::3], markers=markers + np.random.default_rng(seed).normal(0, 0.1, markers.shape)
+            t=t,
+            command=u,
+            t_seen=t[::3],
+            markers=markers + np.random.default_rng(seed).normal(0, 0.1, markers.shape),
         )
 
     t = np.arange(0.0, 60.0, 0.02)
@@ -105,8 +125,15 @@ def test_a_diagnosis_sets_frames_aside_that_the_model_can_only_guess():
     inside, outside = np.clip(wander(t + 100.0), -6.0, 6.0), wander(t + 100.0, 10.0)
     some = seen(np.where((t % 20.0 < 15.0)[:, None], inside, outside), t, 1)
     found = diagnose(model, some)
-    (said,) = [text for text in found.remarks if "unlike all that the model was learned from" in text]
+    (said,) = [
+        text for text in found.remarks if "unlike all that the model was learned from" in text
+    ]
     assert "are set aside" in said and found.verdict in ("nothing", "cannot_tell")
-    assert found.error.model < 0.3 < 1.0 < np.sqrt(((model.predict(some) - some.markers) ** 2).sum(-1).mean())
+    assert (
+        found.error.model
+        < 0.3
+        < 1.0
+        < np.sqrt(((model.predict(some) - some.markers) ** 2).sum(-1).mean())
+    )
     most = diagnose(model, seen(wander(t + 100.0, 14.0), t, 1))  # nothing would be left
     assert not any("unlike all" in text for text in most.remarks)

@@ -1,4 +1,6 @@
-"""Changes of a design: the built-in model beside the changed finger, solved; and bundles without such fields."""
+"""Changes of a design: the built-in model beside the changed finger, solved; and bundles without
+such fields.
+"""
 
 from dataclasses import replace
 
@@ -29,7 +31,8 @@ def section(amount, low, high):
     return {f"stiff_{k}": amount for k, m in enumerate(MIDDLES) if low < m < high}
 
 
-# parameters; the change of design that they stand for (or mm/N of the cables); allowed share of error
+# parameters; the change of design that they stand for (or mm/N of the cables); allowed share of
+# error
 CASES = {
     "stiffness_gradient": (
         {"stiffness_gradient.gradient": -0.6},
@@ -37,7 +40,11 @@ CASES = {
         0.06,
     ),
     "stiff_section": (
-        {"stiff_section.amount": 0.4, "stiff_section.centre": 0.5, "stiff_section.width": 2 / 3 - 1e-9},
+        {
+            "stiff_section.amount": 0.4,
+            "stiff_section.centre": 0.5,
+            "stiff_section.width": 2 / 3 - 1e-9,
+        },
         section(0.4, 0.3, 0.7) | {"stiff_1": 0.2, "stiff_5": 0.2},
         0.22,  # of 0.46 mm: the logarithm is not small
     ),
@@ -47,8 +54,16 @@ CASES = {
         0.08,
     ),
     "twist": ({"twist.angle": 6.0}, {"twist": 6.0}, 0.08),
-    "pre_curve": ({"pre_curve.x": 3.0, "pre_curve.y": -1.5}, {"curve_x": 3.0, "curve_y": -1.5}, 0.06),
-    "routing": ({"routing.phase[0]": 5.0, "routing.phase[1]": -3.0}, {"routing_0": 5.0, "routing_1": -3.0}, 0.1),
+    "pre_curve": (
+        {"pre_curve.x": 3.0, "pre_curve.y": -1.5},
+        {"curve_x": 3.0, "curve_y": -1.5},
+        0.06,
+    ),
+    "routing": (
+        {"routing.phase[0]": 5.0, "routing.phase[1]": -3.0},
+        {"routing_0": 5.0, "routing_1": -3.0},
+        0.1,
+    ),
     "tendon_stretch": ({"tendon_stretch.compliance": 0.05}, 0.05, 0.06),
 }
 
@@ -85,9 +100,13 @@ def old(tmp_path_factory):
         for key, value in model.arrays["fields"].items()
         if not any(key.removesuffix("_step").endswith(f"_{name}") for name in design)
     }
-    prior = {key: np.asarray(value, np.float32) for key, value in unpacked(model.arrays["prior"]).items()}
+    prior = {
+        key: np.asarray(value, np.float32) for key, value in unpacked(model.arrays["prior"]).items()
+    }
     model = replace(
-        model.with_structure(fields={name: field for name, field in model.fields.items() if name not in design}),
+        model.with_structure(
+            fields={name: field for name, field in model.fields.items() if name not in design}
+        ),
         arrays={"prior": prior, "fields": kept},
         safety=None,
     )
@@ -98,7 +117,13 @@ def old(tmp_path_factory):
 
 def test_a_bundle_without_these_fields_is_read_and_answers_loads_as_before(old):
     t = np.arange(float(len(COMMANDS)))
-    run = Run(t=t, command=COMMANDS, t_seen=t, gravity=np.array([0.6, 0.0, 0.8]), load=np.full(len(t), 20.0))
+    run = Run(
+        t=t,
+        command=COMMANDS,
+        t_seen=t,
+        gravity=np.array([0.6, 0.0, 0.8]),
+        load=np.full(len(t), 20.0),
+    )
     np.testing.assert_allclose(old.predict(run), builtin_model().predict(run), atol=1e-4)  # float32
     assert old.missing_for("payload") == [] and old.missing_for("tendon_stretch") == []
     assert old.missing_for("twist") == ["twist"] and builtin_model().missing_for("twist") == []
@@ -135,7 +160,9 @@ def stretched(command, **compliance):
 @pytest.mark.parametrize(("side", "other", "sign"), [("+", "-", 1.0), ("-", "+", -1.0)])
 @pytest.mark.parametrize("channel", [0, 1])
 def test_each_cable_has_its_own_compliance(channel, side, other, sign):
-    """A cable that is pulled moves the body as if all were so soft, its antagonist, which hangs, hardly at all."""
+    """A cable that is pulled moves the body as if all were so soft, its antagonist, which hangs,
+    hardly at all.
+    """
     for amount in (6.0, 8.0, 11.0):
         command = sign * amount * np.eye(2)[channel]
         every = stretched(command, **{"": 0.04})

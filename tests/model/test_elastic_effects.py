@@ -1,4 +1,6 @@
-"""Effects on an elastic rod: its fields are those of its numbers, laws of its tendons are found and fitted again."""
+"""Effects on an elastic rod: its fields are those of its numbers, laws of its tendons are found and
+fitted again.
+"""
 
 import json
 from dataclasses import replace
@@ -24,7 +26,9 @@ learned = pytest.fixture(scope="module")(learned_from_rough)
 
 @pytest.mark.parametrize("slack", [0.0, 0.4, 1.0])
 def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
-    """As central differences of the rod itself: in stiffness, curvature at rest and the sides of its tendons."""
+    """As central differences of the rod itself: in stiffness, curvature at rest and the sides of
+    its tendons.
+    """
     robot = arm().with_slack(slack)
     places, lengths = robot.layout.places(), np.array([70.0, 50.0])
     fields = ElasticParameters(robot.layout, robot.start, 1.0).fields()
@@ -42,7 +46,9 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
         mean = np.array([hat[s < 7 / 12].mean(), hat[s > 7 / 12].mean()])
         by = 1e-5 * mean * robot.start[places["stiffness"]]
         got = fields[f"stiff_{k}"].evaluate(u)
-        np.testing.assert_allclose(got, (changed("stiffness", by) - changed("stiffness", -by)) / 2e-5, atol=1e-4)
+        np.testing.assert_allclose(
+            got, (changed("stiffness", by) - changed("stiffness", -by)) / 2e-5, atol=1e-4
+        )
         total += got
     assert np.abs(total).max() > 1.0
     for axis in range(2):
@@ -59,18 +65,37 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
         assert np.abs(got).max() > 0.05
     straight = robot.start.copy()
     straight[places["tilt"]] = straight[places["pretension"]] = 0.0
-    moved = ElasticParameters(robot.layout, straight, 1.0).fields()["curve_x"].evaluate(np.zeros((1, 6)))
+    moved = (
+        ElasticParameters(robot.layout, straight, 1.0)
+        .fields()["curve_x"]
+        .evaluate(np.zeros((1, 6)))
+    )
     np.testing.assert_allclose(moved[0, -3:], [1.0, 0.0, 0.0], atol=1e-9)
-    one = _core.ElasticRod(1, 1, [0], [0], [1.0], [1.0], np.array([0, 0, 5, 0, 8, 50, *np.zeros(7)], float))
-    with pytest.raises(SoftmapError, match="routing_1 turns the tendons of a command that the rod has not: it has 1"):
+    one = _core.ElasticRod(
+        1, 1, [0], [0], [1.0], [1.0], np.array([0, 0, 5, 0, 8, 50, *np.zeros(7)], float)
+    )
+    with pytest.raises(
+        SoftmapError,
+        match="routing_1 turns the tendons of a command that the rod has not: it has 1",
+    ):
         _core.ElasticField(one, "routing_1", 1.0)
     with pytest.raises(SoftmapError, match="twist"):
         _core.ElasticField(robot.layout.compiled(robot.start), "twist", 1.0)
 
 
 def test_tendons_that_run_elsewhere_are_found_on_a_rod():
-    """Two pairs of cables, one of them turned by 8 degrees; a rod of more than three commands has no such fields."""
-    numbers = [[0.0], 0.5 * np.pi * np.arange(4), [6.0] * 4, [0.5] * 4, [30.0] * 2, [55.0] * 2, np.zeros(9)]
+    """Two pairs of cables, one of them turned by 8 degrees; a rod of more than three commands has
+    no such fields.
+    """
+    numbers = [
+        [0.0],
+        0.5 * np.pi * np.arange(4),
+        [6.0] * 4,
+        [0.5] * 4,
+        [30.0] * 2,
+        [55.0] * 2,
+        np.zeros(9),
+    ]
     layout = RodLayout(2, 2, (1,) * 4, (0, 1, 0, 1), (1.0, 1.0, -1.0, -1.0), (0.5, 1.0, 1.5, 2.0))
     rod = ElasticParameters(layout, np.concatenate(numbers), 1.0)
     aside = rod.numbers.copy()
@@ -107,15 +132,26 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
 
 def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
     """Fields answer linearly: of 2.1 mm 0.66 are left, over half of that noise."""
-    known = {'stiffness = "each"': "", 'length = "each"': "", 'angle = "each"': "", 'radius = "shared"': ""}
+    known = {
+        'stiffness = "each"': "",
+        'length = "each"': "",
+        'angle = "each"': "",
+        'radius = "shared"': "",
+    }
     even = arm(
-        **known | {"stiffness_mm2 = [8, 5]": "stiffness_mm2 = 7", "markers = [1, 1.5, 2]": "markers = [0.5, 1, 1.5, 2]"}
+        **known
+        | {
+            "stiffness_mm2 = [8, 5]": "stiffness_mm2 = 7",
+            "markers = [1, 1.5, 2]": "markers = [0.5, 1, 1.5, 2]",
+        }
     )
     graded = replace(even, start=even.start.copy())
     graded.start[even.layout.places()["stiffness"]] = 7.0 * np.exp([-0.35, 0.35])
     seen = recorded(graded, seconds=60.0, rate=5.0, noise=0.2)
     found = diagnose(
-        learn_model(seen, robot=even), seen, effects=["stiffness_gradient", "offset", "payload", "backlash"]
+        learn_model(seen, robot=even),
+        seen,
+        effects=["stiffness_gradient", "offset", "payload", "backlash"],
     )
     assert [effect.name for effect in found.effects] == ["stiffness_gradient"], found.sentence
     assert found.error.after < 0.4 * found.error.before
@@ -123,7 +159,9 @@ def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
 
 @pytest.fixture(scope="module")
 def taken_for_rods():
-    """A run of cables, seen within 0.3 mm, and the model of somebody who took them for rods that push."""
+    """A run of cables, seen within 0.3 mm, and the model of somebody who took them for rods that
+    push.
+    """
     worn = recorded(arm(), seconds=60.0, rate=5.0, noise=0.3)
     return worn, learn_model(worn, robot=arm().with_slack(1.0))
 
@@ -131,18 +169,26 @@ def taken_for_rods():
 LAWS = ["gain", "backlash", "friction", "slack", "dead_zone", "payload", "mount"]
 
 
-def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_rods, tmp_path, capsys):
+def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
+    taken_for_rods, tmp_path, capsys
+):
     worn, model = taken_for_rods
     before = float(np.sqrt(np.mean(np.sum((model.predict(worn) - worn.markers) ** 2, axis=-1))))
     found = diagnose(model, worn, effects=LAWS)
-    assert [effect.name for effect in found.effects] == ["slack"] and found.verdict == "identified", found.sentence
+    assert [effect.name for effect in found.effects] == [
+        "slack"
+    ] and found.verdict == "identified", found.sentence
     entry = found.effects[0]
-    assert entry.params["slack.ratio"].value < 0.02 and "slack.stiffness[0]" in entry.refitted.params
+    assert (
+        entry.params["slack.ratio"].value < 0.02 and "slack.stiffness[0]" in entry.refitted.params
+    )
     assert found.error.after < 0.1 * before
     numbers, truth = ElasticParameters.from_arrays(found.model.arrays["prior"]).numbers, arm()
     for kind in ("angle", "radius", "stiffness", "length"):
         place = truth.layout.places()[kind]
-        np.testing.assert_allclose(numbers[place], truth.start[place], rtol=0.05, atol=0.05, err_msg=kind)
+        np.testing.assert_allclose(
+            numbers[place], truth.start[place], rtol=0.05, atol=0.05, err_msg=kind
+        )
     # The same through files: the rod's numbers, and what it errs by, come along.
     save(model, tmp_path / "rods")
     (tmp_path / "d.json").write_text(json.dumps(found.to_dict()))
@@ -154,13 +200,30 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
     np.testing.assert_allclose(added.predict(worn), found.model.predict(worn), atol=1e-9)
     np.testing.assert_allclose(added.form_error, found.model.form_error, rtol=1e-6)
     again, told = refit(added, worn)
-    assert told["after_held_out_rms_mm"] < 1.1 * told["before_rms_mm"] and again.chain_names == ("slack",)
+    assert told["after_held_out_rms_mm"] < 1.1 * told["before_rms_mm"] and again.chain_names == (
+        "slack",
+    )
     # Removed, also from a bundle and after a refit, the rod is what it was before, and says so.
     save(again, tmp_path / "again")
-    assert main(["model", "remove", "slack", "--bundle", str(tmp_path / "again"), "--out", str(tmp_path / "less")]) == 0
+    assert (
+        main(
+            [
+                "model",
+                "remove",
+                "slack",
+                "--bundle",
+                str(tmp_path / "again"),
+                "--out",
+                str(tmp_path / "less"),
+            ]
+        )
+        == 0
+    )
     assert "again what they were before" in capsys.readouterr().out
     before, less = load_bundle(tmp_path / "rods"), load_bundle(tmp_path / "less")
-    np.testing.assert_array_equal(less.arrays["prior"]["numbers"], before.arrays["prior"]["numbers"])
+    np.testing.assert_array_equal(
+        less.arrays["prior"]["numbers"], before.arrays["prior"]["numbers"]
+    )
     np.testing.assert_array_equal(less.predict(worn), before.predict(worn))
     np.testing.assert_allclose(less.form_error, before.form_error)
     assert less.vertex_error_mm == pytest.approx(before.vertex_error_mm)
@@ -168,7 +231,20 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
         name: array for name, array in again.arrays["prior"].items() if "before" not in name
     }})  # fmt: skip
     save(old, tmp_path / "old")  # of before bundles kept them
-    assert main(["model", "remove", "slack", "--bundle", str(tmp_path / "old"), "--out", str(tmp_path / "kept")]) == 0
+    assert (
+        main(
+            [
+                "model",
+                "remove",
+                "slack",
+                "--bundle",
+                str(tmp_path / "old"),
+                "--out",
+                str(tmp_path / "kept"),
+            ]
+        )
+        == 0
+    )
     assert "stay as they were fitted with the effect" in capsys.readouterr().out
     spoilt = again.arrays["prior"] | {"numbers_before": np.zeros(3)}
     with pytest.raises(SoftmapError, match="numbers of before"):
@@ -182,7 +258,9 @@ def test_rods_that_push_are_not_called_slack():
     assert found.verdict == "nothing" and not found.effects, found.sentence
 
 
-def test_a_law_that_the_model_does_not_have_is_a_question_only_if_asked(run, learned, taken_for_rods):
+def test_a_law_that_the_model_does_not_have_is_a_question_only_if_asked(
+    run, learned, taken_for_rods
+):
     cables = learned_model(run, learned)
     assert cables.missing_for("slack") == ["slack"] and taken_for_rods[1].missing_for("slack") == []
     assert builtin_model().missing_for("slack") == ["slack"]

@@ -25,12 +25,17 @@ class Plain:
         ends = np.linspace(self.t[0], self.t[-1], 12)
         self.v = 1.5 + np.stack([np.interp(self.t, ends, knot) for knot in knots.T], axis=1)
         self.middle, self.half = 0.5 * (self.v.max(0) + self.v.min(0)), 0.5 * np.ptp(self.v, axis=0)
-        self.temperature = 22 + 9 * (1 - np.exp(-(self.t - self.t[0]) / 8)) + 0.1 * rng.normal(size=samples)
+        self.temperature = (
+            22 + 9 * (1 - np.exp(-(self.t - self.t[0]) / 8)) + 0.1 * rng.normal(size=samples)
+        )
         self.orientation = np.repeat([4, -1, 7], [150, 150, samples - 300])
         self.x = (self.v - self.middle) / self.half
         self.share = (self.t - self.t[0]) / (self.t[-1] - self.t[0] + 1e-9)
-        self.at = rng.uniform(self.t[0] - 0.5, self.t[-1] + 0.5, 77)  # unsorted, and beyond both ends
-        self.series = _core.Series(self.v, self.t, self.middle, self.half, self.temperature, self.orientation)
+        # unsorted, and beyond both ends
+        self.at = rng.uniform(self.t[0] - 0.5, self.t[-1] + 0.5, 77)
+        self.series = _core.Series(
+            self.v, self.t, self.middle, self.half, self.temperature, self.orientation
+        )
 
     def seen(self, columns):
         """Interpolate columns (T, n) at the capture times: (n, K)."""
@@ -76,7 +81,9 @@ def leaking(x, t, tau):
 
 
 def pole(x, t, tau):
-    """τ y' = x − y in closed form over each straight piece: y = x − τ s + (y₀ − x₀ + τ s) e^(−t/τ), s its slope."""
+    """τ y' = x − y in closed form over each straight piece: y = x − τ s + (y₀ − x₀ + τ s) e^(−t/τ),
+    s its slope.
+    """
     y, out = x[0], [x[0]]
     for before, now, dt in zip(x, x[1:], np.diff(t)):
         if dt > 0:
@@ -124,19 +131,28 @@ def columns(p, name, c):
         return h * stack(terms) if terms else np.zeros((len(t), 0))
     if name == "memory":
         held = stack(h * (play(x, w) - x) for w in np.geomspace(0.012, 0.9, 12))
-        dragged = [h * (play(y, w) - y) for y in others for w in (0.08, 0.2, 0.5)] if len(others) < 3 else []
+        dragged = (
+            [h * (play(y, w) - y) for y in others for w in (0.08, 0.2, 0.5)]
+            if len(others) < 3
+            else []
+        )
         slipping = [h * dahl(x, reach) for reach in np.geomspace(0.06, 0.9, 3)]
         return np.column_stack([held, held[:, 2::3] * np.abs(x)[:, None], *slipping, *dragged])
     if name == "delay":
         shifts = (-0.2, -0.1, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6)
-        return stack([late(v, t, by) - v for by in shifts] + [pole(v, t, tau) - v for tau in (0.08, 0.2, 0.5, 1.0)])
+        return stack(
+            [late(v, t, by) - v for by in shifts]
+            + [pole(v, t, tau) - v for tau in (0.08, 0.2, 0.5, 1.0)]
+        )
     if name == "rate":
         s = velocity(x, t)
         return 0.3 * h * stack([s, s * np.abs(s), s**3, s * np.abs(x)])
     if name == "creep":
         slow = [pole(v, t, tau) - v for tau in (2, 5, 12, 30, 80, 200)]
         pulls = [(side, np.maximum(side * v, 0.0)) for side in (1, -1)]
-        cables = [side * (pole(p, t, tau) - p) * (p > 0) for side, p in pulls for tau in (10, 30, 90)]
+        cables = [
+            side * (pole(p, t, tau) - p) * (p > 0) for side, p in pulls for tau in (10, 30, 90)
+        ]
         stroke = np.abs(p.x).max(axis=1)
         strokes = [h * (leaking(stroke, t, tau) - stroke) for tau in (4, 12, 36)]
         return stack([*slow, *strokes, *cables])
@@ -152,7 +168,20 @@ def columns(p, name, c):
         behind = [f for tau in (30, 100) for f in (pole(z, t, tau), pole(z, t, tau) * x)]
         crept = [z * (pole(x, t, tau) - x) for tau in (5, 30)]
         one = np.ones_like(z)
-        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z * x**2, z**2, 0.3 * one, 0.3 * x, *behind, *crept])
+        return h * stack(
+            [
+                z,
+                z * x,
+                z**2 * x,
+                z * x * np.abs(x),
+                z * x**2,
+                z**2,
+                0.3 * one,
+                0.3 * x,
+                *behind,
+                *crept,
+            ]
+        )
     if name == "load":
         e = (p.orientation[:, None] == [4, 7]).astype(float)
         return 0.3 * h * np.concatenate([e, e * x[:, None], e * x[:, None] ** 2], axis=1)
@@ -164,7 +193,9 @@ def signals(p, name, c, wide):
     x, t = p.x[:, c], p.t
     if name == "memory":
         widths = np.geomspace(0.03, 1.9, 12) if wide else np.geomspace(0.012, 0.9, 12)
-        return stack([play(x, w) for w in widths] + [dahl(x, reach) for reach in np.geomspace(0.03, 3.0, 6)])
+        return stack(
+            [play(x, w) for w in widths] + [dahl(x, reach) for reach in np.geomspace(0.03, 3.0, 6)]
+        )
     if name == "delay":
         shifts, poles = (0.05, 0.1, 0.2, 0.35, 0.6), (0.08, 0.2, 0.5, 1.0, 2.0)
         return stack([late(x, t, by) for by in shifts] + [pole(x, t, tau) for tau in poles])
@@ -204,7 +235,12 @@ def test_every_effect_is_a_member_of_a_family_and_mimics_are_mutual():
     effects = {effect["name"] for effect in _core.effects()}
     assert {m for family in REGISTRY.values() for m in family["members"]} == effects - GROSS_FAULTS
     for name, family in REGISTRY.items():
-        assert family["doc"].endswith(".") and family["kind"] in ("static", "memory", "condition", "time")
+        assert family["doc"].endswith(".") and family["kind"] in (
+            "static",
+            "memory",
+            "condition",
+            "time",
+        )
         assert set(family["fields"]) <= effects
         assert family["columns"] or family["fields"] or family["modes"]
         for other in family["mimics"]:
@@ -267,7 +303,8 @@ def test_piecewise_linear_commands_give_the_same_columns_at_any_sampling():
             series = _core.Series(np.interp(t, coarse, u[:, 0])[:, None], t, middle, half)
             # Compared at the knots only: between samples, columns are interpolated linearly.
             found.append(_core.Bank(name, 1).columns(series, coarse)[1])
-        # Of creep without what single cables do: where a command crosses zero, a pull has a kink between samples.
+        # Of creep without what single cables do: where a command crosses zero, a pull has a kink
+        # between samples.
         rows = {"delay": slice(9, None), "creep": slice(None, 6)}.get(name, slice(None, 12))
         np.testing.assert_allclose(found[0][rows], found[1][rows], atol=1e-12)
 
@@ -280,9 +317,13 @@ def test_memory_families_vanish_at_rest():
         assert np.abs(_core.Bank(name, 2).columns(series, t)[1]).max() < 1e-14
 
 
-@pytest.mark.parametrize(("family", "left_out"), [("memory", 2 * 3), ("creep", 2 * 9), ("step", 2 * 16)])
+@pytest.mark.parametrize(
+    ("family", "left_out"), [("memory", 2 * 3), ("creep", 2 * 9), ("step", 2 * 16)]
+)
 def test_a_free_map_has_no_columns_that_imitate_its_error(family, left_out):
-    """Single cables, other channels and even terms look like it, so only a map of few numbers shows them."""
+    """Single cables, other channels and even terms look like it, so only a map of few numbers shows
+    them.
+    """
     p, bank = Plain(2), _core.Bank(family, 2)
     free = _core.Series(p.v, p.t, p.middle, p.half, free_map=True)
     (every, full), (which, rows) = bank.columns(p.series, p.at), bank.columns(free, p.at)
@@ -303,9 +344,17 @@ def test_softening_vanishes_on_first_loading():
 def test_conditions_that_do_not_vary_give_no_columns():
     p = Plain(2)
     bare = _core.Series(p.v, p.t, p.middle, p.half)
-    still = _core.Series(p.v, p.t, p.middle, p.half, 22 + 0.001 * p.temperature, np.zeros(len(p.t), int))
+    still = _core.Series(
+        p.v, p.t, p.middle, p.half, 22 + 0.001 * p.temperature, np.zeros(len(p.t), int)
+    )
     always = _core.Series(p.v, p.t, p.middle, p.half, orientation=np.arange(len(p.t)) // 20)
-    cases = [("temperature", bare), ("load", bare), ("temperature", still), ("load", still), ("load", always)]
+    cases = [
+        ("temperature", bare),
+        ("load", bare),
+        ("temperature", still),
+        ("load", still),
+        ("load", always),
+    ]
     for name, series in cases:
         which, found = _core.Bank(name, 2).columns(series, p.at)
         assert which.shape == (0,) and found.shape == (0, len(p.at))
@@ -353,7 +402,16 @@ def test_orientations_of_other_runs_keep_their_columns():
     """Two runs are fitted together, each seen in one orientation: they have the same columns."""
     p, bank = Plain(2), _core.Bank("load", 2)
     codes, zeros = np.array([4, 7]), np.zeros(len(p.t), int)
-    one, other = (_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros + c, orientations=codes) for c in codes)
+    one, other = (
+        _core.Series(p.v, p.t, p.middle, p.half, orientation=zeros + c, orientations=codes)
+        for c in codes
+    )
     (which, absent), (same, there) = bank.columns(one, p.t), bank.columns(other, p.t)
-    assert list(which) == list(same) == 3 * [0] + 3 * [1] and not absent.any() and there.any(axis=1).all()
-    assert len(bank.columns(_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros), p.t)[0]) == 0
+    assert (
+        list(which) == list(same) == 3 * [0] + 3 * [1]
+        and not absent.any()
+        and there.any(axis=1).all()
+    )
+    assert (
+        len(bank.columns(_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros), p.t)[0]) == 0
+    )

@@ -31,7 +31,12 @@ def test_the_tip_is_the_middle_of_its_vertices_and_its_slopes_are_true(model):
 def test_shape_effects_and_declared_loads_move_the_tip_and_its_slopes(model):
     heavy = model.with_effects(["gravity"], {"gravity.density": 1.4, "gravity.tilt_x": 20.0})
     u = np.random.default_rng(1).uniform(-4, 4, (20, 2))
-    run = Run(t=np.arange(20.0), command=u, t_seen=np.arange(20.0), vertices=np.tile(model.rest, (20, 1, 1)))
+    run = Run(
+        t=np.arange(20.0),
+        command=u,
+        t_seen=np.arange(20.0),
+        vertices=np.tile(model.rest, (20, 1, 1)),
+    )
     expected = heavy.predict(run)[:, model.tip_indices].mean(axis=1)
     np.testing.assert_allclose(heavy.tip(u), expected, atol=1e-6)
     assert np.abs(heavy.tip(u) - model.tip(u)).max() > 0.2
@@ -41,7 +46,12 @@ def test_shape_effects_and_declared_loads_move_the_tip_and_its_slopes(model):
         slopes = (heavy.tip(u + side) - heavy.tip(u - side)) / (2 * step)
         assert np.median(np.abs(heavy.tip_jacobian(u)[:, :, c] - slopes)) < 2e-3
     loaded = Kinematics(model, load=10.0, gravity=[1.0, 0.0, 0.0])
-    assert np.linalg.norm(np.asarray(loaded.tip.evaluate(np.zeros((1, 2)))) - model.tip(np.zeros((1, 2)))) > 1.0
+    assert (
+        np.linalg.norm(
+            np.asarray(loaded.tip.evaluate(np.zeros((1, 2)))) - model.tip(np.zeros((1, 2)))
+        )
+        > 1.0
+    )
 
 
 def test_targets_of_known_commands_are_found(model):
@@ -111,13 +121,16 @@ def test_a_delay_and_a_lag_are_previewed(model):
     ],
 )
 def test_what_cannot_be_undone_is_expected_of_the_plan(model, names, params, least):
-    """A limited speed has no inverse, and a lag before a play is previewed as if the play came first."""
+    """A limited speed has no inverse, and a lag before a play is previewed as if the play came
+    first.
+    """
     slow = model.with_effects(names, params)
     targets = circle(model)
     kinematics = Kinematics(slow, axes="xy")
     assert kinematics.compensated == [name for name in names if name != "rate_limit"]
     plan = kinematics.plan(targets, T)
-    found = executed(slow, plan.commands)  # as if it had rested at the first command: forgotten after seconds
+    # as if it had rested at the first command: forgotten after seconds
+    found = executed(slow, plan.commands)
     off = np.linalg.norm((found - targets)[200:, :2], axis=1)
     np.testing.assert_allclose(plan.distance[200:], off, atol=1e-3)
     assert off.max() > least

@@ -1,4 +1,6 @@
-"""The effects that a model was learned with are typed records, saved with the bundle and read as an untrusted file."""
+"""The effects that a model was learned with are typed records, saved with the bundle and read as an
+untrusted file.
+"""
 
 import json
 

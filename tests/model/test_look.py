@@ -17,9 +17,25 @@ from softmap_edge.run.run import Run
 
 def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, capsys):
     model = builtin_model()
-    shifted = model.with_effects(["offset", "mount"], {"offset.shift[0]": 2.0, "mount.shift_x": 1.5})
+    shifted = model.with_effects(
+        ["offset", "mount"], {"offset.shift[0]": 2.0, "mount.shift_x": 1.5}
+    )
     bundle = save_bundle(shifted, tmp_path / "bundle")
-    assert main(["model", "predict", "6,-3", "--bundle", str(bundle), "--out", str(tmp_path / "p.npz"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "model",
+                "predict",
+                "6,-3",
+                "--bundle",
+                str(bundle),
+                "--out",
+                str(tmp_path / "p.npz"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     expected = model.prior.evaluate(np.array([[8.0, -3.0]])).reshape(1, -1, 3) + [1.5, 0.0, 0.0]
     np.testing.assert_allclose(read_npz(tmp_path / "p.npz")["points"], expected, atol=1e-9)
     tip = json.loads(capsys.readouterr().out)["tip_mm"]
@@ -42,10 +58,15 @@ def test_commands_beyond_the_range_of_the_model_are_told(capsys):
 
 
 def test_a_reader_that_stops_early_is_no_error():
-    program = "import sys; from softmap_edge.cli import main; sys.exit(main(['model', 'effects', '--json']))"
+    program = (
+        "import sys; from softmap_edge.cli import main; sys.exit(main(['model', 'effects', "
+        "'--json']))"
+    )
     reading, writing = os.pipe()
     os.close(reading)
-    done = subprocess.run([sys.executable, "-c", program], stdout=writing, stderr=subprocess.PIPE, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], stdout=writing, stderr=subprocess.PIPE, check=False
+    )
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")
 
@@ -118,7 +139,9 @@ def standing(path):
         (["model", "refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
     ],
 )
-def test_where_nothing_can_be_written_is_said_before_the_work(verb, option, path, what, tmp_path, capsys):
+def test_where_nothing_can_be_written_is_said_before_the_work(
+    verb, option, path, what, tmp_path, capsys
+):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "of").write_text("someone")
     assert main([*verb, option, str(tmp_path / path)]) == 2

@@ -1,6 +1,8 @@
-"""Damaged runs, bundles, fingers and documents give an error of ours: never a crash, a hang or another exception.
+"""Damaged runs, bundles, fingers and documents give an error of ours: never a crash, a hang or
+another exception.
 
-Each format is one line of FORMATS; `damage.py` says how files are spoiled and used. Logs: test_mutated_logs.py.
+Each format is one line of FORMATS; `damage.py` says how files are spoiled and used. Logs:
+test_mutated_logs.py.
 """
 
 import contextlib
@@ -12,7 +14,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import Format, assert_10000, assert_some, run_all, spoil_bundle, spoil_many, spoil_npz_file, spoil_text_file
+from damage import (
+    Format,
+    assert_10000,
+    assert_some,
+    run_all,
+    spoil_bundle,
+    spoil_many,
+    spoil_npz_file,
+    spoil_text_file,
+)
 
 
 # --- sound samples -------------------------------------------------------------------------
@@ -43,7 +54,13 @@ def clouds_sample(folder):
     from softmap_edge.run.run import Run
 
     start = np.array([0, 4, 4, 9])
-    clouds = Run(t=[0.0, 3.0], ticks=[[1], [2]], t_seen=[0.0, 1, 2], points=np.arange(27.0).reshape(9, 3), start=start)
+    clouds = Run(
+        t=[0.0, 3.0],
+        ticks=[[1], [2]],
+        t_seen=[0.0, 1, 2],
+        points=np.arange(27.0).reshape(9, 3),
+        start=start,
+    )
     clouds.save(folder / "run.npz")
     return folder / "run.npz"
 
@@ -86,10 +103,15 @@ def rig_sample(folder):
     from softmap_edge.robot.servo.rig import Rig, RigServo
     from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
-    servos = (RigServo(1, "XL330-M288", 2000, 200.0, -900, 900), RigServo(2, "XM430-W350", 2100, slew=1000.0))
+    servos = (
+        RigServo(1, "XL330-M288", 2000, 200.0, -900, 900),
+        RigServo(2, "XM430-W350", 2100, slew=1000.0),
+    )
     stops = Emergency(Line("/dev/gpiochip0", 17), Beats(5006, "/stop.key"))
     ceiling = Ceiling((("slew", 3000.0), ("hold", 1.0), ("jump", (100.0, 2000.0))))
-    Rig("/dev/ttyUSB0", 1_000_000, servos, ceiling=ceiling, emergency=stops).write(folder / "rig.toml")
+    Rig("/dev/ttyUSB0", 1_000_000, servos, ceiling=ceiling, emergency=stops).write(
+        folder / "rig.toml"
+    )
     return folder / "rig.toml"
 
 
@@ -108,7 +130,8 @@ def commands_sample(folder):
     made = BLOCKS["a known 10 g"].plan(Limits.even(2))
     write_commands(folder / "c.csv", made, "sample")
     lines = (folder / "c.csv").read_text().split("\n")
-    (folder / "c.csv").write_text("\n".join(lines[:30]) + "\n")  # damage meets the head as often as the rows
+    # damage meets the head as often as the rows
+    (folder / "c.csv").write_text("\n".join(lines[:30]) + "\n")
     return folder / "c.csv"
 
 
@@ -116,7 +139,9 @@ def sweep_sample(folder):
     from softmap_edge.fem.finger import Finger
     from softmap_edge.fem.simulator import Simulator
 
-    Simulator(Finger.builtin().replace(core=1, layers=4)).sweep([[0.0, 1.0], [0.0]]).save(folder / "sweep.npz")
+    Simulator(Finger.builtin().replace(core=1, layers=4)).sweep([[0.0, 1.0], [0.0]]).save(
+        folder / "sweep.npz"
+    )
     return folder / "sweep.npz"
 
 
@@ -124,7 +149,9 @@ def shapes_sample(folder):
     from robots import arc, rings
 
     place, offset = rings(4, 7)
-    u = np.stack([g.ravel() for g in np.meshgrid([-4.0, -1.0, 4.0], [-3.0, 0.0, 3.0], indexing="ij")], axis=1)
+    u = np.stack(
+        [g.ravel() for g in np.meshgrid([-4.0, -1.0, 4.0], [-3.0, 0.0, 3.0], indexing="ij")], axis=1
+    )
     known = {"load": np.array([5.0]), "loaded_command": u[:1], "mass": np.array(30.0)}
     np.savez(
         folder / "sweep.npz",
@@ -184,7 +211,9 @@ def own_effect_sample(folder):
     (folder / "mine.py").write_text(f"import builtins\nbuiltins.runs += 1\n{template('mine')}")
     load_effect(folder / "mine.py")
     (folder / "mine.py").unlink()
-    return save_bundle(builtin_model().with_effects(["mine"], {"mine.share": 0.2}), folder / "bundle")
+    return save_bundle(
+        builtin_model().with_effects(["mine"], {"mine.share": 0.2}), folder / "bundle"
+    )
 
 
 def elastic_sample(folder):
@@ -200,7 +229,9 @@ def elastic_sample(folder):
     markers = robot.layout.compiled(robot.start).evaluate(command).reshape(-1, 1, 3)
     model = learn_model(Run(t=t, command=command, t_seen=t, markers=markers), robot=robot)
     changed = {change.label: change.null + 0.01 for change in model.changes(["slack"])[:2]}
-    return save_bundle(model.with_effects(["slack"], {"slack.ratio": 0.5} | changed), folder / "bundle")
+    return save_bundle(
+        model.with_effects(["slack"], {"slack.ratio": 0.5} | changed), folder / "bundle"
+    )
 
 
 # --- use: load, and what everybody does next -----------------------------------------------
@@ -301,7 +332,13 @@ def use_bundle(path):
 
     model = load_bundle(path)
     model.prior.evaluate(np.zeros((2, model.channels)))
-    run = Run(t=[0.0, 1.0], command=np.ones((2, model.channels)), t_seen=[0.5], gravity=[1.0, 0, 0], load=5.0)
+    run = Run(
+        t=[0.0, 1.0],
+        command=np.ones((2, model.channels)),
+        t_seen=[0.5],
+        gravity=[1.0, 0, 0],
+        load=5.0,
+    )
     model.predict(run)
     model.features(run)
     if model.has_earlier_numbers:

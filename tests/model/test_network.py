@@ -1,4 +1,6 @@
-"""The network pass against onnxruntime on every network that training can make; graphs that only onnxruntime reads."""
+"""The network pass against onnxruntime on every network that training can make; graphs that only
+onnxruntime reads.
+"""
 
 import json
 import re
@@ -32,7 +34,9 @@ RNG = np.random.default_rng(5)
 
 
 def shapes(channels):
-    """Return commands (200, C) mm and points (200, 3N) mm of about 100 mm that depend on them smoothly."""
+    """Return commands (200, C) mm and points (200, 3N) mm of about 100 mm that depend on them
+    smoothly.
+    """
     u = RNG.uniform(-16, 16, (200, channels))
     if channels == 2:
         return u, np.asarray(BASE.prior.evaluate(u))
@@ -60,9 +64,15 @@ MADE = {
     "encoded": _encoded,
     "ours": lambda u, x: networks.mode_prior(u, x, choices.PRIOR_WIDTHS, choices.PRIOR_MODES),
     "ours, odd sizes": lambda u, x: networks.mode_prior(u, x, (33, 1, 95, 31), 7),
-    "published residual": lambda u, x: networks.published_residual(u, x.shape[1], choices.RESIDUAL_WIDTHS, 0.1),
-    "our residual": lambda u, x: networks.to_modes(u, 0 * x[0], reduced(x)[1][:6], choices.OUR_RESIDUAL_WIDTHS),
-    "linear": lambda u, x: nn.Sequential(networks.Modes(x.mean(axis=0), RNG.normal(size=(u.shape[1], x.shape[1])))),
+    "published residual": lambda u, x: networks.published_residual(
+        u, x.shape[1], choices.RESIDUAL_WIDTHS, 0.1
+    ),
+    "our residual": lambda u, x: networks.to_modes(
+        u, 0 * x[0], reduced(x)[1][:6], choices.OUR_RESIDUAL_WIDTHS
+    ),
+    "linear": lambda u, x: nn.Sequential(
+        networks.Modes(x.mean(axis=0), RNG.normal(size=(u.shape[1], x.shape[1])))
+    ),
     "one wide layer": lambda u, x: nn.Sequential(
         nn.Linear(u.shape[1], 1111), nn.LayerNorm(1111), nn.GELU(), nn.Linear(1111, x.shape[1])
     ),
@@ -70,7 +80,9 @@ MADE = {
 
 
 def drawn(network, u, x):
-    """Give a network other weights and running means than it began with, and outputs of the size of a body."""
+    """Give a network other weights and running means than it began with, and outputs of the size of
+    a body.
+    """
     torch.manual_seed(7)
     with torch.no_grad():
         for part in network.modules():
@@ -89,7 +101,9 @@ def drawn(network, u, x):
 
 
 def parity(content, u):
-    """Return the largest difference in mm between the core and onnxruntime, one at a time and together."""
+    """Return the largest difference in mm between the core and onnxruntime, one at a time and
+    together.
+    """
     core, wanted = _core.Network(content), run_onnxruntime(content, u)
     together = np.asarray(core.evaluate(u))
     alone = np.concatenate([np.asarray(core.evaluate(row[None])) for row in u])
@@ -104,8 +118,11 @@ def parity(content, u):
 def test_the_core_is_within_a_tenth_of_a_micrometre_of_onnxruntime(name, channels):
     u, x = shapes(channels)
     network = drawn(MADE[name](u, x), u, x)
-    apart, size = parity(to_onnx(network, channels), np.concatenate([u[:60], np.zeros((1, channels))]))
-    # Single precision knows points that are 100 mm away to 8e-6: those of random weights that lie farther off to less.
+    apart, size = parity(
+        to_onnx(network, channels), np.concatenate([u[:60], np.zeros((1, channels))])
+    )
+    # Single precision knows points that are 100 mm away to 8e-6: those of random weights that lie
+    # farther off to less.
     assert apart <= AGREE_MM * max(1.0, size / 130.0), (apart, size)
 
 
@@ -116,7 +133,9 @@ def test_extreme_weights_agree_too(what):
     with torch.no_grad():
         for layer in network:
             if isinstance(layer, nn.Linear):
-                scale = {"tiny": 1e-18, "huge": 1e4, "zero": 0.0, "dead": 1.0, "constant": 0.0}[what]
+                scale = {"tiny": 1e-18, "huge": 1e4, "zero": 0.0, "dead": 1.0, "constant": 0.0}[
+                    what
+                ]
                 layer.weight.mul_(scale)
                 if what == "constant":
                     layer.bias.fill_(0.37)
@@ -143,7 +162,9 @@ def test_slopes_are_those_of_torch_where_inputs_are_passed_over():
 
 
 def foreign(curve):
-    """Return the file of a graph with a layer that the core does not read, to the built-in finger's points."""
+    """Return the file of a graph with a layer that the core does not read, to the built-in finger's
+    points.
+    """
     u, x = shapes(2)
     mean, modes, weights = reduced(x)
     rows = np.column_stack([u, u**2, np.ones(len(u))])
@@ -172,7 +193,9 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
     assert model.kind == "table" and "Tanh" in told["why"] and told["table_off_mm"] < 0.02
     assert told["graph_sha256"] == sha256(content).hexdigest()
     u = RNG.uniform(-16, 16, (200, 2))
-    off = np.linalg.norm((model.prior.evaluate(u) - run_onnxruntime(content, u)).reshape(200, -1, 3), axis=2)
+    off = np.linalg.norm(
+        (model.prior.evaluate(u) - run_onnxruntime(content, u)).reshape(200, -1, 3), axis=2
+    )
     assert off.max() < 10 * max(told["table_off_mm"], 1e-3)
     # What consumes a model cannot tell: inverse kinematics, and written once more it is a table.
     there = model.tip(np.array([[2.0, -3.0]]))
@@ -185,8 +208,12 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
 def test_check_says_that_a_graph_is_run_as_a_table(tmp_path, capsys):
     folder = bundle(tmp_path, foreign("Tanh"))
     assert main(["check", str(folder), "--trust-onnx"]) == 0
-    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("onnxruntime")]
-    assert "the prior is a table of what onnxruntime makes of its graph" in said and "'Tanh'" in said
+    (said,) = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("onnxruntime")
+    ]
+    assert (
+        "the prior is a table of what onnxruntime makes of its graph" in said and "'Tanh'" in said
+    )
     assert main(["check", str(folder), "--trust-onnx", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["through_onnxruntime"]["prior"]
     assert f"{told['table_off_mm']:.2g} mm off" in said and told["why"] in said
@@ -195,17 +222,27 @@ def test_check_says_that_a_graph_is_run_as_a_table(tmp_path, capsys):
 def test_check_compares_a_network_of_the_core_with_onnxruntime(tmp_path, capsys, monkeypatch):
     folder = bundle(tmp_path, foreign("Relu"))
     assert main(["check", str(folder)]) == 0
-    assert re.search(r"onnxruntime +the prior network: differs by (0|\de-\d+) mm", capsys.readouterr().out)
+    assert re.search(
+        r"onnxruntime +the prior network: differs by (0|\de-\d+) mm", capsys.readouterr().out
+    )
     both = onnx_of_model.run_onnxruntime
-    monkeypatch.setattr(onnx_of_model, "run_onnxruntime", lambda content, u: both(content, u) + 0.01)
+    monkeypatch.setattr(
+        onnx_of_model, "run_onnxruntime", lambda content, u: both(content, u) + 0.01
+    )
     assert main(["check", str(folder)]) == 1
-    assert "prior.onnx: onnxruntime and the core differ by 0.01 mm, allowed is 0.001" in capsys.readouterr().err
+    assert (
+        "prior.onnx: onnxruntime and the core differ by 0.01 mm, allowed is 0.001"
+        in capsys.readouterr().err
+    )
     load_bundle(folder)  # the core alone
 
 
 def test_without_onnxruntime_all_works_but_graphs_that_the_core_does_not_read(tmp_path):
     """As on a computer that does not have it; nothing that the core runs asks for it."""
-    own, other = bundle(tmp_path / "own", foreign("Relu")), bundle(tmp_path / "other", foreign("Tanh"))
+    own, other = (
+        bundle(tmp_path / "own", foreign("Relu")),
+        bundle(tmp_path / "other", foreign("Tanh")),
+    )
     code = (
         "import sys; sys.modules['onnxruntime'] = None\n"
         "from softmap_edge import load_bundle, save_bundle\n"
@@ -220,7 +257,10 @@ def test_without_onnxruntime_all_works_but_graphs_that_the_core_does_not_read(tm
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "the prior network: not compared, onnxruntime is not installed" in done.stdout
-    assert re.search(r"prior\.onnx: .*'Tanh'.*onnxruntime is not installed; run pip install onnxruntime", done.stderr)
+    assert re.search(
+        r"prior\.onnx: .*'Tanh'.*onnxruntime is not installed; run pip install onnxruntime",
+        done.stderr,
+    )
 
 
 def test_a_network_that_the_core_runs_loads_no_onnxruntime(tmp_path):
@@ -229,11 +269,18 @@ def test_a_network_that_the_core_runs_loads_no_onnxruntime(tmp_path):
         "import sys, numpy as np; from softmap_edge import load_bundle\n"
         f"load_bundle({str(folder)!r}).tip(np.zeros((1, 2))); print('onnxruntime' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "False\n"
+    )
 
 
 def test_a_graph_that_jumps_is_no_table(tmp_path):
-    with pytest.raises(BundleError, match=r"holds 'Sign'.* mm off, allowed is 0\.2; train a network"):
+    with pytest.raises(
+        BundleError, match=r"holds 'Sign'.* mm off, allowed is 0\.2; train a network"
+    ):
         load_bundle(bundle(tmp_path, foreign("Sign")), trust_onnx=True)
 
 
@@ -244,7 +291,10 @@ def test_a_decoder_in_the_manner_of_deepsoro_goes_through_onnxruntime():
     with torch.no_grad():
         wanted = network(torch.as_tensor(u, dtype=torch.float32)).numpy().reshape(len(u), -1)
     np.testing.assert_allclose(run_onnxruntime(content, u), wanted, atol=1e-4)
-    with pytest.raises(Exception, match=r"'w\d+' holds int64 numbers; the core's network pass reads weights of 32-bit"):
+    with pytest.raises(
+        Exception,
+        match=r"'w\d+' holds int64 numbers; the core's network pass reads weights of 32-bit",
+    ):
         _core.Network(content)
 
 
@@ -255,5 +305,7 @@ def test_what_neither_runs_is_said(tmp_path):
         manifest = json.loads((folder / "manifest.json").read_text())
         manifest["sha256"]["prior.onnx"] = sha256(content).hexdigest()
         (folder / "manifest.json").write_text(json.dumps(manifest))
-        with pytest.raises(BundleError, match=r"prior.onnx: .*(onnxruntime cannot run|no ONNX file)"):
+        with pytest.raises(
+            BundleError, match=r"prior.onnx: .*(onnxruntime cannot run|no ONNX file)"
+        ):
             load_bundle(folder, trust_onnx=True)

@@ -33,7 +33,9 @@ def test_the_template_runs_as_it_is(here, capsys):
     model = builtin_model().with_effects(["wobble"], {"wobble.share": 0.3})
     t, u = record()
     np.testing.assert_allclose(
-        model.chain.rollout(model.chain_params[None], u, t)[0], u * (1 + 0.3 * np.tanh(u / 5)), rtol=1e-14
+        model.chain.rollout(model.chain_params[None], u, t)[0],
+        u * (1 + 0.3 * np.tanh(u / 5)),
+        rtol=1e-14,
     )
 
 
@@ -91,8 +93,12 @@ def test_a_file_that_is_no_effect_says_why(tmp_path, text, says, capsys):
 def test_a_name_stands_for_one_file(tmp_path, capsys):
     file = written(tmp_path, effect("u * (1 + by)"))
     first = load_effect(file)
-    assert load_effect(file) is first and load_effect(written(tmp_path, file.read_text(), "copy.py")) is first
-    assert capsys.readouterr().err.count("runs with your rights") == 1  # the same text is not run again
+    assert (
+        load_effect(file) is first
+        and load_effect(written(tmp_path, file.read_text(), "copy.py")) is first
+    )
+    # the same text is not run again
+    assert capsys.readouterr().err.count("runs with your rights") == 1
     other = written(tmp_path, effect("u * (1 - by)"), "other.py")
     with pytest.raises(EffectError, match="one name stands for one file"):
         load_effect(other)
@@ -119,7 +125,10 @@ def test_a_template_of_a_taken_name_is_refused(tmp_path):
 
 
 def test_it_acts_in_its_stage_on_every_set_and_sees_the_world(tmp_path):
-    world = "u + by * (ctx.dt[:, None] + ctx.gravity[:, :1] + 10 * ctx.load[:, None] + 100 * ctx.temperature[:, None])"
+    world = (
+        "u + by * (ctx.dt[:, None] + ctx.gravity[:, :1] + 10 * ctx.load[:, None] + 100 * "
+        "ctx.temperature[:, None])"
+    )
     load_effect(written(tmp_path, effect(world, stage="transmission")))
     chain = _core.Chain(["creep", "mine", "gain"], 2)
     assert chain.names == ["gain", "mine", "creep"]
@@ -157,7 +166,10 @@ def test_the_control_loop_refuses_it(tmp_path):
         lambda: chain.rollout(sets, u, t, state=states),
     ]
     for ask in asked:
-        with pytest.raises(SoftmapError, match="'mine' is a Python effect.*not in the control loop; write it in Rust"):
+        with pytest.raises(
+            SoftmapError,
+            match="'mine' is a Python effect.*not in the control loop; write it in Rust",
+        ):
             ask()
     assert chain.rollout(sets, u, t).shape == (1, 60, 2)
     _core.Chain(["lag"], 2).init(np.array([0.1]), u[0])  # without it the same is done
@@ -187,10 +199,15 @@ def test_a_law_that_fails_says_where(tmp_path, law, says):
     chain = _core.Chain(["mine", "lag"], 2)
     run = Run(t=t, command=u, t_seen=t[::4])
     model = builtin_model().with_effects(["mine"], {"mine.by": 0.1})
-    for ask in (lambda: chain.rollout(np.stack([chain.start] * 3), u, t), lambda: model.predict(run)):
+    for ask in (
+        lambda: chain.rollout(np.stack([chain.start] * 3), u, t),
+        lambda: model.predict(run),
+    ):
         with pytest.raises(SoftmapError, match=says) as fault:
             ask()
-        assert str(fault.value).startswith("the effect 'mine' (mine.py)") and "\n" not in str(fault.value)
+        assert str(fault.value).startswith("the effect 'mine' (mine.py)") and "\n" not in str(
+            fault.value
+        )
 
 
 # --- fits -----------------------------------------------------------------------------------
@@ -203,7 +220,12 @@ def off_centre_run():
 
     protocol, model = standard_protocol(), builtin_model()
     bent = protocol.command + 0.8 * np.sin(protocol.command / 5.0)
-    record = {"t": protocol.t, "gravity": protocol.gravity, "t_seen": protocol.t_seen, "robot": model.robot}
+    record = {
+        "t": protocol.t,
+        "gravity": protocol.gravity,
+        "t_seen": protocol.t_seen,
+        "robot": model.robot,
+    }
     points = model.predict(Run(command=bent, **record))
     points += 0.2 * np.random.default_rng(3).normal(size=points.shape)
     return Run(command=protocol.command, vertices=points, **record)
@@ -212,16 +234,22 @@ def off_centre_run():
 def test_it_is_a_candidate_and_its_numbers_are_found(off_centre_run):
     without = diagnose(builtin_model(), off_centre_run, effects=["gain", "offset"])
     load_effect(EXAMPLE)
-    found = diagnose(builtin_model(), off_centre_run, effects=["gain", "offset", "off_centre_pulley"])
+    found = diagnose(
+        builtin_model(), off_centre_run, effects=["gain", "offset", "off_centre_pulley"]
+    )
     assert "off_centre_pulley" not in [e.name for e in without.effects]
     assert [e.name for e in found.effects] == ["off_centre_pulley"]
     params = found.params_of("off_centre_pulley")
     assert params["off_centre_pulley.a[0]"] == pytest.approx(0.8, abs=0.03)
     assert params["off_centre_pulley.radius"] == pytest.approx(5.0, rel=0.03)
-    assert found.made_from["python_effects"] == {"off_centre_pulley": loaded()["off_centre_pulley"].sha256}
+    assert found.made_from["python_effects"] == {
+        "off_centre_pulley": loaded()["off_centre_pulley"].sha256
+    }
     assert found.error.after < 0.6 * without.error.after
     weak = builtin_model().with_effects(["off_centre_pulley"], {"off_centre_pulley.a[0]": 0.2})
-    assert refit(weak, off_centre_run)[0].params["off_centre_pulley.a[1]"] == pytest.approx(0.8, abs=0.03)
+    assert refit(weak, off_centre_run)[0].params["off_centre_pulley.a[1]"] == pytest.approx(
+        0.8, abs=0.03
+    )
 
 
 def test_the_verbs_take_it_from_diagnosis_to_comparison(off_centre_run, here, capsys):
@@ -236,14 +264,21 @@ def test_the_verbs_take_it_from_diagnosis_to_comparison(off_centre_run, here, ca
     assert main(["model", "refit", "run.npz", "--bundle", "better", "--out", "again", *own]) == 0
     save_bundle(builtin_model(), here / "plain")
     capsys.readouterr()
-    assert main(["compare", "run.npz", "--bundle", "plain", "--bundle", "again", "--json", *own]) == 0
+    assert (
+        main(["compare", "run.npz", "--bundle", "plain", "--bundle", "again", "--json", *own]) == 0
+    )
     before, after = json.loads(capsys.readouterr().out)
     assert after["error"]["rms_mm"] < 0.4 * before["error"]["rms_mm"]
-    assert main(["model", "remove", "off_centre_pulley", "--bundle", "again", "--out", "less", *own]) == 0
+    assert (
+        main(["model", "remove", "off_centre_pulley", "--bundle", "again", "--out", "less", *own])
+        == 0
+    )
     assert not (here / "less/off_centre_pulley.py").exists()
     # Numbers that were fitted with one file are not taken for another.
     forget_effect("off_centre_pulley")
-    changed = written(here, EXAMPLE.read_text().replace("np.cos(u / radius) - 1.0", "0.0 * u"), "other.py")
+    changed = written(
+        here, EXAMPLE.read_text().replace("np.cos(u / radius) - 1.0", "0.0 * u"), "other.py"
+    )
     capsys.readouterr()
     add = ["add", "off_centre_pulley", "--from", "d.json", "--out", "worse", "--effects"]
     assert main([*add, str(changed)]) == 2

@@ -1,4 +1,6 @@
-"""A user's own effect in a bundle: its file goes along, is checked, and never runs unless somebody says so."""
+"""A user's own effect in a bundle: its file goes along, is checked, and never runs unless somebody
+says so.
+"""
 
 import io
 import json
@@ -48,19 +50,38 @@ VERBS = [
 
 @pytest.mark.parametrize("argv", VERBS, ids=" ".join)
 def test_code_in_a_bundle_is_not_run_unasked(evil, here, argv, capsys, monkeypatch):
-    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))  # no terminal: not a question, not an answer
+    # no terminal: not a question, not an answer
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     code = main(argv)
     said = "".join(capsys.readouterr())
     assert not (here / "RAN").exists() and not loaded()
     assert code == (0 if argv[0] == "show" else 1 if argv[0] == "check" else 2)
-    assert "mine" in said if argv[-1] == "--json" or argv[0] == "show" else "--effects bundle/mine.py" in said
+    assert (
+        "mine" in said
+        if argv[-1] == "--json" or argv[0] == "show"
+        else "--effects bundle/mine.py" in said
+    )
     assert "read" in said or "--json" in argv
 
 
 def test_an_allowed_bundle_predicts_as_before(evil, here, capsys):
     with pytest.raises(BundleError, match="not run unasked"):
         load_bundle(evil)
-    assert main(["model", "predict", "5,0", "--bundle", "bundle", "--json", "--effects", "bundle/mine.py"]) == 0
+    assert (
+        main(
+            [
+                "model",
+                "predict",
+                "5,0",
+                "--bundle",
+                "bundle",
+                "--json",
+                "--effects",
+                "bundle/mine.py",
+            ]
+        )
+        == 0
+    )
     tip = json.loads(capsys.readouterr().out)["tip_mm"]
     assert main(["model", "predict", "6,0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tip_mm"] == tip  # 5 mm and a fifth

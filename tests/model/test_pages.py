@@ -1,4 +1,6 @@
-"""The pages of `softmap compare --html` and `softmap diagnose --html` are whole, load nothing, and say enough."""
+"""The pages of `softmap compare --html` and `softmap diagnose --html` are whole, load nothing, and
+say enough.
+"""
 
 import base64
 import json
@@ -14,7 +16,17 @@ from softmap_edge.cli import main
 from softmap_edge.diagnosis.text import parameter
 from softmap_edge.run.protocol import standard_protocol
 
-LOADING = {"src", "href", "srcset", "data", "action", "poster", "background", "formaction", "xlink:href"}
+LOADING = {
+    "src",
+    "href",
+    "srcset",
+    "data",
+    "action",
+    "poster",
+    "background",
+    "formaction",
+    "xlink:href",
+}
 
 
 class Page(HTMLParser):
@@ -23,7 +35,9 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.tags, self.loads, self.pictures, self.words, self.open = [], [], [], [], []
-        self.styles = re.findall(r"<style>(.*?)</style>", text, re.DOTALL) + re.findall(r'style="([^"]*)"', text)
+        self.styles = re.findall(r"<style>(.*?)</style>", text, re.DOTALL) + re.findall(
+            r'style="([^"]*)"', text
+        )
         self.feed(text)
         self.text = " ".join(" ".join(self.words).split())
 
@@ -47,7 +61,12 @@ def story(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     model, protocol = builtin_model(), standard_protocol()
     played = model.with_effects(("backlash",), {"backlash.gap": 2.0})
-    record = {"t": protocol.t, "command": protocol.command, "gravity": protocol.gravity, "t_seen": protocol.t_seen}
+    record = {
+        "t": protocol.t,
+        "command": protocol.command,
+        "gravity": protocol.gravity,
+        "t_seen": protocol.t_seen,
+    }
     blank = np.repeat(model.rest[None], protocol.frames, axis=0)
     points = played.predict(Run(**record, vertices=blank, robot=model.robot))
     points += 0.2 * np.random.default_rng(3).normal(size=points.shape)
@@ -60,23 +79,34 @@ def story(tmp_path_factory):
 def written(folder, capsys, *argv):
     """Run a verb with --html and --json; return the page and the document."""
     assert main([*map(str, argv), "--html", str(folder / "page.html"), "--json"]) == 0
-    return Page((folder / "page.html").read_text(encoding="utf-8")), json.loads(capsys.readouterr().out)
+    return Page((folder / "page.html").read_text(encoding="utf-8")), json.loads(
+        capsys.readouterr().out
+    )
 
 
 def assert_whole(page, pictures):
     assert page.loads == []
     assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
-    assert page.styles and not any(re.search(r"url\(|@import|expression", style) for style in page.styles)
+    assert page.styles and not any(
+        re.search(r"url\(|@import|expression", style) for style in page.styles
+    )
     assert len(page.pictures) == pictures
     for picture in page.pictures:
-        kind, data = re.fullmatch(r"data:image/(png|svg\+xml);base64,([A-Za-z0-9+/=]+)", picture).groups()
+        kind, data = re.fullmatch(
+            r"data:image/(png|svg\+xml);base64,([A-Za-z0-9+/=]+)", picture
+        ).groups()
         content = base64.b64decode(data, validate=True)
         if kind == "png":
             assert content.startswith(b"\x89PNG") and len(content) > 10_000
             continue
         drawn = ElementTree.fromstring(content)
         assert drawn.tag.endswith("svg")
-        links = [value for e in drawn.iter() for key, value in e.attrib.items() if key.split("}")[-1] in LOADING]
+        links = [
+            value
+            for e in drawn.iter()
+            for key, value in e.attrib.items()
+            if key.split("}")[-1] in LOADING
+        ]
         assert all(value.startswith("#") for value in links)
 
 
@@ -100,12 +130,17 @@ def test_two_bundles_have_one_page_that_shows_the_fall(story, capsys):
 
 
 def test_a_diagnosis_has_its_page(story, capsys):
-    page, document = written(story, capsys, "diagnose", story / "run.npz", "--effects", "backlash,lag,gain")
+    page, document = written(
+        story, capsys, "diagnose", story / "run.npz", "--effects", "backlash,lag,gain"
+    )
     assert_whole(page, pictures=7)  # and the ladder, and the loop over the command
     assert [e["name"] for e in document["effects"]] == ["backlash"]
     assert document["verdict"] in page.text and " ".join(document["sentence"].split()) in page.text
     gap = document["effects"][0]["params"]["backlash.gap"]
-    assert gap["value"] == pytest.approx(2.0, rel=0.05) and f"backlash.gap {parameter(gap)}" in page.text
+    assert (
+        gap["value"] == pytest.approx(2.0, rel=0.05)
+        and f"backlash.gap {parameter(gap)}" in page.text
+    )
     error = document["error"]
     assert f"Floor: {error['floor_kind']}" in page.text
     assert f"Noise floor: {error['noise_floor']:.3f} mm" in page.text

@@ -31,14 +31,17 @@ def body():
 
 
 def test_all_together_agree_with_the_oracles_in_stage_order(body):
-    every = [name for name in EFFECTS if name not in BY_ROLE["prior"]]  # a finger has no such numbers
+    # a finger has no such numbers
+    every = [name for name in EFFECTS if name not in BY_ROLE["prior"]]
     chain = _core.Chain(list(reversed(every)), 2)
     assert chain.names == every
     t, u = record(2)
     gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     seen = np.linspace(t[0], t[-1], 61) + 0.004
     for params in (values(chain, "middle"), values(chain, "start")):
-        got = body.predict(chain, params[None], _core.Inputs(u, t, seen, gravity, load, warming(t), CAMERAS))[0]
+        got = body.predict(
+            chain, params[None], _core.Inputs(u, t, seen, gravity, load, warming(t), CAMERAS)
+        )[0]
         own, at = {}, 0
         for name in chain.names:
             width = len(_core.Chain([name], 2).labels)
@@ -53,16 +56,23 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
                 return np.stack([np.interp(moments, t, column) for column in rows.T], axis=1)
 
             seen_gravity, acting = seen_of(gravity), seen_of(x)
-            kept = {name: [seen_of(remembers(own[name], x))] for name, remembers in REMEMBERED.items()}
+            kept = {
+                name: [seen_of(remembers(own[name], x))] for name, remembers in REMEMBERED.items()
+            }
             shapes = BY_ROLE["shape"]
-            coefficients = sum(ORACLES[name](own[name], seen_gravity, acting, *kept.get(name, [])) for name in shapes)
+            coefficients = sum(
+                ORACLES[name](own[name], seen_gravity, acting, *kept.get(name, []))
+                for name in shapes
+            )
             coefficients[:, :3] += seen_gravity - HOME
             coefficients[:, 3:6] += 9.80665e-3 * np.interp(moments, t, load)[:, None] * seen_gravity
             frames = tabulated(finger).evaluate(acting)
             for name, values_of in FIELD_VALUES.items():
                 f = _core.FIELDS.index(name)
                 frames = frames + coefficients[:, f : f + 1] * tabulated(values_of).evaluate(acting)
-            for change, values_of in zip(lost(coefficients[0, len(_core.FIELDS)], acting).T, TENSION_VALUES):
+            for change, values_of in zip(
+                lost(coefficients[0, len(_core.FIELDS)], acting).T, TENSION_VALUES
+            ):
                 frames = frames + change[:, None] * tabulated(values_of).evaluate(acting)
             frames = frames + stopped(coefficients[0, -8:], frames, acting)
             return frames.reshape(-1, 9, 3)
@@ -78,7 +88,11 @@ def test_a_changed_number_makes_another_prior_loads_and_slopes_included():
     world = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     effects = ["slack", "gain", "payload", "mount"]
     chain, rest = _core.Chain(effects, 2), _core.Chain(effects[1:], 2)
-    assert chain.names == ["gain", "slack", "payload", "mount"] and chain.numbers == ["slack"] and rest.numbers == []
+    assert (
+        chain.names == ["gain", "slack", "payload", "mount"]
+        and chain.numbers == ["slack"]
+        and rest.numbers == []
+    )
     base = values(chain, "middle")
     sets = np.tile(base, (6, 1))
     sets[:, chain.labels.index("slack.ratio")] = [0.0, 0.25, 0.25, 1.0, 0.0, 0.25]
@@ -93,17 +107,30 @@ def test_a_changed_number_makes_another_prior_loads_and_slopes_included():
         slopes = rod_body().slopes(chain, params[None], _core.Inputs(u, t, seen, *world), step)
         wanted = made.slopes(rest, params[None, without], _core.Inputs(u, t, seen, *world), step)
         np.testing.assert_allclose(slopes, wanted, rtol=0, atol=1e-9)
-    halved = np.where(np.arange(len(base)) == at, 0.5, sets[1])  # multiplied, not set: half of a half
+    # multiplied, not set: half of a half
+    halved = np.where(np.arange(len(base)) == at, 0.5, sets[1])
     np.testing.assert_allclose(
-        rod_body(0.5).predict(chain, halved[None], _core.Inputs(u, t, seen, *world))[0], got[1], atol=1e-9
+        rod_body(0.5).predict(chain, halved[None], _core.Inputs(u, t, seen, *world))[0],
+        got[1],
+        atol=1e-9,
     )
     assert np.abs(got[0] - got[1]).max() > 0.5 and np.abs(got[1] - got[3]).max() > 0.5
 
 
 def test_labels_units_and_scales():
     chain = _core.Chain(["backlash", "gain"], 2)
-    assert chain.labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap[0]", "backlash.gap[1]"]
-    assert chain.group_labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap", "backlash.gap"]
+    assert chain.labels == [
+        "gain.factor[0]",
+        "gain.factor[1]",
+        "backlash.gap[0]",
+        "backlash.gap[1]",
+    ]
+    assert chain.group_labels == [
+        "gain.factor[0]",
+        "gain.factor[1]",
+        "backlash.gap",
+        "backlash.gap",
+    ]
     assert chain.units == ["1", "1", "mm", "mm"]
     assert list(chain.null) == [1.0, 1.0, 0.0, 0.0] and list(chain.log) == [True] * 4
 
@@ -122,7 +149,8 @@ def test_a_batch_equals_its_members_whatever_they_share(body):
         )
 
 
-@pytest.mark.parametrize("frames", [20, 40])  # loads that recur this often in a set have a body of their own, or not
+# loads that recur this often in a set have a body of their own, or not
+@pytest.mark.parametrize("frames", [20, 40])
 def test_a_batch_equals_its_members_where_loads_recur(body, frames):
     chain = _core.Chain(["backlash", "payload", "stiff_section", "mount"], 2)
     t, u = record(2, samples=frames)
@@ -131,10 +159,15 @@ def test_a_batch_equals_its_members_where_loads_recur(body, frames):
     sets[1:9] += 0.1 * np.eye(sets.shape[1])[:8]
     batch = body.predict(chain, sets, _core.Inputs(u, t, t, leaning))
     for params, one in zip(sets, batch):
-        np.testing.assert_array_equal(body.predict(chain, params[None], _core.Inputs(u, t, t, leaning))[0], one)
-    # Loads that never recur are answered in full: the same within round-off and the 1e-9 g by which they differ.
+        np.testing.assert_array_equal(
+            body.predict(chain, params[None], _core.Inputs(u, t, t, leaning))[0], one
+        )
+    # Loads that never recur are answered in full: the same within round-off and the 1e-9 g by which
+    # they differ.
     shaken = leaning + 1e-9 * np.random.default_rng(0).normal(size=leaning.shape)
-    np.testing.assert_allclose(body.predict(chain, sets, _core.Inputs(u, t, t, shaken)), batch, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        body.predict(chain, sets, _core.Inputs(u, t, t, shaken)), batch, rtol=0, atol=1e-6
+    )
 
 
 def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_senses_them(body):
@@ -144,7 +177,11 @@ def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_sens
     sets = np.stack([values(chain, "start"), values(chain, "middle")])
     for gravity in (turning(80), np.tile([0.5, -0.3, 0.81], (80, 1))):
         frames = body.predict(chain, sets, _core.Inputs(u, t, t, gravity)).reshape(2, 80, -1)
-        forms = body.through(weights).predict(chain, sets, _core.Inputs(u, t, t, gravity)).reshape(2, 80, -1)
+        forms = (
+            body.through(weights)
+            .predict(chain, sets, _core.Inputs(u, t, t, gravity))
+            .reshape(2, 80, -1)
+        )
         np.testing.assert_allclose(forms, frames @ weights, rtol=0, atol=1e-9)
     senses = _core.Chain(["mount"], 2)
     with pytest.raises(CoreError, match="changes what is seen"):
@@ -153,7 +190,17 @@ def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_sens
         body.through(weights[:, :5])
     rod = rod_body()
     assert (
-        rod.through(np.ones((3 * rod.predict(_core.Chain([], 2), np.zeros((1, 0)), _core.Inputs(u, t, t)).shape[2], 3)))
+        rod.through(
+            np.ones(
+                (
+                    3
+                    * rod.predict(
+                        _core.Chain([], 2), np.zeros((1, 0)), _core.Inputs(u, t, t)
+                    ).shape[2],
+                    3,
+                )
+            )
+        )
         is None
     )
 
@@ -181,18 +228,24 @@ def test_a_projected_table_sees_through_the_map():
     u = rng.uniform(-22.0, 22.0, (30, 2))
     seen = table.project(weights, offset)
     assert (seen.channels, seen.size) == (2, 6)
-    np.testing.assert_allclose(seen.evaluate(u), table.evaluate(u) @ weights + offset, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        seen.evaluate(u), table.evaluate(u) @ weights + offset, rtol=0, atol=1e-9
+    )
     copy = _core.Table(seen.axes, seen.coefficients, seen.mean, seen.modes)
     np.testing.assert_array_equal(copy.evaluate(u), seen.evaluate(u))
 
 
 def test_a_robot_without_commands_has_one_shape():
     table = _core.Table([], [[2.0]], [1.0, 0.0, 5.0], [[3.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(table.evaluate(np.zeros((4, 0))), np.tile([7.0, 0.0, 5.0], (4, 1)))
+    np.testing.assert_array_equal(
+        table.evaluate(np.zeros((4, 0))), np.tile([7.0, 0.0, 5.0], (4, 1))
+    )
     chain = _core.Chain(["mount"], 0)
     body = _core.Predictor(table, {}, np.ones(1, bool), HOME)
     params = chain.null + np.array([0, 0, 90.0, 0, 0, 1.0])
-    seen = body.predict(chain, params[None], _core.Inputs(np.zeros((0, 0)), np.zeros(0), np.arange(3.0)))
+    seen = body.predict(
+        chain, params[None], _core.Inputs(np.zeros((0, 0)), np.zeros(0), np.arange(3.0))
+    )
     np.testing.assert_allclose(seen, np.tile([0.0, 7.0, 6.0], (1, 3, 1, 1)), rtol=0, atol=1e-12)
 
 
@@ -224,17 +277,34 @@ def wrong_calls():
         "a state from later": (lambda: chain.rollout(p, u, t, state=later), "backwards"),
         "negative dt": (lambda: chain.step(chain.null, still, u[0], -1.0, 0.0), "dt"),
         "a delay beyond the ring": (lambda: late.rollout([[3.0]], u, t), "latency.delay"),
-        "a field that is missing": (lambda: body.predict(chain, [[0.1, 5.0]], _core.Inputs(u, t, t)), "tip_force"),
+        "a field that is missing": (
+            lambda: body.predict(chain, [[0.1, 5.0]], _core.Inputs(u, t, t)),
+            "tip_force",
+        ),
         "another robot's chain": (
-            lambda: body.predict(_core.Chain([], 3), none.null[None], _core.Inputs(np.zeros((5, 3)), t, t)),
+            lambda: body.predict(
+                _core.Chain([], 3), none.null[None], _core.Inputs(np.zeros((5, 3)), t, t)
+            ),
             "channels",
         ),
-        "an unknown field": (lambda: _core.Predictor(table, {"wind": table}, np.ones(9, bool), HOME), "gravity_x"),
+        "an unknown field": (
+            lambda: _core.Predictor(table, {"wind": table}, np.ones(9, bool), HOME),
+            "gravity_x",
+        ),
         "wrong positions": (lambda: _core.Predictor(table, {}, np.ones(8, bool), HOME), "27"),
         "a falling axis": (lambda: _core.Table([-axis], np.zeros((3, 1)), [0.0], [[1.0]]), "rise"),
-        "missing nodes": (lambda: _core.Table([axis], np.zeros((2, 1)), [0.0], [[1.0]]), "3 grid nodes"),
-        "nan in a table": (lambda: _core.Table([axis], np.full((3, 1), np.nan), [0.0], [[1.0]]), "NaN"),
-        "a projection of another size": (lambda: table.project(np.zeros((5, 2)), np.zeros(2)), "M = 27"),
+        "missing nodes": (
+            lambda: _core.Table([axis], np.zeros((2, 1)), [0.0], [[1.0]]),
+            "3 grid nodes",
+        ),
+        "nan in a table": (
+            lambda: _core.Table([axis], np.full((3, 1), np.nan), [0.0], [[1.0]]),
+            "NaN",
+        ),
+        "a projection of another size": (
+            lambda: table.project(np.zeros((5, 2)), np.zeros(2)),
+            "M = 27",
+        ),
     }
 
 

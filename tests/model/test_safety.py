@@ -1,4 +1,6 @@
-"""What a finger may be asked: derived from its model, carried by its bundle, edited by hand, never out of range."""
+"""What a finger may be asked: derived from its model, carried by its bundle, edited by hand, never
+out of range.
+"""
 
 import json
 from dataclasses import replace
@@ -37,7 +39,9 @@ def edit(bundle, *changes):
 
 
 def test_the_built_in_finger_has_limits_that_the_simulator_confirms():
-    """Tension and strain are those of the simulation at the worst place, on the sweep's own mesh."""
+    """Tension and strain are those of the simulation at the worst place, on the sweep's own
+    mesh.
+    """
     safety = MODEL.safety
     assert (safety.low, safety.high) == ((-16.0, -16.0), (16.0, 16.0))
     commands = np.array([[-16.0, -4.0], [16.0, 0.0], [16.0, 16.0], [4.0, 4.0]])
@@ -49,13 +53,21 @@ def test_the_built_in_finger_has_limits_that_the_simulator_confirms():
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     longer = np.linalg.norm(vertices[:, triangles[:, 1]] - vertices[:, triangles[:, 0]], axis=2)
     sides = longer / np.linalg.norm(rest[triangles[:, 1]] - rest[triangles[:, 0]], axis=1) - 1.0
-    assert 0.5 * safety.simulated["strain"] < sides.max() <= 1.02 * safety.simulated["strain"], "no side is longer"
+    assert 0.5 * safety.simulated["strain"] < sides.max() <= 1.02 * safety.simulated["strain"], (
+        "no side is longer"
+    )
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5])
 def test_a_stretched_or_sheared_sheet_has_the_strain_of_its_closed_form(gamma):
-    """λ − 1 of the larger principal stretch: of a stretch by a quarter, and of a simple shear γ/2 + √(1 + γ²/4) − 1."""
-    gradient = np.diag([1.25, 1.0, 1.0]) if gamma == 0.0 else np.eye(3) + gamma * np.outer([1, 0, 0], [0, 1, 0])
+    """λ − 1 of the larger principal stretch: of a stretch by a quarter, and of a simple shear γ/2 +
+    √(1 + γ²/4) − 1.
+    """
+    gradient = (
+        np.diag([1.25, 1.0, 1.0])
+        if gamma == 0.0
+        else np.eye(3) + gamma * np.outer([1, 0, 0], [0, 1, 0])
+    )
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
 
     class Sheet:
@@ -66,7 +78,10 @@ def test_a_stretched_or_sheared_sheet_has_the_strain_of_its_closed_form(gamma):
 
     sheet = replace(
         MODEL.with_structure(
-            prior=Sheet(), rest=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32), body=None
+            prior=Sheet(),
+            rest=corners,
+            triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32),
+            body=None,
         ),
         arrays={},
     )
@@ -78,7 +93,9 @@ def test_it_travels_with_the_bundle_and_its_bytes_are_the_same(bundle, tmp_path)
     read = load_bundle(bundle)
     assert read.safety == MODEL.safety and not read.safety.edited
     assert load_manifest(bundle)["schema"] == 7 and "safety.toml" in load_manifest(bundle)["sha256"]
-    assert (save_bundle(read, tmp_path / "again") / "safety.toml").read_bytes() == (bundle / "safety.toml").read_bytes()
+    assert (save_bundle(read, tmp_path / "again") / "safety.toml").read_bytes() == (
+        bundle / "safety.toml"
+    ).read_bytes()
     assert read.with_effects(["gain"], {}).safety == MODEL.safety
 
 
@@ -86,7 +103,10 @@ def test_a_bundle_of_before_has_none_and_is_read(tmp_path):
     old = save_bundle(replace(MODEL, safety=None), tmp_path / "old")
     assert load_manifest(old)["schema"] < 7 and not (old / "safety.toml").exists()
     assert load_bundle(old).safety is None
-    assert derived(load_bundle(old)).high == (16.0, 16.0) and "an unnamed modulus" in derived(load_bundle(old)).assumes
+    assert (
+        derived(load_bundle(old)).high == (16.0, 16.0)
+        and "an unnamed modulus" in derived(load_bundle(old)).assumes
+    )
 
 
 def test_what_is_edited_by_hand_counts_and_is_told(bundle, tmp_path):
@@ -100,7 +120,11 @@ def test_what_is_edited_by_hand_counts_and_is_told(bundle, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("high = [16.0, 16.0]", "high = [16.0, 20.0]", r"window of command 2 is -16 to 20 mm; allowed is .* -16 to 16"),
+        (
+            "high = [16.0, 16.0]",
+            "high = [16.0, 20.0]",
+            r"window of command 2 is -16 to 20 mm; allowed is .* -16 to 16",
+        ),
         ("low = [-16.0, -16.0]", "low = [17.0, -16.0]", "window of command 1 is 17 to 16"),
         ("high = [16.0, 16.0]", "high = [16.0]", r"high has shape \(1,\), expected \(2,\)"),
         ("low = [-16.0, -16.0]\n", "", "no low or no high"),
@@ -147,11 +171,22 @@ def test_a_narrower_model_narrows_the_window(tmp_path):
 def test_build_writes_it_for_a_simulated_finger(tmp_path, capsys):
     finger = FINGER.replace(core=2, layers=10, young_mpa=0.4)
     (tmp_path / "finger.toml").write_text(finger.to_toml(), encoding="utf-8")
-    argv = ["build", str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "bundle"), "--json"]
+    argv = [
+        "build",
+        str(tmp_path / "finger.toml"),
+        "--steps",
+        "5",
+        "--out",
+        str(tmp_path / "bundle"),
+        "--json",
+    ]
     assert main(argv) == 0
     assert json.loads(capsys.readouterr().out)["schema"] == "softmap.build/1"
     safety = load_bundle(tmp_path / "bundle").safety
-    assert "0.4 MPa" in safety.assumes and safety.simulated["tension_n"] > MODEL.safety.simulated["tension_n"]
+    assert (
+        "0.4 MPa" in safety.assumes
+        and safety.simulated["tension_n"] > MODEL.safety.simulated["tension_n"]
+    )
 
 
 def test_a_sweep_made_elsewhere_has_strains_but_no_tension(tmp_path):
@@ -160,9 +195,19 @@ def test_a_sweep_made_elsewhere_has_strains_but_no_tension(tmp_path):
     corners = {"triangles": np.array([[0, 1, 7], [1, 8, 7]])}
     np.savez(tmp_path / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)), **corners)
     bare, whole = (model_from_file(tmp_path / name).safety for name in ("bare.npz", "sweep.npz"))
-    assert bare.tension is None and not bare.simulated and "tensions are not known, nor strains" in bare.assumes
-    assert whole.tension is None and set(whole.simulated) == {"strain"} and "imported sweep" in whole.assumes
-    read = load_bundle(save_bundle(model_from_file(tmp_path / "bare.npz"), tmp_path / "bundle")).safety
+    assert (
+        bare.tension is None
+        and not bare.simulated
+        and "tensions are not known, nor strains" in bare.assumes
+    )
+    assert (
+        whole.tension is None
+        and set(whole.simulated) == {"strain"}
+        and "imported sweep" in whole.assumes
+    )
+    read = load_bundle(
+        save_bundle(model_from_file(tmp_path / "bare.npz"), tmp_path / "bundle")
+    ).safety
     assert read == bare
 
 

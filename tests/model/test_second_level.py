@@ -1,4 +1,6 @@
-"""Large loads and softer sections: the built-in model beside the finger solved with them, what bends, old bundles."""
+"""Large loads and softer sections: the built-in model beside the finger solved with them, what
+bends, old bundles.
+"""
 
 from dataclasses import replace
 
@@ -54,14 +56,16 @@ def test_a_large_load_moves_the_finger_as_the_simulator_says(name, simulator, ba
     gravity, grams, allowed, linear = CASES[name]
     truth = simulator.path(COMMANDS, gravity=gravity, load=NEWTON * grams * gravity) - bare
     model = builtin_model()
-    first, second = (rms(moved(m, gravity, grams) - truth) for m in (model.with_structure(second=None), model))
+    first, second = (
+        rms(moved(m, gravity, grams) - truth) for m in (model.with_structure(second=None), model)
+    )
     assert second < allowed * rms(truth), f"{second:.2f} of {rms(truth):.2f} mm"
     assert first > linear * rms(truth), f"{first:.2f} of {rms(truth):.2f} mm: nothing to improve"
 
 
 def test_a_lean_alone_is_answered_between_the_commands_of_the_sweep(simulator):
-    """Where tendons fall slack between two of them: tensions interpolated across that kink are up to 2 N off, and the
-    lean then 0.21 mm RMS.
+    """Where tendons fall slack between two of them: tensions interpolated across that kink are up
+    to 2 N off, and the lean then 0.21 mm RMS.
     """
     commands = np.random.default_rng(0).uniform(-14.0, 14.0, (10, 2))
     t = np.arange(float(len(commands)))
@@ -69,14 +73,25 @@ def test_a_lean_alone_is_answered_between_the_commands_of_the_sweep(simulator):
     model = builtin_model()
     told = model.predict(replace(plain, gravity=LEANING)) - model.predict(plain)
     truth = simulator.path(commands, gravity=LEANING) - simulator.path(commands)
-    assert rms(told - truth) < 0.05 and rms(truth) > 1.0, f"{rms(told - truth):.3f} of {rms(truth):.2f} mm"
+    assert rms(told - truth) < 0.05 and rms(truth) > 1.0, (
+        f"{rms(told - truth):.3f} of {rms(truth):.2f} mm"
+    )
 
 
-# gravity, grams, effect, amount, where; allowed share of error, what is missed where the modulus is answered linearly
+# gravity, grams, effect, amount, where; allowed share of error, what is missed where the modulus is
+# answered linearly
 SECTIONS = {
     "half as stiff, leaning": (LEANING, 0.0, "stiff_section", -0.7, 0.2, 0.09, 0.25),
     "twice as stiff, leaning": (LEANING, 0.0, "stiff_section", 0.7, 0.2, 0.07, 0.20),
-    "half as stiff, horizontal": (np.array([0.0, -1.0, 0.0]), 0.0, "stiff_section", -0.7, 0.4, 0.15, 0.5),
+    "half as stiff, horizontal": (
+        np.array([0.0, -1.0, 0.0]),
+        0.0,
+        "stiff_section",
+        -0.7,
+        0.4,
+        0.15,
+        0.5,
+    ),
     "half as stiff, leaning with 20 g": (LEANING, 20.0, "stiff_section", -0.7, 0.4, 0.18, 0.6),
     "a kink, leaning": (LEANING, 0.0, "kink", -0.7, 0.2, 0.10, 0.25),
 }
@@ -88,7 +103,11 @@ def test_a_softer_or_stiffer_section_moves_the_finger_as_the_simulator_says(name
     if effect == "kink":  # gives way at once, and as much at all commands but for 1e-5 of it
         params = {"kink.softening": -amount, "kink.centre": centre, "kink.bend": 1e-4}
     else:
-        params = {"stiff_section.amount": amount, "stiff_section.centre": centre, "stiff_section.width": 0.25}
+        params = {
+            "stiff_section.amount": amount,
+            "stiff_section.centre": centre,
+            "stiff_section.width": 0.25,
+        }
     chain = _core.Chain([effect], 2)
     values = np.array([[params[label] for label in chain.labels]])
     u = COMMANDS[1:]
@@ -111,14 +130,22 @@ def test_a_softer_or_stiffer_section_moves_the_finger_as_the_simulator_says(name
 def without_moduli():
     """The second level of the built-in bundle as it was before it knew the modulus."""
     fields = builtin_model().arrays["fields"]
-    return second_from({name: array for name, array in fields.items() if not name.startswith("second_moduli")})
+    return second_from(
+        {name: array for name, array in fields.items() if not name.startswith("second_moduli")}
+    )
 
 
 def test_without_a_change_of_the_modulus_the_answer_is_that_without_its_pairs():
     model = builtin_model()
     for count in (5, 200):
         t = np.arange(float(count))
-        run = Run(t=t, command=np.resize(COMMANDS, (count, 2)), t_seen=t, gravity=LEANING, load=np.full(count, 30.0))
+        run = Run(
+            t=t,
+            command=np.resize(COMMANDS, (count, 2)),
+            t_seen=t,
+            gravity=LEANING,
+            load=np.full(count, 30.0),
+        )
         old = model.with_structure(second=without_moduli())
         for names, params in (([], {}), (["twist"], {"twist.angle": 4.0})):
             both = [m.with_effects(names, params).predict(run) for m in (model, old)]
@@ -140,12 +167,18 @@ def coarse():
 
 
 def test_bends_are_the_differences_of_fields(coarse):
-    """Of the same finger driven by tension, at the equilibrium of a command, one load or other cause up and down."""
+    """Of the same finger driven by tension, at the equilibrium of a command, one load or other
+    cause up and down.
+    """
     simulator, command = Simulator(coarse), np.array([[6.0, -4.0]])
     bend = simulator.bends(command)
-    by_tension = coarse.replace(command_unit="N", pairs=tuple((i,) for i in range(4)), command_range=((0.0, 10.0),) * 4)
+    by_tension = coarse.replace(
+        command_unit="N", pairs=tuple((i,) for i in range(4)), command_range=((0.0, 10.0),) * 4
+    )
     twin = Simulator(by_tension)
-    tension = np.maximum(simulator.solid.path(command, np.array([[0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0))[1], 0.0)
+    tension = np.maximum(
+        simulator.solid.path(command, np.array([[0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0))[1], 0.0
+    )
     names = [*_core.LOADS, *_core.MODULI, *(f"tension_{t}" for t in range(4))]
     columns = [*range(15), *(len(_core.FIELDS) + t for t in range(4))]
     row = {pair: p for p, pair in enumerate(zip(*np.triu_indices(19)))}
@@ -155,19 +188,28 @@ def test_bends_are_the_differences_of_fields(coarse):
         for sign in (1.0, -1.0):
             step = np.zeros(19)
             step[l] = sign * by
-            made = Simulator(by_tension, change=dict(zip(_core.MODULI, step[6:15]))) if 6 <= l < 15 else twin
+            made = (
+                Simulator(by_tension, change=dict(zip(_core.MODULI, step[6:15])))
+                if 6 <= l < 15
+                else twin
+            )
             under = {"gravity": [0.0, 0.0, 1.0] + step[:3], "load": step[3:6]}
             found = made.fields(tension + step[15:], **under, design=True)
-            sides.append((np.stack([found.fields[n][0] for n in names]), found.stretch[0][:, columns].T))
+            sides.append(
+                (np.stack([found.fields[n][0] for n in names]), found.stretch[0][:, columns].T)
+            )
         for both, got in zip(zip(*sides), (bend.fields[0], bend.stretch[0])):
             wanted = (both[0] - both[1]) / (2 * by)
             mine = np.stack([got[row[min(k, l), max(k, l)]] for k in range(19)])
-            # The third derivative over a step of 0.02, and round-off of equilibria that are settled to 2e-4 mm.
+            # The third derivative over a step of 0.02, and round-off of equilibria that are settled
+            # to 2e-4 mm.
             assert np.abs(mine - wanted).max() < 0.01 * np.abs(wanted).max()
 
 
 def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
-    pulled = coarse.replace(command_unit="N", command_range=((0.0, 4.0), (0.0, 4.0)), pairs=((0,), (1,)))
+    pulled = coarse.replace(
+        command_unit="N", command_range=((0.0, 4.0), (0.0, 4.0)), pairs=((0,), (1,))
+    )
     pulled = pulled.replace(tendons=pulled.tendons[:2])
     free = coarse.replace(tendons=(), pairs=(), command_range=())
     for finger in (pulled.replace(core=2), free.replace(core=2)):
@@ -177,9 +219,12 @@ def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
         bare = Run(t=t, command=command, command_unit=model.command_unit, t_seen=t)
         # Without tendons that hold, 20 g along the axis and gravity aside bend it together.
         loaded = replace(bare, gravity=LEANING, load=np.full(2, 20.0))
-        truth = simulator.path(command, gravity=LEANING, load=NEWTON * 20.0 * LEANING) - simulator.path(command)
+        truth = simulator.path(
+            command, gravity=LEANING, load=NEWTON * 20.0 * LEANING
+        ) - simulator.path(command)
         first, second = (
-            rms(m.predict(loaded) - m.predict(bare) - truth) for m in (model.with_structure(second=None), model)
+            rms(m.predict(loaded) - m.predict(bare) - truth)
+            for m in (model.with_structure(second=None), model)
         )
         assert second < 0.5 * first, f"{second:.2f} against {first:.2f} of {rms(truth):.2f} mm"
 
@@ -188,17 +233,25 @@ def test_a_bundle_without_a_second_level_is_read_and_a_spoiled_one_refused(tmp_p
     model = builtin_model()
     fields = model.arrays["fields"]
     kept = {name: array for name, array in fields.items() if not name.startswith("second_")}
-    old = load_bundle(save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "old"))
+    old = load_bundle(
+        save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "old")
+    )
     assert old.structure.second is None and second_from(kept) is None
     linear = moved(model.with_structure(second=None), LEANING, 60.0)
     np.testing.assert_array_equal(moved(old, LEANING, 60.0), linear)
     kept = {name: array for name, array in fields.items() if not name.startswith("second_moduli")}
-    old = load_bundle(save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "loads alone"))
+    old = load_bundle(
+        save_bundle(
+            replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "loads alone"
+        )
+    )
     np.testing.assert_array_equal(moved(old, LEANING, 60.0), moved(model, LEANING, 60.0))
     of_moduli = ("second_moduli_weights", "second_moduli_stretch", "second_moduli_growth")
     for name in ("second_growth", "second_modes", "second_axis1", "second_stretch", *of_moduli):
         short = {**fields, name: fields[name][:-1]}
-        folder = save_bundle(replace(model, arrays={**model.arrays, "fields": short}), tmp_path / name)
+        folder = save_bundle(
+            replace(model, arrays={**model.arrays, "fields": short}), tmp_path / name
+        )
         with pytest.raises(BundleError):
             load_bundle(folder)
     with pytest.raises(SoftmapError, match="numbers a node"):

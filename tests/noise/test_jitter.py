@@ -1,4 +1,6 @@
-"""Jitter of the frame with a memory: its covariance and memory are recovered, effects of the drive are not jitter."""
+"""Jitter of the frame with a memory: its covariance and memory are recovered, effects of the drive
+are not jitter.
+"""
 
 import numpy as np
 import pytest
@@ -13,13 +15,17 @@ WHITE = 0.1  # mm a coordinate
 
 
 def seen_by(seed, turn=0.0, shift=0.0, memory=8.0, acting=None, trend=0.0, rounds=6):
-    """A tour seen by a camera whose frame jitters: features (K, F), prediction (K, F), conditions."""
+    """A tour seen by a camera whose frame jitters: features (K, F), prediction (K, F),
+    conditions.
+    """
     rng = np.random.default_rng(seed)
     t, command, seen = visits(tour(rng, rounds), rng)
     u = command if acting is None else acting(t, command)
     truth, own = shape(at(t, u, seen)), shape(at(t, command, seen))
     state = wander(seen, memory, rng, 6) + trend * ((seen - seen[0]) / np.ptp(seen))[:, None]
-    points = shaken(truth, np.radians(turn) * state[:, :3], shift * state[:, 3:]) + WHITE * rng.normal(size=truth.shape)
+    points = shaken(
+        truth, np.radians(turn) * state[:, :3], shift * state[:, 3:]
+    ) + WHITE * rng.normal(size=truth.shape)
     flat = (len(seen), -1)
     return points.reshape(flat), own.reshape(flat), conditions(record(t, command, seen), command)
 
@@ -51,9 +57,13 @@ def test_rigid_motion_is_what_small_turns_and_shifts_do():
     turns, shifts = 1e-5 * rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     moved = (shaken(points, turns, shifts) - points).reshape(5, -1)
     columns = rigid(points.reshape(5, -1), np.ones(4, bool))
-    np.testing.assert_allclose(np.einsum("kfi,ki->kf", columns, np.c_[turns, shifts]), moved, atol=1e-12)
+    np.testing.assert_allclose(
+        np.einsum("kfi,ki->kf", columns, np.c_[turns, shifts]), moved, atol=1e-12
+    )
     directions = rigid(points.reshape(5, -1), np.zeros(4, bool))
-    assert not directions[:, :, 3:].any() and np.array_equal(directions[:, :, :3], columns[:, :, :3])
+    assert not directions[:, :, 3:].any() and np.array_equal(
+        directions[:, :, :3], columns[:, :, :3]
+    )
 
 
 @pytest.mark.parametrize("memory", [2.5, 10.0])
@@ -87,7 +97,9 @@ def test_memory_of_the_drive_is_no_jitter(acting):
 
 
 def test_a_trend_over_the_run_is_no_jitter():
-    """The frame turns by 0.5° and shifts by 0.6 mm over the run, steadily: this drift is not removed as jitter."""
+    """The frame turns by 0.5° and shifts by 0.6 mm over the run, steadily: this drift is not
+    removed as jitter.
+    """
     for seed in range(3):
         rng = np.random.default_rng(seed)
         t, command, seen = visits(tour(rng), rng)
@@ -95,18 +107,26 @@ def test_a_trend_over_the_run_is_no_jitter():
         own = shape(at(t, command, seen))
         points = shaken(own, np.radians(0.5) * line * [1, 0, 0], 0.6 * line * [0, 1, 0])
         points = (points + WHITE * rng.normal(size=own.shape)).reshape(len(seen), -1)
-        jitter = found(points, own.reshape(len(seen), -1), conditions(record(t, command, seen), command))[0]
+        jitter = found(
+            points, own.reshape(len(seen), -1), conditions(record(t, command, seen), command)
+        )[0]
         assert jitter is None or np.diag(jitter.covariance)[3:].max() < 0.1**2
 
 
 def test_slow_jitter_goes_into_the_noise_and_its_frames_count_for_less():
-    """Dwells alone show a sixth of it; whitened, the remainder of jitter and noise has the stated variance."""
+    """Dwells alone show a sixth of it; whitened, the remainder of jitter and noise has the stated
+    variance.
+    """
     ratio, blind, counted = [], [], []
     for seed in range(8):
         seen, own, state = seen_by(seed, 0.2, 0.3, 10.0)
         positions = np.ones(8, bool)
         noise = measure_noise(seen - own, seen, positions, state.time, state)
-        assert noise.slow is not None and "frame jitter" in noise.source and 5.0 <= noise.memory_s <= 20.0
+        assert (
+            noise.slow is not None
+            and "frame jitter" in noise.source
+            and 5.0 <= noise.memory_s <= 20.0
+        )
         white = whitener(
             noise,
             np.zeros_like(noise.covariance),
@@ -124,7 +144,9 @@ def test_slow_jitter_goes_into_the_noise_and_its_frames_count_for_less():
 
 
 def test_an_effect_along_the_jitter_is_found_where_it_is_larger():
-    """A base that is 1.5 mm off, under jitter of 0.3 mm and 10 s memory: 5 standard deviations and more."""
+    """A base that is 1.5 mm off, under jitter of 0.3 mm and 10 s memory: 5 standard deviations and
+    more.
+    """
     seen, own, state = seen_by(3, 0.2, 0.3, 10.0)
     positions = np.ones(8, bool)
     noise = measure_noise(seen - own, seen, positions, state.time, state)
@@ -138,11 +160,14 @@ def test_an_effect_along_the_jitter_is_found_where_it_is_larger():
     signature, residual = white.modes(shift).ravel(), white.modes(seen + shift - own).ravel()
     size = float(signature @ signature)
     assert float(signature @ residual) / size == pytest.approx(1.0, abs=0.3)
-    assert 5.0 < np.sqrt(size) < 0.3 * 1.5 / WHITE * np.sqrt(len(seen) * 8)  # more if frames counted as independent
+    # more if frames counted as independent
+    assert 5.0 < np.sqrt(size) < 0.3 * 1.5 / WHITE * np.sqrt(len(seen) * 8)
 
 
 def test_markers_on_one_line_show_their_other_axes():
-    """No turn about the line is seen: this must not make the others unknown, nor be large itself."""
+    """No turn about the line is seen: this must not make the others unknown, nor be large
+    itself.
+    """
     sizes, true = [], []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -152,7 +177,9 @@ def test_markers_on_one_line_show_their_other_axes():
         state = wander(seen, 8.0, rng, 6)
         moved = shaken(own, np.radians(0.2) * state[:, :3], 0.3 * state[:, 3:])
         points = (moved + WHITE * rng.normal(size=own.shape)).reshape(len(seen), -1)
-        jitter = found(points, own.reshape(len(seen), -1), conditions(record(t, command, seen), command))[0]
+        jitter = found(
+            points, own.reshape(len(seen), -1), conditions(record(t, command, seen), command)
+        )[0]
         sizes.append(np.trace(jitter.of_features(points, np.ones(6, bool))) / 6)
         true.append(np.mean(np.sum((moved - own) ** 2, axis=2)))
     assert np.sqrt(np.mean(sizes)) == pytest.approx(np.sqrt(np.mean(true)), rel=0.3)

@@ -1,4 +1,6 @@
-"""Level 1 against plain NumPy: explicit columns, whitened by `Whitener.shrink`, normal equations solved directly."""
+"""Level 1 against plain NumPy: explicit columns, whitened by `Whitener.shrink`, normal equations
+solved directly.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,11 @@ class Plain:
         return self.whitener.shrink(x[:, frames], kernel).reshape(len(x), -1)
 
     def joined(self, names):
-        return np.concatenate([self.columns[name] for name in names]) if names else np.zeros((0, *self.y.shape))
+        return (
+            np.concatenate([self.columns[name] for name in names])
+            if names
+            else np.zeros((0, *self.y.shape))
+        )
 
     def solve(self, a, y, names, ridges):
         ridge = np.concatenate([np.full(len(self.columns[n]), r) for n, r in zip(names, ridges)])
@@ -36,7 +42,9 @@ class Plain:
         for (train, test), (before, after) in zip(self.folds, self.kernels):
             left = self.white(y, test, after)[0]
             if names:
-                theta, _ = self.solve(self.white(x, train, before), self.white(y, train, before), names, ridges)
+                theta, _ = self.solve(
+                    self.white(x, train, before), self.white(y, train, before), names, ridges
+                )
                 left = left - theta @ self.white(x, test, after)
             found.append(left @ left)
         return np.array(found)
@@ -44,7 +52,10 @@ class Plain:
     def whole(self, names, ridges):
         every = slice(None)
         kernel = self.whitener.kernel
-        a, y = self.white(self.joined(names), every, kernel), self.white(self.y[None], every, kernel)
+        a, y = (
+            self.white(self.joined(names), every, kernel),
+            self.white(self.y[None], every, kernel),
+        )
         return self.solve(a, y, names, ridges)
 
 
@@ -56,12 +67,16 @@ def kernel_of(command, rank, strongest=50.0):
 
 
 def both(frames=90, channels=2, modes=4, rank=9, seed=0, labels=None):
-    """Return the core's level and the reference on the same random columns; two of three names share bases."""
+    """Return the core's level and the reference on the same random columns; two of three names
+    share bases.
+    """
     rng = np.random.default_rng(seed)
     t, command = np.sort(rng.uniform(0, 40, frames)), rng.normal(size=(frames, channels))
     folds = run_folds(t, labels)
     kernel, form = kernel_of(command, rank), FORM[:modes]
-    kernels = [(kernel_of(command[train], rank), kernel_of(command[test], rank)) for train, test in folds]
+    kernels = [
+        (kernel_of(command[train], rank), kernel_of(command[test], rank)) for train, test in folds
+    ]
     plain = Plain(Whitener(np.eye(modes), form, kernel), folds, kernels)
     level = _core.Level(
         form,
@@ -80,7 +95,9 @@ def both(frames=90, channels=2, modes=4, rank=9, seed=0, labels=None):
     level.add("body", field, which, weight)
     plain.columns["body"] = field[which] * weight[:, :, None]
     truth = rng.normal(size=len(plain.columns["memory"]))
-    plain.y = np.einsum("n,nkm->km", truth, plain.columns["memory"]) + 0.3 * rng.normal(size=(frames, modes))
+    plain.y = np.einsum("n,nkm->km", truth, plain.columns["memory"]) + 0.3 * rng.normal(
+        size=(frames, modes)
+    )
     level.close(plain.y)
     return level, plain, truth
 
@@ -92,7 +109,12 @@ CASES = [
     dict(modes=1, seed=3),
     dict(rank=0, seed=4),
 ]
-CHOICES = [([], []), (["memory"], [0.3]), (["body", "map"], [10.0, 1e3]), (["memory", "body", "map"], [0.0, 1.0, 3.0])]
+CHOICES = [
+    ([], []),
+    (["memory"], [0.3]),
+    (["body", "map"], [10.0, 1e3]),
+    (["memory", "body", "map"], [0.0, 1.0, 3.0]),
+]
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -114,7 +136,9 @@ def test_losses_weights_and_freedom_match_numpy(case, names, ridges):
         first += len(part)
         assert level.freedom(names, ridges, name) == pytest.approx(df, abs=1e-6)
         drawn = np.einsum("n,nkm->km", part, plain.columns[name])
-        np.testing.assert_allclose(level.fitted(name, part), drawn, atol=1e-12 * np.abs(drawn).max())
+        np.testing.assert_allclose(
+            level.fitted(name, part), drawn, atol=1e-12 * np.abs(drawn).max()
+        )
 
 
 def test_injected_weights_are_recovered_and_another_family_does_not_explain_them():
@@ -122,7 +146,9 @@ def test_injected_weights_are_recovered_and_another_family_does_not_explain_them
     (theta,) = level.theta(["memory"], [1e-6])
     # Noise of 0.3 on 360 numbers, 14 weights of size 1.
     assert np.abs(theta - truth).max() < 0.2 and np.abs(truth).max() > 1
-    alone, memory, other = (level.losses(names, [0.3] * len(names)).sum() for names in ([], ["memory"], ["map"]))
+    alone, memory, other = (
+        level.losses(names, [0.3] * len(names)).sum() for names in ([], ["memory"], ["map"])
+    )
     assert memory < 0.1 * alone and other > 0.5 * alone
 
 
@@ -130,7 +156,9 @@ def test_frames_in_the_gap_neither_train_nor_test():
     labels = np.repeat(np.arange(18), 5)
     level, plain, _ = both(labels=labels)
     assert any(len(train) + len(test) < 90 for train, test in plain.folds)
-    np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
+    np.testing.assert_allclose(
+        level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7
+    )
 
 
 def test_skipped_pairs_change_a_loss_by_at_most_1e_4():
@@ -149,14 +177,18 @@ def test_skipped_pairs_change_a_loss_by_at_most_1e_4():
     )
     modes = rng.normal(size=(frames, 2))
     wanted = float(np.sum(Whitener(np.eye(2), form, half).shrink(modes[test], half) ** 2))
-    assert level.losses_of(modes)[0] == pytest.approx(wanted, abs=1e-4 * float(np.sum(modes[test] ** 2)))
+    assert level.losses_of(modes)[0] == pytest.approx(
+        wanted, abs=1e-4 * float(np.sum(modes[test] ** 2))
+    )
     assert not np.isclose(wanted, np.sum(modes[test] ** 2), rtol=0.05)  # the kernel has an effect
 
 
 def test_results_are_reproducible_and_do_not_depend_on_the_order_of_columns():
     level, plain, _ = both()
     again, _, _ = both()
-    assert np.array_equal(level.losses(["map", "body"], [1.0, 2.0]), again.losses(["map", "body"], [1.0, 2.0]))
+    assert np.array_equal(
+        level.losses(["map", "body"], [1.0, 2.0]), again.losses(["map", "body"], [1.0, 2.0])
+    )
     level = level.fresh()
     assert level.names == []
     for name in ("body", "memory", "map"):
@@ -164,7 +196,9 @@ def test_results_are_reproducible_and_do_not_depend_on_the_order_of_columns():
         level.add(name, x, np.arange(len(x)), np.ones(x.shape[:2]))
     level.close(plain.y)
     assert level.names == ["body", "memory", "map"]
-    np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
+    np.testing.assert_allclose(
+        level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7
+    )
 
 
 def test_columns_and_residuals_that_come_later_give_what_fresh_ones_give():
@@ -174,12 +208,16 @@ def test_columns_and_residuals_that_come_later_give_what_fresh_ones_give():
     plain.columns["late"] = twice + plain.columns["memory"][1:3]
     level.add("late", plain.columns["late"], np.arange(2), np.ones((2, 90)))
     np.testing.assert_allclose(
-        level.losses(["map", "late"], [1.0, 2.0]), plain.losses(["map", "late"], [1.0, 2.0]), rtol=1e-7
+        level.losses(["map", "late"], [1.0, 2.0]),
+        plain.losses(["map", "late"], [1.0, 2.0]),
+        rtol=1e-7,
     )
     plain.y = np.random.default_rng(9).normal(size=plain.y.shape)
     level.close(plain.y)
     np.testing.assert_allclose(
-        level.losses(["late", "map"], [1.0, 2.0]), plain.losses(["late", "map"], [1.0, 2.0]), rtol=1e-7
+        level.losses(["late", "map"], [1.0, 2.0]),
+        plain.losses(["late", "map"], [1.0, 2.0]),
+        rtol=1e-7,
     )
 
 
@@ -189,7 +227,9 @@ def test_the_least_loss_is_that_of_the_frames_that_are_fitted(names, ridges):
     every, kernel = slice(None), plain.whitener.kernel
     left = plain.white(plain.y[None], every, kernel)[0]
     if names:
-        left = left - plain.whole(names, ridges)[0] @ plain.white(plain.joined(names), every, kernel)
+        left = left - plain.whole(names, ridges)[0] @ plain.white(
+            plain.joined(names), every, kernel
+        )
     assert level.training_loss(names, ridges) == pytest.approx(left @ left, rel=1e-7)
 
 
@@ -218,7 +258,9 @@ def test_collinear_and_zero_columns_are_solvable():
 def test_a_fold_without_training_frames_keeps_the_loss_of_the_residual():
     y, nobody = np.random.default_rng(0).normal(size=(5, 2)), np.arange(0)
     none, each = np.zeros((5, 0)), np.zeros(0)
-    level = _core.Level(np.ones(2), (none, each), [(nobody, np.arange(5), none[:0], each, none, each)])
+    level = _core.Level(
+        np.ones(2), (none, each), [(nobody, np.arange(5), none[:0], each, none, each)]
+    )
     level.add("one", np.ones((1, 5, 2)), np.array([0]), np.ones((1, 5)))
     level.close(y)
     assert level.losses(["one"], [0.0])[0] == pytest.approx(np.sum(y**2), rel=1e-15)

@@ -1,4 +1,6 @@
-"""The floor of models without memory: half a loop, whatever map is fitted; for noise alone it is the noise."""
+"""The floor of models without memory: half a loop, whatever map is fitted; for noise alone it is
+the noise.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from softmap_edge.run.conditions import conditions
 
 
 def sines(play, noise, seed=0, channels=2, gravity=None):
-    """Sines of growing size on one channel, the other at rest: every command is repeated in both directions."""
+    """Sines of growing size on one channel, the other at rest: every command is repeated in both
+    directions.
+    """
     t = np.arange(0.0, 120.0, 0.02)
     u = np.zeros((len(t), channels))
     u[:, 0] = (4.0 + 6.0 * t / 120.0) * np.sin(2 * np.pi * t / 8.0)
@@ -38,7 +42,9 @@ def test_no_static_map_goes_below_the_floor_and_a_rich_one_reaches_it(play):
     reached = best_static(values, state.command)
     assert found.mm == pytest.approx(reached, rel=0.12)
     assert found.mm > 3 * 0.1 * np.sqrt(3)
-    assert found.poses > 20 and found.passages > 2 * found.poses - 1 and len(found.rows) <= len(values)
+    assert (
+        found.poses > 20 and found.passages > 2 * found.poses - 1 and len(found.rows) <= len(values)
+    )
 
 
 def test_without_memory_the_floor_is_the_noise():

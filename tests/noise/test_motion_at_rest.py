@@ -1,4 +1,6 @@
-"""Motion while the commands stand: hum and fast bending are found with size, frequency and channel, noise is not."""
+"""Motion while the commands stand: hum and fast bending are found with size, frequency and channel,
+noise is not.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from softmap_edge.run.conditions import conditions
 
 
 def run(seed, acting, white=0.1):
-    """A tour with effective commands `acting(t_seen, command, rng)`; features, prediction, conditions."""
+    """A tour with effective commands `acting(t_seen, command, rng)`; features, prediction,
+    conditions.
+    """
     rng = np.random.default_rng(seed)
     t, command, seen = visits(tour(rng, 5), rng)
     u = at(t, command, seen)
@@ -37,7 +41,9 @@ def hum(channel, size, frequency):
     return acting
 
 
-@pytest.mark.parametrize(("channel", "size", "frequency"), [(0, 0.6, 0.13), (1, 0.3, 0.9), (0, 0.5, 3.7)])
+@pytest.mark.parametrize(
+    ("channel", "size", "frequency"), [(0, 0.6, 0.13), (1, 0.3, 0.9), (0, 0.5, 3.7)]
+)
 def test_a_hum_is_found_with_size_frequency_and_channel(channel, size, frequency):
     seen, own, state, moved = run(1, hum(channel, size, frequency))
     motion = found(seen, own, state).found
@@ -46,7 +52,8 @@ def test_a_hum_is_found_with_size_frequency_and_channel(channel, size, frequency
     true = np.sqrt(np.mean(np.sum(moved[rest] ** 2, axis=2)))
     assert motion[0].rms_mm == pytest.approx(true, rel=0.25)  # its shape differs between poses
     assert np.argmax(motion[0].channels) == channel
-    assert motion[0].channels[channel] == pytest.approx(size / np.sqrt(2), rel=0.4)  # of one slope for all poses
+    # of one slope for all poses
+    assert motion[0].channels[channel] == pytest.approx(size / np.sqrt(2), rel=0.4)
     assert f"at {frequency:.2g} Hz, as channel {channel} would move it" in str(motion[0])
 
 
@@ -58,10 +65,14 @@ def test_fast_bending_is_found_and_is_no_noise():
     motion = found(seen, own, state)
     assert [m.frequency_hz for m in motion.found] == [None] and motion.irregular
     true = np.sqrt(np.mean(np.sum(moved**2, axis=2)))
-    assert motion.found[0].rms_mm == pytest.approx(true, rel=0.3) and np.argmax(motion.found[0].channels) == 0
+    assert (
+        motion.found[0].rms_mm == pytest.approx(true, rel=0.3)
+        and np.argmax(motion.found[0].channels) == 0
+    )
     noise = measure_noise(seen - own, seen, np.ones(8, bool), state.time, state)
     assert noise.moving == motion.found
-    assert noise.rms_mm(np.ones(8, bool)) == pytest.approx(0.1 * np.sqrt(3), rel=0.1)  # 0.5 mm with the bending
+    # 0.5 mm with the bending
+    assert noise.rms_mm(np.ones(8, bool)) == pytest.approx(0.1 * np.sqrt(3), rel=0.1)
 
 
 def test_a_hum_does_not_count_as_noise():

@@ -33,7 +33,9 @@ def dwells(rng, sigma, count=20, frames=8, drift=1.0):
     """Frames of `count` dwells with white noise (F,) on top of a slow drift within each dwell."""
     visit = np.repeat(np.arange(count), frames)
     tau = np.tile(np.linspace(0, 1, frames), count)
-    residual = rng.normal(size=(count * frames, F)) * sigma + drift * tau[:, None] * rng.normal(size=F)
+    residual = rng.normal(size=(count * frames, F)) * sigma + drift * tau[:, None] * rng.normal(
+        size=F
+    )
     return residual, np.arange(len(visit)) * 0.5, visit
 
 
@@ -42,14 +44,19 @@ def test_replicates_give_the_noise_and_not_the_drift():
     sigma = np.linspace(0.05, 0.3, F)
     noise = estimate_noise(*dwells(rng, sigma))
     assert "replicates" in noise.source
-    # 100 degrees of freedom: one standard deviation of a variance is 14 %; shrinkage pulls to the median.
+    # 100 degrees of freedom: one standard deviation of a variance is 14 %; shrinkage pulls to the
+    # median.
     assert np.allclose(np.sqrt(np.diag(noise.covariance)), sigma, rtol=0.5)
-    assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.15)
+    assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(
+        np.sqrt(np.mean(sigma**2)), rel=0.15
+    )
     assert noise.inflation == 1.0
 
 
 def test_three_frames_of_a_dwell_are_replicates():
-    """A robot that is looked at three times wherever it has settled: from dwell to dwell only the model errs."""
+    """A robot that is looked at three times wherever it has settled: from dwell to dwell only the
+    model errs.
+    """
     rng = np.random.default_rng(6)
     visit = np.repeat(np.arange(49), 3)
     t = np.ravel(7.0 * np.arange(49)[:, None] + [0.0, 0.3, 0.55])
@@ -61,12 +68,17 @@ def test_three_frames_of_a_dwell_are_replicates():
 
 def test_three_dwells_as_the_advice_asks_tell_the_noise():
     dwell, rng = np.repeat(np.arange(3), DWELL_FRAMES), np.random.default_rng(0)
-    told = [estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n]) for n in (len(dwell), len(dwell) - 4)]
+    told = [
+        estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n])
+        for n in (len(dwell), len(dwell) - 4)
+    ]
     assert [noise.replicates for noise in told] == [True, False]
 
 
 def test_what_is_hidden_at_times_is_no_noise():
-    """A model that is 5 mm wrong at a marker has no noise of 5 mm where the marker is hidden now and then."""
+    """A model that is 5 mm wrong at a marker has no noise of 5 mm where the marker is hidden now
+    and then.
+    """
     rng = np.random.default_rng(5)
     residual, t, visit = dwells(rng, np.full(F, 0.2), drift=0.0)
     residual += 5.0
@@ -151,7 +163,9 @@ def test_squares_are_those_of_the_shrunk_modes():
     for form in (np.array([40.0, 3.0, 0.0]), np.zeros(3)):
         found = Whitener(np.eye(3), form, kernel)
         modes = rng.normal(size=(4, 90, 3))
-        np.testing.assert_allclose(found.squares(modes), np.sum(found.shrink(modes) ** 2, axis=(1, 2)), rtol=1e-12)
+        np.testing.assert_allclose(
+            found.squares(modes), np.sum(found.shrink(modes) ** 2, axis=(1, 2)), rtol=1e-12
+        )
 
 
 def rods(residual, form, repeats=None):
@@ -170,7 +184,9 @@ def test_rod_noise_counts_correlated_frames_once():
 
 
 def test_what_does_not_repeat_is_no_error_of_a_rods_map():
-    """A residual that is all memory: the same command, two shapes. The map's own error cannot absorb it."""
+    """A residual that is all memory: the same command, two shapes. The map's own error cannot
+    absorb it.
+    """
     rng = np.random.default_rng(7)
     branch = np.sign(np.sin(np.arange(1200) * 0.05))[:, None] * np.ones(9)
     residual = 2.0 * branch + 0.1 * rng.normal(size=(1200, 9))
@@ -187,11 +203,15 @@ def test_unseen_features_do_not_count():
     white = whitener(noise, np.zeros((F, F)), np.ones((1, 4, F)), kernel)
     hole = np.ones((4, F))
     hole[2] = np.nan
-    assert np.all(white.shrink(white.modes(hole))[2] == 0) and np.any(white.shrink(white.modes(hole))[1] != 0)
+    assert np.all(white.shrink(white.modes(hole))[2] == 0) and np.any(
+        white.shrink(white.modes(hole))[1] != 0
+    )
 
 
 def test_what_a_lean_makes_is_another_error_in_another_orientation():
-    """The same smooth field everywhere is forgiven; one that turns round with the orientation only where it may."""
+    """The same smooth field everywhere is forgiven; one that turns round with the orientation only
+    where it may.
+    """
     rng = np.random.default_rng(2)
     command = rng.uniform(-10.0, 10.0, (120, 2))
     side = np.where(np.arange(120) < 60, 1.0, -1.0)
@@ -209,13 +229,22 @@ def test_what_a_lean_makes_is_another_error_in_another_orientation():
     assert left["orientation"][1] < 0.05 * left["command"][1]
 
 
-# --- the complete model, on the simulated finger ------------------------------------------------------
+# --- the complete model, on the simulated finger --------------------------------------------------
 
 
 def chi2(vertices, protocol):
-    """Chi² per number of the built-in model on a run without a hidden effect, and the noise of a point, mm."""
-    run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
-              block=protocol.block, vertices=vertices, command_unit="mm")  # fmt: skip
+    """Chi² per number of the built-in model on a run without a hidden effect, and the noise of a
+    point, mm.
+    """
+    run = Run(
+        t=protocol.t,
+        command=protocol.command,
+        gravity=protocol.gravity,
+        t_seen=protocol.t_seen,
+        block=protocol.block,
+        vertices=vertices,
+        command_unit="mm",
+    )
     record = Record(builtin_model(), run)
     names = candidates_of(record, None)[0]
     problem = problem_of(record, names)
@@ -224,12 +253,25 @@ def chi2(vertices, protocol):
 
 @pytest.mark.parametrize("camera", [Camera(), Camera(shift_mm=0.3, turn_deg=0.2, memory_s=10.0)])
 def test_with_nothing_hidden_chi2_is_the_count_of_numbers(camera):
-    """The model as its own truth, seen by the camera of the hidden truths: once with a jitter of 10 s."""
+    """The model as its own truth, seen by the camera of the hidden truths: once with a jitter of 10
+    s.
+    """
     protocol, model = standard_protocol(), builtin_model()
     rest = np.repeat(model.rest[None], protocol.frames, axis=0)
-    clean = model.predict(Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity,
-                              t_seen=protocol.t_seen, vertices=rest, command_unit="mm"))  # fmt: skip
-    found = [chi2(camera.look(clean, protocol.t_seen, np.random.default_rng(s)), protocol) for s in range(3)]
+    clean = model.predict(
+        Run(
+            t=protocol.t,
+            command=protocol.command,
+            gravity=protocol.gravity,
+            t_seen=protocol.t_seen,
+            vertices=rest,
+            command_unit="mm",
+        )
+    )
+    found = [
+        chi2(camera.look(clean, protocol.t_seen, np.random.default_rng(s)), protocol)
+        for s in range(3)
+    ]
     assert [ratio for ratio, _ in found] == pytest.approx([1.0] * 3, abs=0.15)
     # a point: its own noise, and the frame's at 60 mm from the base, in all directions
     turn = np.radians(camera.turn_deg) * np.sqrt(2.0) * np.sqrt(np.mean(np.sum(clean**2, axis=2)))
@@ -248,9 +290,18 @@ def test_with_nothing_hidden_chi2_is_right_on_another_finger(seed):
 def test_check_and_compare_report_one_noise():
     protocol, model = standard_protocol(), builtin_model()
     rest = np.repeat(model.rest[None], protocol.frames, axis=0)
-    run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
-              vertices=rest, command_unit="mm", robot=model.robot)  # fmt: skip
-    seen = Camera(memory_s=5.0, shift_mm=0.2).look(model.predict(run), run.t_seen, np.random.default_rng(0))
+    run = Run(
+        t=protocol.t,
+        command=protocol.command,
+        gravity=protocol.gravity,
+        t_seen=protocol.t_seen,
+        vertices=rest,
+        command_unit="mm",
+        robot=model.robot,
+    )
+    seen = Camera(memory_s=5.0, shift_mm=0.2).look(
+        model.predict(run), run.t_seen, np.random.default_rng(0)
+    )
     run = replace(run, vertices=seen)
     number = compare(model, run).noise_floor_mm
     assert noise_of_points(run).mm == number
@@ -260,9 +311,13 @@ def test_check_and_compare_report_one_noise():
 
 @pytest.mark.parametrize(("share", "seed"), [(0.03, 1), (0.1, 2), (0.2, 3), (0.3, 4)])
 def test_points_that_are_hidden_at_times_leave_the_noise_as_it_is(share, seed):
-    """Five markers of a finger that visits places again; a hidden one is not where others were seen in between."""
+    """Five markers of a finger that visits places again; a hidden one is not where others were seen
+    in between.
+    """
     rng, model = np.random.default_rng(seed), builtin_model()
-    places = 8.0 * np.array([[0, 0], [1, 0], [0, 0], [0, 1], [-1, 0], [0, 0], [0, -1], [1, 0], [0, 0]])
+    places = 8.0 * np.array(
+        [[0, 0], [1, 0], [0, 0], [0, 1], [-1, 0], [0, 0], [0, -1], [1, 0], [0, 0]]
+    )
     goal = np.repeat(np.tile(places, (2, 1)), 6, axis=0)
     t = 0.7 * np.arange(len(goal))
     blank = Run(t=t, command=goal, t_seen=t, robot=model.robot)

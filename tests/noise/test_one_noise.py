@@ -1,4 +1,6 @@
-"""`check`, `compare` and `diagnose` state one noise of the points: the same digits, from the same repeats."""
+"""`check`, `compare` and `diagnose` state one noise of the points: the same digits, from the same
+repeats.
+"""
 
 import json
 import re
@@ -15,14 +17,18 @@ from softmap_edge.noise.floor import noise_of_points
 
 
 def held(seed=0, noise=0.2, unit="mm", encoders=0.0, dwell=30):
-    """An arm that rests at five places and home, seen 10 times a second; encoders flicker by `encoders`."""
+    """An arm that rests at five places and home, seen 10 times a second; encoders flicker by
+    `encoders`.
+    """
     rng = np.random.default_rng(seed)
     places = np.array([[0, 0], [6, 2], [0, 0], [-5, 4], [3, -6], [0, 0], [6, 2], [-5, 4]], float)
     goal = np.repeat(np.tile(places, (3, 1)) * (1.0 + 0.1 * seed), dwell, axis=0)
     t = np.arange(len(goal)) * 0.1
     seen = arc(goal) + rng.normal(0, noise, (len(t), 3, 3))
     present = goal + encoders * rng.integers(-1, 2, goal.shape) if encoders else None
-    return Run(t=t, command=goal, present=present, command_unit=unit, t_seen=t, markers=seen, robot="arm")
+    return Run(
+        t=t, command=goal, present=present, command_unit=unit, t_seen=t, markers=seen, robot="arm"
+    )
 
 
 def moving(seed=0):
@@ -59,7 +65,9 @@ def test_three_commands_state_the_noise_of_a_run_alike(name, tmp_path, capsys):
     run.save(tmp_path / "run.npz")
     teacher = moving() if name == "moving" else replace(held(0), command_unit=run.command_unit)
     save_bundle(learn_model(teacher, static=True, input="goal"), tmp_path / "b")
-    compared = json.loads(stated(capsys, "compare", tmp_path / "run.npz", "--bundle", tmp_path / "b", "--json"))
+    compared = json.loads(
+        stated(capsys, "compare", tmp_path / "run.npz", "--bundle", tmp_path / "b", "--json")
+    )
     argv = ["diagnose", tmp_path / "run.npz", "--bundle", tmp_path / "b", "--effects", "offset"]
     diagnosed = json.loads(stated(capsys, *argv, "--json"))
     checked = json.loads(stated(capsys, "check", tmp_path / "run.npz", "--json"))
@@ -76,7 +84,8 @@ def test_three_commands_state_the_noise_of_a_run_alike(name, tmp_path, capsys):
     assert not any("too few repeated poses" in remark for remark in diagnosed["remarks"])
     text = " ".join(stated(capsys, *argv).split())
     assert re.search(
-        rf"noise of a point, as `softmap check` and `softmap compare` report it: {mm(number.mm)} mm RMS", text
+        rf"noise of a point, as `softmap check` and `softmap compare` report it: {mm(number.mm)} mm RMS",
+        text,
     )
 
 
@@ -108,6 +117,8 @@ def test_a_simulated_finger_states_one_number_too(tmp_path, capsys):
     run = replace(blank, vertices=points + rng.normal(0, 0.3, points.shape))
     run.save(tmp_path / "run.npz")
     compared = json.loads(stated(capsys, "compare", tmp_path / "run.npz", "--json"))
-    diagnosed = json.loads(stated(capsys, "diagnose", tmp_path / "run.npz", "--effects", "offset", "--json"))
+    diagnosed = json.loads(
+        stated(capsys, "diagnose", tmp_path / "run.npz", "--effects", "offset", "--json")
+    )
     assert diagnosed["made_from"]["noise_of_points_mm"] == [compared["noise_floor_mm"]]
     assert diagnosed["error"]["noise_floor"] < compared["noise_floor_mm"]

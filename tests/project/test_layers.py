@@ -1,7 +1,7 @@
 """Who may import whom: each folder of the package imports only from the layers below it.
 
-A line of `LAYERS` is a layer, highest first. Folders of one layer may import each other without a circle. Imports in
-functions and those for types alone count as well.
+A line of `LAYERS` is a layer, highest first. Folders of one layer may import each other without a
+circle. Imports in functions and those for types alone count as well.
 """
 
 import ast
@@ -39,7 +39,9 @@ def heights(layers):
 
 
 def arrows(root, within):
-    """Return who imports whom, folder by folder: `{(from, to): [modules]}`; `within` is the dotted name of the root."""
+    """Return who imports whom, folder by folder: `{(from, to): [modules]}`; `within` is the dotted
+    name of the root.
+    """
     found = {}
     for file in sorted(root.rglob("*.py")):
         source = file.relative_to(root).parts[0].removesuffix(".py")
@@ -68,7 +70,10 @@ def test_arrows_point_down_without_circles(root, within, layers):
     assert not left, "a circle of folders within one layer"
 
 
-WORKSHOP = "fem rod sweep logs alignment calibration checks comparison diagnosis experiment synthetic adaptation report"
+WORKSHOP = (
+    "fem rod sweep logs alignment calibration checks comparison diagnosis experiment synthetic "
+    "adaptation report"
+)
 
 
 def test_driving_a_robot_loads_no_workshop():
@@ -79,7 +84,9 @@ def test_driving_a_robot_loads_no_workshop():
         "    importlib.import_module(module.name)\n"
         "print(*{name.split('.')[1] for name in sys.modules if name.startswith('softmap_edge.')})"
     )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert not set(loaded) & set(WORKSHOP.split())
     assert {"robot", "model", "run"} <= set(loaded)
 
@@ -90,5 +97,9 @@ def test_opening_a_robot_loads_few_modules():
         "names = [n for n in sys.modules if n.startswith('softmap_edge.')]\n"
         "print(sum(not hasattr(sys.modules[n], '__path__') for n in names))"
     )
-    count = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    count = int(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+    )
     assert count <= 41, count

@@ -1,4 +1,6 @@
-"""What `rust/servo/prove.py` makes of the outcomes that cargo-mutants 27.1 writes; the run itself is `make prove`."""
+"""What `rust/servo/prove.py` makes of the outcomes that cargo-mutants 27.1 writes; the run itself
+is `make prove`.
+"""
 
 import importlib.util
 from collections import Counter
@@ -20,7 +22,12 @@ def prove():
 def outcome(line, summary, what="replace > with >= in Guard::go_on"):
     """Return one outcome as cargo-mutants writes it, but for what nobody reads."""
     file = "rust/servo/guard/machine.rs"
-    mutant = {"name": f"{file}:{line}:58: {what}", "file": file, "genre": "BinaryOperator", "replacement": ">="}
+    mutant = {
+        "name": f"{file}:{line}:58: {what}",
+        "file": file,
+        "genre": "BinaryOperator",
+        "replacement": ">=",
+    }
     return {"scenario": {"Mutant": mutant}, "summary": summary, "phase_results": []}
 
 
@@ -29,8 +36,13 @@ NAME = "machine.rs: replace > with >= in Guard::go_on"
 
 
 def test_mutants_are_named_without_their_places(prove):
-    found = prove.names({"outcomes": [BASELINE, outcome(281, "CaughtMutant"), outcome(285, "MissedMutant")]})
-    assert found == [{"name": NAME, "summary": "CaughtMutant"}, {"name": NAME, "summary": "MissedMutant"}]
+    found = prove.names(
+        {"outcomes": [BASELINE, outcome(281, "CaughtMutant"), outcome(285, "MissedMutant")]}
+    )
+    assert found == [
+        {"name": NAME, "summary": "CaughtMutant"},
+        {"name": NAME, "summary": "MissedMutant"},
+    ]
 
 
 @pytest.mark.parametrize(
@@ -38,7 +50,9 @@ def test_mutants_are_named_without_their_places(prove):
     [
         pytest.param(100, 0, 0, 5, 0, False, id="all are caught"),
         pytest.param(95, 5, 0, 0, 0, False, id="one that never ends is caught"),
-        pytest.param(94, 6, 0, 0, 0, True, id="too many ran out of time to be loops: the machine was slow"),
+        pytest.param(
+            94, 6, 0, 0, 0, True, id="too many ran out of time to be loops: the machine was slow"
+        ),
         pytest.param(0, 100, 0, 0, 0, True, id="all ran out of time"),
         pytest.param(99, 0, 1, 0, 0, True, id="a survivor without a reason"),
         pytest.param(99, 0, 1, 0, 1, False, id="a survivor with one"),
@@ -47,15 +61,20 @@ def test_mutants_are_named_without_their_places(prove):
         pytest.param(0, 0, 0, 3, 0, True, id="nothing was judged"),
     ],
 )
-def test_the_score_and_every_survivor_are_judged(prove, capsys, caught, late, missed, unviable, explained, fails):
+def test_the_score_and_every_survivor_are_judged(
+    prove, capsys, caught, late, missed, unviable, explained, fails
+):
     counts = {"CaughtMutant": caught, "Timeout": late, "MissedMutant": missed, "Unviable": unviable}
-    outcomes = [BASELINE, *(outcome(1, kind) for kind, count in counts.items() for _ in range(count))]
+    outcomes = [
+        BASELINE,
+        *(outcome(1, kind) for kind, count in counts.items() for _ in range(count)),
+    ]
     assert prove.judge(prove.names({"outcomes": outcomes}), Counter({NAME: explained})) == fails
     said = capsys.readouterr().out
     assert f"{caught + late} of {caught + late + missed} mutants are caught" in said
     assert (
-        f"({100 * (caught + late) / max(1, caught + late + missed):.1f} %), {caught} by a test that fails and {late} by"
-        in said
+        f"({100 * (caught + late) / max(1, caught + late + missed):.1f} %), {caught} by a test "
+        f"that fails and {late} by" in said
     )
     assert said.count(f"ran out of time: {NAME}") == late
     assert (f"no reason in survivors.toml: {NAME}" in said) == (missed > explained)

@@ -1,4 +1,6 @@
-"""The documentation: generated pages are current, links lead somewhere, each block of code is run by a test."""
+"""The documentation: generated pages are current, links lead somewhere, each block of code is run
+by a test.
+"""
 
 import importlib.util
 import json
@@ -32,17 +34,27 @@ def script(name):
 def test_generated_pages_are_current():
     pages = script("make_reference").pages()
     assert len(pages) >= 12
-    old = [str(path) for path, text in pages.items() if (ROOT / path).read_text(encoding="utf-8") != text]
+    old = [
+        str(path)
+        for path, text in pages.items()
+        if (ROOT / path).read_text(encoding="utf-8") != text
+    ]
     assert not old, "run `python docs/make_reference.py`"
 
 
 def test_every_command_and_option_is_on_the_page():
     page = (REFERENCE / "cli.md").read_text(encoding="utf-8")
     for verb in cli.commands_here():
-        (section,) = re.findall(rf"^## {verb.name}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+        (section,) = re.findall(
+            rf"^## {verb.name}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL
+        )
         for action in cli.parser_of(verb)._actions:
             for option in action.option_strings:
-                assert option in ("-h", "--help", "--json") or len(option) == 2 or f"`{option}" in section, option
+                assert (
+                    option in ("-h", "--help", "--json")
+                    or len(option) == 2
+                    or f"`{option}" in section
+                ), option
 
 
 def anchors(page):
@@ -95,11 +107,18 @@ def test_blocks_of_toml_are_toml(page):
 
 def test_the_example_of_a_rig_is_read_and_its_limits_are_those_of_the_guard(tmp_path):
     page = (REFERENCE / "rig_toml.md").read_text(encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(*(text for language, text in blocks(page) if language == "toml"), "utf-8")
+    (tmp_path / "rig.toml").write_text(
+        *(text for language, text in blocks(page) if language == "toml"), "utf-8"
+    )
     rig = read_rig(tmp_path / "rig.toml")
     assert rig.servos[0].model == "XL330-M288" and rig.emergency.udp.port == 5006
-    rows = re.findall(r"^\| `(\w+)` \| ([-\d. ]+) \| ([-\d. ]+) \| ([^|]*) \| .+ \|$", page, re.MULTILINE)
-    stated = {name: (float(low.replace(" ", "")), float(high.replace(" ", ""))) for name, low, high, _ in rows}
+    rows = re.findall(
+        r"^\| `(\w+)` \| ([-\d. ]+) \| ([-\d. ]+) \| ([^|]*) \| .+ \|$", page, re.MULTILINE
+    )
+    stated = {
+        name: (float(low.replace(" ", "")), float(high.replace(" ", "")))
+        for name, low, high, _ in rows
+    }
     assert stated == dict(RANGES)
     units = {name: unit.strip() for name, _, _, unit in rows}
     ranges = _core.limit_ranges()
@@ -132,7 +151,9 @@ def test_exit_codes_are_those_of_the_command():
 
 
 def test_the_glossary_is_in_order_and_has_each_term_once():
-    rows = re.findall(r"^\| ([^|]+) \| [^|]+ \|$", (REFERENCE / "glossary.md").read_text("utf-8"), re.MULTILINE)
+    rows = re.findall(
+        r"^\| ([^|]+) \| [^|]+ \|$", (REFERENCE / "glossary.md").read_text("utf-8"), re.MULTILINE
+    )
     terms = [row.strip().lower() for row in rows if row.strip() not in ("term", "---")]
     assert terms == sorted(set(terms)) and len(terms) > 40
 
@@ -151,14 +172,21 @@ def documents(tmp_path_factory):
     return folder, {
         "softmap.diagnosis/2": json.loads(json.dumps(found.to_dict())),
         "softmap.comparison/1": json.loads(json.dumps(compare(model, run).to_dict())),
-        "softmap.bundle/manifest": json.loads((bundle / "manifest.json").read_text(encoding="utf-8")),
+        "softmap.bundle/manifest": json.loads(
+            (bundle / "manifest.json").read_text(encoding="utf-8")
+        ),
         "softmap.bundle/effects": json.loads((bundle / "effects.json").read_text(encoding="utf-8")),
     }
 
 
 def validator(name):
-    """Return the validator of a schema of the reference; references between schemas are to files beside it."""
-    files = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in (REFERENCE / "schemas").iterdir()}
+    """Return the validator of a schema of the reference; references between schemas are to files
+    beside it.
+    """
+    files = {
+        path.name: json.loads(path.read_text(encoding="utf-8"))
+        for path in (REFERENCE / "schemas").iterdir()
+    }
     schema = files[re.sub(r"[./]", "-", name) + ".json"]
     if name == "softmap.demo/1":
         schema["properties"]["diagnosis"] = files["softmap-diagnosis-2.json"]
@@ -171,13 +199,22 @@ def test_documents_are_as_their_schemas_say(documents, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(["check", "run.npz", "--json"]) in (0, 1)
     made["softmap.check/1"] = json.loads(capsys.readouterr().out)
-    assert main(["next", "d.json", "--run", "run.npz", "--minutes", "0.1", "--out", "n.csv", "--json"]) == 0
+    assert (
+        main(["next", "d.json", "--run", "run.npz", "--minutes", "0.1", "--out", "n.csv", "--json"])
+        == 0
+    )
     made["softmap.next/1"] = json.loads(capsys.readouterr().out)
     for name, document in made.items():
         validator(name).validate(document)
-    linked = set(re.findall(r"schemas/([\w-]+\.json)", (REFERENCE / "formats.md").read_text(encoding="utf-8")))
+    linked = set(
+        re.findall(
+            r"schemas/([\w-]+\.json)", (REFERENCE / "formats.md").read_text(encoding="utf-8")
+        )
+    )
     assert linked == {path.name for path in (REFERENCE / "schemas").iterdir()}
-    assert {re.sub(r"[./]", "-", name) + ".json" for name in made} == linked - {"softmap-demo-1.json"}
+    assert {re.sub(r"[./]", "-", name) + ".json" for name in made} == linked - {
+        "softmap-demo-1.json"
+    }
 
 
 @pytest.mark.parametrize("key", ["verdict", "effects", "error"])
@@ -190,11 +227,19 @@ def test_a_document_without_a_key_is_refused_by_its_schema(documents, key):
 
 def test_every_document_is_listed():
     files = [
-        file for folder in ("softmap_edge", "training/softmap_training", "rust") for file in (ROOT / folder).rglob("*")
+        file
+        for folder in ("softmap_edge", "training/softmap_training", "rust")
+        for file in (ROOT / folder).rglob("*")
     ]
-    code = "".join(file.read_text(encoding="utf-8") for file in files if file.suffix in (".py", ".rs"))
+    code = "".join(
+        file.read_text(encoding="utf-8") for file in files if file.suffix in (".py", ".rs")
+    )
     found = set(re.findall(r'"(softmap\.[a-z0-9_-]+/\d+)', code))
-    listed = set(re.findall(r"softmap\.[a-z0-9_-]+/\d+", (REFERENCE / "formats.md").read_text(encoding="utf-8")))
+    listed = set(
+        re.findall(
+            r"softmap\.[a-z0-9_-]+/\d+", (REFERENCE / "formats.md").read_text(encoding="utf-8")
+        )
+    )
     assert found == listed
 
 
@@ -206,5 +251,9 @@ def test_the_picture_of_the_steps_is_drawn(tmp_path):
 
 def test_the_site_is_strict_and_loads_nothing_from_the_network():
     config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    assert "strict: true" in config and "font: false" in config and "polyfills: [assets/iframe-worker.js]" in config
+    assert (
+        "strict: true" in config
+        and "font: false" in config
+        and "polyfills: [assets/iframe-worker.js]" in config
+    )
     assert Path(ROOT / "docs/assets/iframe-worker.js").is_file()

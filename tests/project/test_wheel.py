@@ -1,6 +1,8 @@
-"""The wheel that `make wheel` built: its name, weight, needs and content; and that it drives where it is alone.
+"""The wheel that `make wheel` built: its name, weight, needs and content; and that it drives where
+it is alone.
 
-`make prove` builds it first; a figure on an emulated robot is what it has to do with its base dependencies alone.
+`make prove` builds it first; a figure on an emulated robot is what it has to do with its base
+dependencies alone.
 """
 
 import json
@@ -55,17 +57,38 @@ def test_installed_alone_it_drives_an_emulated_robot(wheel, tmp_path):
     made = tmp_path / "env"
     subprocess.run([sys.executable, "-m", "venv", made], check=True)
     uv = Path(sys.executable).with_name("uv")
-    subprocess.run([uv, "pip", "install", "--quiet", "--python", made / "bin/python", wheel], check=True)
+    subprocess.run(
+        [uv, "pip", "install", "--quiet", "--python", made / "bin/python", wheel], check=True
+    )
 
     def run(*words):
-        done = subprocess.run(words, cwd=tmp_path, env={"PATH": str(made / "bin")}, capture_output=True, text=True)
+        done = subprocess.run(
+            words, cwd=tmp_path, env={"PATH": str(made / "bin")}, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
     listed = json.loads(run(uv, "pip", "list", "--python", made / "bin/python", "--format", "json"))
     there = {entry["name"] for entry in listed} - {"pip", "setuptools"}
-    assert there >= {"softmap-edge", *BASE} and not there & {"torch", "scipy", "matplotlib", "opencv-python-headless"}
+    assert there >= {"softmap-edge", *BASE} and not there & {
+        "torch",
+        "scipy",
+        "matplotlib",
+        "opencv-python-headless",
+    }
     loaded = run(made / "bin/python", "-c", "import softmap_edge, sys; print(*sys.modules)").split()
     assert not {"onnxruntime", "cv2", "mediapipe", "matplotlib"} & set(loaded)
-    told = json.loads(run(made / "bin/softmap", "track", "O", "--sim", "--duration", "6", "--amplitude", "5", "--json"))
+    told = json.loads(
+        run(
+            made / "bin/softmap",
+            "track",
+            "O",
+            "--sim",
+            "--duration",
+            "6",
+            "--amplitude",
+            "5",
+            "--json",
+        )
+    )
     assert told["seen_mm"]["n"] > 100 and told["seen_mm"]["mean"] < 1.0

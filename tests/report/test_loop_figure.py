@@ -1,4 +1,6 @@
-"""The loop of the tip against a command, and the family and law of a diagnosis in words, in text and on the page."""
+"""The loop of the tip against a command, and the family and law of a diagnosis in words, in text
+and on the page.
+"""
 
 import numpy as np
 import pytest
@@ -28,9 +30,16 @@ BACKLASH = {
 
 def family(name="memory", kind="memory", law="resolved", effects=("backlash",), **more):
     return {
-        "name": name, "kind": kind, "law": law, "effects": list(effects), "share": 0.72, "moved_mm": 1.3,
-        "law_share": 0.98, "generic": [], "alternatives": [],
-    } | more  # fmt: skip
+        "name": name,
+        "kind": kind,
+        "law": law,
+        "effects": list(effects),
+        "share": 0.72,
+        "moved_mm": 1.3,
+        "law_share": 0.98,
+        "generic": [],
+        "alternatives": [],
+    } | more
 
 
 def diagnosis(*families, effects=(BACKLASH,)):
@@ -44,7 +53,9 @@ def diagnosis(*families, effects=(BACKLASH,)):
 
 
 def play(u, gap):
-    """The output of a play of width `gap`, sample by sample, at rest in the middle of its gap at first."""
+    """The output of a play of width `gap`, sample by sample, at rest in the middle of its gap at
+    first.
+    """
     out = [float(u[0])]
     for value in u[1:]:
         out.append(float(np.clip(out[-1], value - 0.5 * gap, value + 0.5 * gap)))
@@ -52,11 +63,15 @@ def play(u, gap):
 
 
 def two_channels():
-    """Two channels, one after the other: cycles of the first, then of both, which the loop of one must not show."""
+    """Two channels, one after the other: cycles of the first, then of both, which the loop of one
+    must not show.
+    """
     s = np.linspace(0.0, 1.0, 41)
     cycle = np.concatenate([np.interp(s, [0, 0.25, 0.75, 1], [0, 8, -8, 0])] * 2)
     still = np.zeros_like(cycle)
-    return np.stack([np.concatenate([cycle, cycle]), np.concatenate([still, np.roll(cycle, 10)])], axis=1)
+    return np.stack(
+        [np.concatenate([cycle, cycle]), np.concatenate([still, np.roll(cycle, 10)])], axis=1
+    )
 
 
 # --- the loop -----------------------------------------------------------------------------------
@@ -65,7 +80,8 @@ def two_channels():
 def test_the_tip_moves_along_the_direction_of_its_command_and_a_play_is_as_wide_as_its_gap():
     u = two_channels()
     u[82:, 0] = 0.0  # the second half moves the second channel alone
-    rest, way = np.array([3.0, -2.0, 90.0]), np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0]])  # mm per mm, sizes 5 and 2
+    # mm per mm, sizes 5 and 2
+    rest, way = np.array([3.0, -2.0, 90.0]), np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 2.0]])
     acting = np.stack([play(c, GAP) for c in u.T], axis=1)
     loops = tip_loops(u, rest + acting @ way, rest + u @ way, rest + acting @ way)
     assert [loop.name for loop in loops] == ["tip, channel 0", "tip, channel 1"]
@@ -73,7 +89,8 @@ def test_the_tip_moves_along_the_direction_of_its_command_and_a_play_is_as_wide_
         np.testing.assert_array_equal(loop.command, u[:, c])
         np.testing.assert_array_equal(loop.seen, loop.after)
         rows = worst_cycle(loop)
-        lost = (loop.before - loop.seen)[rows]  # the directions are exact: both tips move along them
+        # the directions are exact: both tips move along them
+        lost = (loop.before - loop.seen)[rows]
         assert np.ptp(lost) == pytest.approx(GAP * size, rel=1e-9)
     plain = tip_loops(u, rest + u @ way, rest + u @ way, None)
     np.testing.assert_allclose(plain[0].before[:82], 5.0 * u[:82, 0], atol=1e-9)
@@ -84,11 +101,15 @@ def test_a_cycle_in_which_the_other_commands_stand_still_is_shown_first():
     u = two_channels()
     wrong = np.where(np.arange(len(u)) >= 82, 5.0, 1.0)  # the model is worse where both move
     loop = Loop("tip, channel 0", u[:, 0], wrong, np.zeros(len(u)), None, u[:, 1:])
-    alone, any_cycle = worst_cycle(loop), worst_cycle(Loop("x", u[:, 0], wrong, np.zeros(len(u)), None))
+    alone, any_cycle = (
+        worst_cycle(loop),
+        worst_cycle(Loop("x", u[:, 0], wrong, np.zeros(len(u)), None)),
+    )
     assert alone.stop <= 83 and np.ptp(u[alone, 1]) == 0.0
     assert any_cycle.stop > 83
     both = Loop("tip, channel 0", u[82:, 0], wrong[82:], np.zeros(82), None, u[82:, 1:])
-    assert worst_cycle(both).stop > worst_cycle(both).start + 10  # no such cycle: any cycle is right
+    # no such cycle: any cycle is right
+    assert worst_cycle(both).stop > worst_cycle(both).start + 10
 
 
 def test_commands_that_stand_still_and_tips_that_are_not_seen_have_no_loop():
@@ -129,8 +150,15 @@ def test_the_page_draws_the_loop_where_a_family_with_memory_was_detected(found, 
     [
         (family(), "Memory: backlash, gap 1.39 mm on channel 0 and 0.770 mm on channel 1"),
         (
-            family("static map", "static", "open", ("eccentric_pulley",), generic=["u|u| on each channel"]),
-            "Static, non-linear map of the commands; law open: eccentric_pulley, u|u| on each channel",
+            family(
+                "static map",
+                "static",
+                "open",
+                ("eccentric_pulley",),
+                generic=["u|u| on each channel"],
+            ),
+            "Static, non-linear map of the commands; law open: eccentric_pulley, u|u| on each "
+            "channel",
         ),
         (family("delay", "memory", "open", ("latency", "lag")), "Delay; law open: latency, lag"),
         (family("rate", "memory", "unknown", ()), "Unknown law of the family rate"),
@@ -146,10 +174,17 @@ def test_a_family_and_its_law_make_one_line(row, line):
 
 
 def test_numbers_of_cables_are_named_by_channel_and_side():
-    numbers = {f"dead_zone.slack[{cable}]": {"value": v, "unit": "mm"} for cable, v in (("0+", 0.6), ("10-", 1.4))}
-    line = family_line(family("slack", "static", effects=("dead_zone",)), [{"name": "dead_zone", "params": numbers}])
+    numbers = {
+        f"dead_zone.slack[{cable}]": {"value": v, "unit": "mm"}
+        for cable, v in (("0+", 0.6), ("10-", 1.4))
+    }
+    line = family_line(
+        family("slack", "static", effects=("dead_zone",)),
+        [{"name": "dead_zone", "params": numbers}],
+    )
     assert (
-        line == "Slack: dead_zone, slack 0.600 mm on the + cable of channel 0 and 1.40 mm on the - cable of channel 10"
+        line
+        == "Slack: dead_zone, slack 0.600 mm on the + cable of channel 0 and 1.40 mm on the - cable of channel 10"
     )
 
 
@@ -162,7 +197,10 @@ def test_the_facts_name_both_shares_and_what_cannot_be_distinguished():
         "cannot be distinguished here from: delay, rate",
     ]
     unknown = family_facts(family(law="unknown", effects=(), law_share=0.41), "N")
-    assert unknown[1:] == ["1.30 N RMS (fitted)", "the best known law explains 41 % of what the family can do"]
+    assert unknown[1:] == [
+        "1.30 N RMS (fitted)",
+        "the best known law explains 41 % of what the family can do",
+    ]
     assert family_facts(family(law_share=None), "mm") == facts[:2]
 
 
@@ -177,7 +215,10 @@ def test_text_and_page_name_family_and_law(tmp_path):
     )
     assert max(map(len, text.splitlines())) <= 100
     page = write_html(tmp_path / "p.html", diagnosis=found).read_text()
-    assert "Memory: backlash, gap 1.39 mm on channel 0" in page and "<td>72 %</td><td>98 %</td>" in page
+    assert (
+        "Memory: backlash, gap 1.39 mm on channel 0" in page
+        and "<td>72 %</td><td>98 %</td>" in page
+    )
 
 
 def test_a_document_without_families_has_no_such_part(tmp_path):

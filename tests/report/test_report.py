@@ -1,4 +1,6 @@
-"""The reports: what the text says, what is refused, and that bad input breaks neither text nor page."""
+"""The reports: what the text says, what is refused, and that bad input breaks neither text nor
+page.
+"""
 
 import copy
 import re
@@ -9,7 +11,14 @@ from report_documents import DIAGNOSIS, compared, page
 
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.comparison.text import pair_text
-from softmap_edge.diagnosis.findings import Displacement, ErrorLadder, FamilyFinding, Finding, Rung, Unexplained
+from softmap_edge.diagnosis.findings import (
+    Displacement,
+    ErrorLadder,
+    FamilyFinding,
+    Finding,
+    Rung,
+    Unexplained,
+)
 from softmap_edge.diagnosis.text import VERDICTS, diagnosis_text, parameter
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
@@ -53,7 +62,9 @@ def test_one_comparison_reads_well(pair):
 
 def test_a_pair_shows_the_fall_and_its_scale(pair):
     text = pair_text(pair[3], pair[4])
-    assert "falls from 3.46 to 0.357 mm RMS (90 %)" in text and "92 % is gone" in " ".join(text.split())
+    assert "falls from 3.46 to 0.357 mm RMS (90 %)" in text and "92 % is gone" in " ".join(
+        text.split()
+    )
     assert text.count("░") > 1 and text.count("▓") == 1  # once in the legend
     assert max(map(len, text.splitlines())) <= 100
 
@@ -83,7 +94,14 @@ def test_diagnosis_says_everything_it_knows():
             "thermal_softening",
             "held-out rms",
         ),
-        *("a warm-up", "+ backlash", "floor: nothing hidden", "(held-out blocks)", "staircase", "2.5 min"),
+        *(
+            "a warm-up",
+            "+ backlash",
+            "floor: nothing hidden",
+            "(held-out blocks)",
+            "staircase",
+            "2.5 min",
+        ),
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
@@ -91,7 +109,10 @@ def test_diagnosis_says_everything_it_knows():
 
 def test_what_is_not_known_is_not_printed():
     text = diagnosis_text(DIAGNOSIS | {"error": DIAGNOSIS["error"] | {"noise_floor": None}})
-    assert "moves the body by 1.82 mm RMS (fitted) backlash" in " ".join(text.split()) and "–" not in text
+    assert (
+        "moves the body by 1.82 mm RMS (fitted) backlash" in " ".join(text.split())
+        and "–" not in text
+    )
     assert "noise floor" not in text and "own held-out error 0.190 mm" in text
     moved = copy.deepcopy(DIAGNOSIS)
     moved["effects"][0]["displacement_mm"]["held_out"] = 1.5
@@ -103,7 +124,9 @@ def test_what_is_not_known_is_not_printed():
 def test_numbers_that_ran_away_stay_short(tmp_path):
     """A rival whose held-out error is astronomic must not fill the screen with its digits."""
     document = copy.deepcopy(DIAGNOSIS)
-    document["alternatives"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
+    document["alternatives"][0]["why"] = (
+        f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
+    )
     document["sentence"] = f"The error falls from {3e200:.2f} to 0.93 mm."
     document["error"]["model"] = document["unexplained"]["rms_mm"] = 3.1e250
     document["effects"][0]["share"] = document["unexplained"]["blocked_r2"] = -1e200
@@ -118,14 +141,19 @@ def test_numbers_that_ran_away_stay_short(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "kept"), [("2 of 12345.678 mm", None), ("1234567 %", "1.2e+06 %"), ("hash a12345678 stays", None)]
+    ("given", "kept"),
+    [("2 of 12345.678 mm", None), ("1234567 %", "1.2e+06 %"), ("hash a12345678 stays", None)],
 )
 def test_ordinary_numbers_are_left_alone(given, kept):
     assert tamed(given) == (kept or given)
 
 
 def test_a_diagnosis_of_nothing():
-    empty = {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": "Nothing above the floor."}
+    empty = {
+        "schema": "softmap.diagnosis/2",
+        "verdict": "nothing",
+        "sentence": "Nothing above the floor.",
+    }
     assert "Nothing above the floor." in diagnosis_text(empty)
 
 
@@ -175,11 +203,17 @@ def leaves(value, path=()):
     return [path]
 
 
-ERROR = ErrorLadder(model=3.18, ladder=(Rung("backlash", 0.38),), held_out_on="blocks of the run that was fitted")
+ERROR = ErrorLadder(
+    model=3.18, ladder=(Rung("backlash", 0.38),), held_out_on="blocks of the run that was fitted"
+)
 FAMILIES = {
     "none": (),
     "unknown": (FamilyFinding("memory", "memory", "unknown", (), 0.9, 1.2, 0.4, (), ("delay",)),),
-    "open": (FamilyFinding("static map", "static", "open", ("gain",), 0.9, 1.2, 0.9, ("u³ on all channels",)),),
+    "open": (
+        FamilyFinding(
+            "static map", "static", "open", ("gain",), 0.9, 1.2, 0.9, ("u³ on all channels",)
+        ),
+    ),
 }
 
 
@@ -195,7 +229,8 @@ def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, name
     )
     assert not re.findall(r"\d mm(?! RMS)", told)
     errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
-    sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, not an error
+    # of an effect, not an error
+    sizes = [part for part in errors if "family memory" in part or "law open" in part]
     assert all("fitted" in part or "held" in part for part in errors if part not in sizes), told
 
 
@@ -206,11 +241,17 @@ def test_a_sentence_names_what_was_found_in_words_of_both_levels():
         return sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [], hint)
 
     assert told("ambiguous", "open").startswith(
-        "A static, non-linear map of the commands of 1.20 mm RMS, law open; candidates: gain, u³ on all channels"
+        "A static, non-linear map of the commands of 1.20 mm RMS, law open; candidates: gain, u³ "
+        "on all channels"
     )
     unknown = told("partly_explained", "unknown")
-    assert "unknown law of the family memory (or delay), 1.20 mm RMS" in unknown and "follow speed" in unknown
-    assert told("partly_explained", "none").startswith("Something unknown is missing; 0.40 mm RMS (fitted)")
+    assert (
+        "unknown law of the family memory (or delay), 1.20 mm RMS" in unknown
+        and "follow speed" in unknown
+    )
+    assert told("partly_explained", "none").startswith(
+        "Something unknown is missing; 0.40 mm RMS (fitted)"
+    )
     assert "(nearest family: creep)" in told("partly_explained", "none", hint="creep")
     both = told("ambiguous", "open", [Finding("backlash", {})])
     assert both.startswith("The model lacks backlash; and a static, non-linear map of the commands")
@@ -220,11 +261,14 @@ def test_a_sentence_names_what_was_found_in_words_of_both_levels():
 
 def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
     lines = diagnosis_text(DIAGNOSIS | {"sentence": ""}).splitlines()
-    errors = [line for line in lines if "±" not in line and not line.startswith("  · Memory: ")]  # others: parameters
+    # others: parameters
+    errors = [line for line in lines if "±" not in line and not line.startswith("  · Memory: ")]
     named = [line for line in errors if re.search(r"\d mm", line)]
     assert len(named) >= 3 and all("RMS" in line for line in named), named
     assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)
-    bare = DIAGNOSIS | {"effects": [entry | {"probability": None} for entry in DIAGNOSIS["effects"]]}
+    bare = DIAGNOSIS | {
+        "effects": [entry | {"probability": None} for entry in DIAGNOSIS["effects"]]
+    }
     assert "probability" not in diagnosis_text(bare)
 
 
@@ -232,25 +276,44 @@ def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
     def entry(name, mm):
         return Finding(name, {}, displacement_mm=Displacement(mm))
 
-    swap, hysteresis, mount = entry("servo_swap", 13.0), entry("hysteresis", 2.0), entry("mount", 1.0)
+    swap, hysteresis, mount = (
+        entry("servo_swap", 13.0),
+        entry("hysteresis", 2.0),
+        entry("mount", 1.0),
+    )
     sure, found = dict(doubtful=False, unknown=False), dict(detected=True, hidden=0, count=30)
     assert verdict_of([hysteresis], [swap], **sure, **found) == "measurement_fault"
     assert verdict_of([hysteresis], [mount], **sure, **found) == "identified"
     assert verdict_of([mount], [mount], doubtful=True, unknown=False, **found) == "ambiguous"
     assert verdict_of([], [mount], **sure, **found) == "measurement_fault"
-    error = ErrorLadder(model=13.2, ladder=(Rung("servo_swap", 0.4),), held_out_on="blocks of this run")
+    error = ErrorLadder(
+        model=13.2, ladder=(Rung("servo_swap", 0.4),), held_out_on="blocks of this run"
+    )
     left = Unexplained(0.1, 1.0, 0.0, None)
     told = sentence_of("measurement_fault", [hysteresis], [swap], [], [], left, [], error, [])
     assert told.startswith(
-        "The measurement is at fault (servo_swap); and the model lacks hysteresis; the held-out error"
+        "The measurement is at fault (servo_swap); and the model lacks hysteresis; the held-out "
+        "error"
     )
 
 
 def test_verdicts_follow_from_what_was_found():
-    one, sure = [Finding("gain", {}, displacement_mm=Displacement(1.0))], dict(doubtful=False, unknown=False)
+    one, sure = (
+        [Finding("gain", {}, displacement_mm=Displacement(1.0))],
+        dict(doubtful=False, unknown=False),
+    )
     assert verdict_of(one, [], **sure, detected=True, hidden=0, count=30) == "identified"
-    assert verdict_of(one, [], doubtful=True, unknown=False, detected=True, hidden=0, count=30) == "ambiguous"
-    assert verdict_of(one, [], doubtful=True, unknown=True, detected=True, hidden=0, count=30) == "partly_explained"
-    assert verdict_of([], [], doubtful=True, unknown=False, detected=True, hidden=0, count=30) == "ambiguous"
+    assert (
+        verdict_of(one, [], doubtful=True, unknown=False, detected=True, hidden=0, count=30)
+        == "ambiguous"
+    )
+    assert (
+        verdict_of(one, [], doubtful=True, unknown=True, detected=True, hidden=0, count=30)
+        == "partly_explained"
+    )
+    assert (
+        verdict_of([], [], doubtful=True, unknown=False, detected=True, hidden=0, count=30)
+        == "ambiguous"
+    )
     assert verdict_of([], [], **sure, detected=False, hidden=9, count=30) == "nothing"
     assert verdict_of([], [], **sure, detected=False, hidden=10, count=30) == "cannot_tell"

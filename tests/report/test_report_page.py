@@ -1,4 +1,6 @@
-"""The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they should."""
+"""The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they
+should.
+"""
 
 import copy
 import os
@@ -26,7 +28,9 @@ pair = pytest.fixture(scope="module")(compared)
 
 def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     run, worse, better, before, after = pair
-    text = page(write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better)))
+    text = page(
+        write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better))
+    )
     assert text.count("data:image/") == 7  # loop, sheet, where, ladder, time, body, tip
     outside = re.sub(r'src="data:image/[^"]*"', "", text)
     assert not re.search(r"https?://|<script|<link|<iframe|url\(|@import|\bon\w+=", outside)
@@ -37,12 +41,16 @@ def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
 
 def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_column(pair, tmp_path):
     run, worse, _, before, _ = pair
-    text = page(write_html(tmp_path / "page.html", before, DIAGNOSIS, series(run, worse, kind="measured")))
+    text = page(
+        write_html(tmp_path / "page.html", before, DIAGNOSIS, series(run, worse, kind="measured"))
+    )
     assert text.count("whether this run took part in a fit") == 1
     assert "1.82 / –" not in text and "fitted / held out" not in text
     judged = copy.deepcopy(DIAGNOSIS)
     judged["effects"][0]["displacement_mm"]["held_out"] = 1.5
-    text = page(write_html(tmp_path / "page.html", before, judged, series(run, worse, kind="measured")))
+    text = page(
+        write_html(tmp_path / "page.html", before, judged, series(run, worse, kind="measured"))
+    )
     assert "1.82 / 1.50" in text
 
 
@@ -50,7 +58,9 @@ def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
     run, worse, better, before, after = pair
     floor = 0.5 * after.error["rms_mm"]
     given = series(run, worse, better)
-    text = page(write_html(tmp_path / "page.html", [before, after], None, given, (floor, "the twin")))
+    text = page(
+        write_html(tmp_path / "page.html", [before, after], None, given, (floor, "the twin"))
+    )
     old, new = before.error["rms_mm"], after.error["rms_mm"]
     assert f"<b>{100 * (old - new) / (old - floor):.0f} %</b>" in text and "<i>the twin</i>" in text
 
@@ -60,12 +70,18 @@ def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
 
     run, worse, _, before, _ = pair
     t = np.arange(0, 30.0, 0.02)
-    moving = record(t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05)
+    moving = record(
+        t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05
+    )
     bare = markers_of(worse)
     for model, on, bound in ((worse, run, False), (bare, moving, True)):
         found, seen = compare(model, on), series(on, model)
         text = page(write_html(tmp_path / f"{bound}.html", found, None, seen))
-        assert ("the camera&#39;s noise is at most " in text) == (b"camera noise: at most" in over_time(seen)) == bound
+        assert (
+            ("the camera&#39;s noise is at most " in text)
+            == (b"camera noise: at most" in over_time(seen))
+            == bound
+        )
         assert f"<i>noise, RMS; {escape(found.floor_kind)}</i>" in text
         assert ("upper bound" in text) == bound
 
@@ -91,7 +107,9 @@ def test_no_label_of_a_condition_is_cut_off(monkeypatch):
         for other in panels[:k]:  # nor runs into the bars of the panel to its left
             if abs(other.get_position().y0 - axes.get_position().y0) < 0.01:
                 right = other.get_window_extent(canvas.get_renderer()).x1
-                assert right <= axes.get_window_extent().x0 and min(box.x0 for box in boxes) >= right
+                assert (
+                    right <= axes.get_window_extent().x0 and min(box.x0 for box in boxes) >= right
+                )
 
 
 def test_same_input_gives_the_same_page(pair, tmp_path):
@@ -111,7 +129,11 @@ def test_a_fitted_run_is_called_fitted(pair, tmp_path):
 def test_markers_have_a_page_too(pair, tmp_path):
     run, worse, better, _, _ = pair
     one, two = markers_of(worse), markers_of(better)
-    text = page(write_html(tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)))
+    text = page(
+        write_html(
+            tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)
+        )
+    )
     assert text.count("data:image/png") == 2  # sheet and body
 
 
@@ -120,10 +142,16 @@ def test_hostile_names_stay_text(pair, tmp_path):
     evil = '<script>alert("x")</script>\ud800 $\\frac{1}{0}$ \x00 机器人'
     named = replace(worse, robot=evil)
     document = copy.deepcopy(DIAGNOSIS)
-    document["sentence"] = document["effects"][0]["name"] = document["error"]["ladder"][0]["added"] = evil
+    document["sentence"] = document["effects"][0]["name"] = document["error"]["ladder"][0][
+        "added"
+    ] = evil
     document["where"]["before"]["speed"][0]["label"] = evil
-    document["alternatives"][0]["why"] = document["error"]["kind"] = document["made_from"]["seed"] = evil
-    text = page(write_html(tmp_path / "evil.html", compare(named, run), document, series(run, named)))
+    document["alternatives"][0]["why"] = document["error"]["kind"] = document["made_from"][
+        "seed"
+    ] = evil
+    text = page(
+        write_html(tmp_path / "evil.html", compare(named, run), document, series(run, named))
+    )
     assert "<script" not in text and "&lt;script&gt;" in text
     text = page(write_html(tmp_path / "diagnosis.html", None, document))
     assert "<script" not in text
@@ -139,22 +167,28 @@ def test_what_a_page_needs(pair, tmp_path):
 
 def test_without_matplotlib_the_page_has_all_but_pictures_and_says_how_to_get_them(pair, tmp_path):
     code = (
-        "import sys; sys.modules['matplotlib'] = None\n"
-        "from report_documents import DIAGNOSIS, compared\n"
-        "from softmap_edge.comparison.series import series\n"
-        "from softmap_edge.report.html import write_html\n"
-        "run, worse, better, before, after = compared()\n"
-        f"write_html({str(tmp_path / 'bare.html')!r}, [before, after], DIAGNOSIS, series(run, worse, better))\n"
+        "import sys; sys.modules['matplotlib'] = None\nfrom report_documents import DIAGNOSIS, "
+        "compared\nfrom softmap_edge.comparison.series import series\nfrom "
+        "softmap_edge.report.html import write_html\nrun, worse, better, before, after = "
+        f"compared()\nwrite_html({str(tmp_path / 'bare.html')!r}, [before, after], DIAGNOSIS, "
+        "series(run, worse, better))\n"
     )
     here = Path(__file__).parents[1] / "support"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parents[1])])}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
     bare = page(tmp_path / "bare.html")
-    assert bare.count("pip install &#39;softmap-edge[report]&#39;") == 1 and "data:image" not in bare
+    assert (
+        bare.count("pip install &#39;softmap-edge[report]&#39;") == 1 and "data:image" not in bare
+    )
     run, worse, better, before, after = pair
-    full = page(write_html(tmp_path / "full.html", [before, after], DIAGNOSIS, series(run, worse, better)))
+    full = page(
+        write_html(tmp_path / "full.html", [before, after], DIAGNOSIS, series(run, worse, better))
+    )
     assert "pip install" not in full
-    drawn = re.compile(r"<section><h2>[^<]*</h2>\s*<img .*?</section>|<section><h2>Pictures</h2>.*?</section>", re.S)
+    drawn = re.compile(
+        r"<section><h2>[^<]*</h2>\s*<img .*?</section>|<section><h2>Pictures</h2>.*?</section>",
+        re.S,
+    )
     assert drawn.sub("", full).split() == drawn.sub("", bare).split()
 
 
@@ -166,17 +200,24 @@ def test_without_matplotlib_the_page_has_all_but_pictures_and_says_how_to_get_th
         ["model", "calibrate", "run.npz", "--out", "b", "--plot", "{}"],
     ],
 )
-def test_without_matplotlib_a_picture_is_refused_before_anything_is_done(argv, tmp_path, monkeypatch, capsys):
+def test_without_matplotlib_a_picture_is_refused_before_anything_is_done(
+    argv, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.chdir(tmp_path)
     assert main([word.format("p.svg") for word in argv]) == 2
-    assert re.search(r"p\.svg: pictures need matplotlib; pip install .*, or leave --\w+ out", capsys.readouterr().err)
+    assert re.search(
+        r"p\.svg: pictures need matplotlib; pip install .*, or leave --\w+ out",
+        capsys.readouterr().err,
+    )
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 3])
 def test_sheet_draws_poses_and_commands(pair, channels):
-    """Poses carry their own errors; the plane is that of the commands that move most, a line or none with fewer."""
+    """Poses carry their own errors; the plane is that of the commands that move most, a line or
+    none with fewer.
+    """
     from softmap_edge.report.sheet import _plane_of, sheet
 
     run, worse, better, *_ = pair
@@ -186,7 +227,9 @@ def test_sheet_draws_poses_and_commands(pair, channels):
         assert np.sqrt(np.mean(pose.before**2)) == pytest.approx(found.before[pose.frame])
         assert np.sqrt(np.mean(pose.after**2)) == pytest.approx(found.after[pose.frame])
     size = np.array([1.0, 0.001, 3.0])[:channels]
-    drawn = replace(found, command=size * np.random.default_rng(0).normal(size=(len(run.t_seen), channels)))
+    drawn = replace(
+        found, command=size * np.random.default_rng(0).normal(size=(len(run.t_seen), channels))
+    )
     assert _plane_of(drawn.command) == {0: None, 1: (0, 0), 2: (0, 0), 3: (0, 2)}[channels]
     picture = sheet(drawn)
     assert picture.startswith(b"\x89PNG") and picture == sheet(drawn)

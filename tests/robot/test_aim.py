@@ -1,4 +1,6 @@
-"""Where hand and knob lead: the commands themselves, or the tip by inverse kinematics; and what of it is drawn."""
+"""Where hand and knob lead: the commands themselves, or the tip by inverse kinematics; and what of
+it is drawn.
+"""
 
 import numpy as np
 import pytest
@@ -52,9 +54,13 @@ def test_the_drawn_finger_is_the_models_through_its_effects(model):
         plain.points(home, 1.0), model.prior.evaluate(np.zeros((1, 2))).reshape(-1, 3), atol=1e-9
     )
     bent = plain.points(home + [1400.0, 0.0], 1.03)
-    np.testing.assert_allclose(bent, model.prior.evaluate(np.array([[5.0, 0.0]])).reshape(-1, 3), atol=1e-9)
+    np.testing.assert_allclose(
+        bent, model.prior.evaluate(np.array([[5.0, 0.0]])).reshape(-1, 3), atol=1e-9
+    )
     loose = ShapePreview(model.with_effects(["backlash"], {"backlash.gap": 2.0}), calibration())
     loose.points(home, 1.0)
     for k in range(1, 15):
         behind = loose.points(home + [100.0 * k, 0.0], 1.0 + 0.03 * k)
-    np.testing.assert_allclose(behind, model.prior.evaluate(np.array([[4.0, 0.0]])).reshape(-1, 3), atol=1e-6)
+    np.testing.assert_allclose(
+        behind, model.prior.evaluate(np.array([[4.0, 0.0]])).reshape(-1, 3), atol=1e-6
+    )

@@ -1,5 +1,6 @@
-"""Bad input: each row of the table in docs/reference/safety.md, with its message and the state that the loop
-reports."""
+"""Bad input: each row of the table in docs/reference/safety.md, with its message and the state that
+the loop reports.
+"""
 
 import io
 import json
@@ -30,7 +31,9 @@ PATIENCE = 10.0  # s, on a busy machine
 
 
 def starts(rig, limits):
-    """Start the loop on a bench that it must refuse; the line, and where the guard stands by its reports."""
+    """Start the loop on a bench that it must refuse; the line, and where the guard stands by its
+    reports.
+    """
     robot = Controller(rig, calibration(), limits)
     with pytest.raises(ServoError) as fault:
         robot.__enter__()
@@ -45,7 +48,9 @@ def busy_port(bus, rig, limits):
     os.chmod(bus.path, 0o666)
     first = _core.ServoBus(bus.path, rig.baud)
     line, states = starts(rig, limits)
-    assert as_ordinary_user(lambda: program(rig, limits)) == line, "nor does an ordinary user get it"
+    assert as_ordinary_user(lambda: program(rig, limits)) == line, (
+        "nor does an ordinary user get it"
+    )
     first.close()
     return line, states
 
@@ -56,9 +61,18 @@ def no_permission(bus, rig, limits):
 
 
 def program(rig, limits):
-    """Run the loop's own program here, as whoever this process is; raises what it reports instead of a state."""
+    """Run the loop's own program here, as whoever this process is; raises what it reports instead
+    of a state.
+    """
     calibrated = calibration()
-    setup = dict(port=rig.port, baud=rig.baud, servos=rig.numbers, homes=[HOME, HOME], limits=limits, gpio=None)
+    setup = dict(
+        port=rig.port,
+        baud=rig.baud,
+        servos=rig.numbers,
+        homes=[HOME, HOME],
+        limits=limits,
+        gpio=None,
+    )
     setup |= dict(slope=calibrated.A.ravel().tolist(), b=[0.0, 0.0], home=[HOME, HOME])
     (orders, _), (said, reports) = os.pipe(), os.pipe()
     sys.stdin = io.StringIO(json.dumps(setup | dict(heartbeat=None)))
@@ -183,11 +197,16 @@ def hand_gone(s):
 
 def no_numbers(s):
     broken = hand()
-    object.__setattr__(broken, "points", np.full((21, 2), np.nan))  # what a `Hand` of one's own making refuses
+    # what a `Hand` of one's own making refuses
+    object.__setattr__(broken, "points", np.full((21, 2), np.nan))
     s.finder.hands = [broken]
 
 
-DRIVEN = {"camera gone, driving by hand": camera_gone, "hand gone": hand_gone, "NaN landmarks": no_numbers}
+DRIVEN = {
+    "camera gone, driving by hand": camera_gone,
+    "hand gone": hand_gone,
+    "NaN landmarks": no_numbers,
+}
 
 
 @pytest.mark.parametrize("name", DRIVEN)
@@ -206,5 +225,7 @@ def test_what_goes_while_a_hand_drives(name):
 
 
 def test_each_row_of_the_table_is_driven():
-    """Recording without a camera is driven by tests/robot/test_record_robot.py, which reads its row."""
+    """Recording without a camera is driven by tests/robot/test_record_robot.py, which reads its
+    row.
+    """
     assert sorted(TABLE) == sorted([*STARTS, *DRIVEN, "damaged bundle", "camera gone, recording"])

@@ -1,4 +1,6 @@
-"""A Controller drives about the homes that are proved and within what the bench allows, whoever made the limits."""
+"""A Controller drives about the homes that are proved and within what the bench allows, whoever
+made the limits.
+"""
 
 from dataclasses import replace
 
@@ -13,8 +15,12 @@ from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 def test_limits_about_another_home_than_the_one_that_is_proved_are_refused():
     with bench() as (_, rig, _):
-        limits = loop_limits([servo_limits(MODEL, HOME, WINDOW), servo_limits(MODEL, HOME + 3000, WINDOW)])
-        with pytest.raises(ServoError, match="servo 2: the limits are about home at 5000, the rig's is 2000"):
+        limits = loop_limits(
+            [servo_limits(MODEL, HOME, WINDOW), servo_limits(MODEL, HOME + 3000, WINDOW)]
+        )
+        with pytest.raises(
+            ServoError, match="servo 2: the limits are about home at 5000, the rig's is 2000"
+        ):
             Controller(rig, calibration(), limits)
 
 

@@ -1,4 +1,6 @@
-"""A first calibration from pulley, signs and ruler: its map, its honest deviations, and what it refuses."""
+"""A first calibration from pulley, signs and ruler: its map, its honest deviations, and what it
+refuses.
+"""
 
 import json
 from dataclasses import replace
@@ -12,7 +14,13 @@ from softmap_edge.cli import main
 from softmap_edge.commands.servo import calibrate as servo_calibrate
 from softmap_edge.errors import CalibrationError
 from softmap_edge.model.bundle import builtin_model, load_bundle
-from softmap_edge.robot.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius
+from softmap_edge.robot.commissioning.first_calibration import (
+    CALIPER,
+    COUPLING,
+    bench_calibration,
+    bends,
+    radius,
+)
 from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
@@ -22,14 +30,26 @@ FINGER = builtin_model()
 
 
 def rig(**changes):
-    return replace(Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME + id) for id in (1, 2))), **changes)
+    return replace(
+        Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME + id) for id in (1, 2))), **changes
+    )
 
 
 def words(tmp_path, *more):
     file = tmp_path / "rig.toml"
     if not file.exists():
         rig().write(file)
-    return ["servo", "calibrate", "--rig", str(file), "--out", str(tmp_path / "finger"), "--pulley-mm", str(R), *more]
+    return [
+        "servo",
+        "calibrate",
+        "--rig",
+        str(file),
+        "--out",
+        str(tmp_path / "finger"),
+        "--pulley-mm",
+        str(R),
+        *more,
+    ]
 
 
 def test_pulley_and_signs_make_a_map_that_drives(tmp_path, capsys):
@@ -40,22 +60,40 @@ def test_pulley_and_signs_make_a_map_that_drives(tmp_path, capsys):
     np.testing.assert_allclose(found.A, np.diag([TICK, -TICK]))
     np.testing.assert_allclose(found.b, 0.0)
     np.testing.assert_allclose(found.home, [HOME + 1, HOME + 2])
-    np.testing.assert_allclose(found.sigma_A, TICK * np.array([[CALIPER, COUPLING], [COUPLING, CALIPER]]))
-    assert np.all(found.sigma_b > 0.4) and found.held_out["command"] > 1.0 and found.held_out["shape_mm"] > 0.1
+    np.testing.assert_allclose(
+        found.sigma_A, TICK * np.array([[CALIPER, COUPLING], [COUPLING, CALIPER]])
+    )
+    assert (
+        np.all(found.sigma_b > 0.4)
+        and found.held_out["command"] > 1.0
+        and found.held_out["shape_mm"] > 0.1
+    )
     assert found.frames == 0 and "no run" in found.run
-    assert found.window == pytest.approx((-16.0 / TICK, 16.0 / TICK), abs=1.0), "the model's range, in ticks"
-    assert any("coupling" in line for line in told["warnings"]) and any("--ruler" in line for line in told["warnings"])
-    assert effective_limits(rig(), load_bundle(tmp_path / "finger")).table()["servos"][0]["high"] > HOME + 4000
+    assert found.window == pytest.approx((-16.0 / TICK, 16.0 / TICK), abs=1.0), (
+        "the model's range, in ticks"
+    )
+    assert any("coupling" in line for line in told["warnings"]) and any(
+        "--ruler" in line for line in told["warnings"]
+    )
+    assert (
+        effective_limits(rig(), load_bundle(tmp_path / "finger")).table()["servos"][0]["high"]
+        > HOME + 4000
+    )
 
 
 def test_a_ruler_refines_the_radius(tmp_path, capsys):
-    long, short = radius(2.5, (8192.0, 2.0 * 2.0 * np.pi * R)), radius(2.5, (512.0, 0.125 * 2.0 * np.pi * R + 0.5))
+    long, short = (
+        radius(2.5, (8192.0, 2.0 * 2.0 * np.pi * R)),
+        radius(2.5, (512.0, 0.125 * 2.0 * np.pi * R + 0.5)),
+    )
     assert abs(long.mm - R) < 0.01 < abs(2.5 - R) and long.sigma < 0.2 * radius(2.5).sigma
     assert long.sigma < short.sigma < radius(2.5).sigma, "a short reading tells less"
     assert main(words(tmp_path, "--signs=+,+", "--ruler", "8192=29.28")) == 0
     said = capsys.readouterr().out
     assert "radius 2.330 ±" in said and "--ruler TICKS" not in said
-    with pytest.raises(CalibrationError, match=r"the ruler says a radius of 2.33 .*\(radius, not diameter"):
+    with pytest.raises(
+        CalibrationError, match=r"the ruler says a radius of 2.33 .*\(radius, not diameter"
+    ):
         radius(2 * R, (8192.0, 29.28))
 
 
@@ -107,7 +145,9 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
 
 
 def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
-    """Who holds a key notices late that the servo is back; an answer that is none is asked for again."""
+    """Who holds a key notices late that the servo is back; an answer that is none is asked for
+    again.
+    """
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
         with typist(tmp_path, *words(tmp_path)) as user:

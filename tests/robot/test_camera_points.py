@@ -1,4 +1,6 @@
-"""Points of a camera over UDP: what counts, what is dropped and counted, one clock through restarts."""
+"""Points of a camera over UDP: what counts, what is dropped and counted, one clock through
+restarts.
+"""
 
 import argparse
 import importlib
@@ -16,7 +18,14 @@ from softmap_edge.commands import COMMANDS
 from softmap_edge.errors import LinkError
 from softmap_edge.robot.link import points as points_udp
 from softmap_edge.robot.link.frames import Frame, on_host
-from softmap_edge.robot.link.points import MOST_POINTS, Message, PointReceiver, PointSender, packed, unpacked
+from softmap_edge.robot.link.points import (
+    MOST_POINTS,
+    Message,
+    PointReceiver,
+    PointSender,
+    packed,
+    unpacked,
+)
 from softmap_edge.robot.link.session import SILENCE, read_key, udp_address
 
 KEY = bytes(range(32))
@@ -30,7 +39,9 @@ def receiver():
 
 
 def met(receiver, sender):
-    """Let a sender ask for the receiver's session; nothing of that counts as a frame, or as refused."""
+    """Let a sender ask for the receiver's session; nothing of that counts as a frame, or as
+    refused.
+    """
     before = receiver.taken, sum(receiver.refused.values())
     sender.send(POINTS, 0.0)
     until(lambda: sender._next() and sender.heard)
@@ -60,7 +71,9 @@ def test_points_are_brought_to_the_base():
             met(receiver, sender).send(np.where(np.arange(4)[:, None] == 2, np.nan, POINTS), 0.0)
         until(lambda: receiver.taken == 1)
         (frame,) = receiver.seen()
-    np.testing.assert_allclose(frame.points[[0, 1, 3]], POINTS[[0, 1, 3]] @ turn.T + [1, 2, 3], rtol=1e-6)
+    np.testing.assert_allclose(
+        frame.points[[0, 1, 3]], POINTS[[0, 1, 3]] @ turn.T + [1, 2, 3], rtol=1e-6
+    )
     assert np.isnan(frame.points[2]).all()
 
 
@@ -107,7 +120,10 @@ def test_any_bytes_are_refused_or_a_message():
 
 
 def test_old_frames_and_other_senders_do_not_count(receiver):
-    with PointSender("127.0.0.1", receiver.port, KEY) as sender, PointSender("127.0.0.1", receiver.port, KEY) as other:
+    with (
+        PointSender("127.0.0.1", receiver.port, KEY) as sender,
+        PointSender("127.0.0.1", receiver.port, KEY) as other,
+    ):
         met(receiver, sender).send(POINTS, 1.0)
         until(lambda: receiver.taken == 1)
         early = packed(Message(POINTS.astype(np.float32), 1.0, sender._session, 1), KEY)
@@ -119,7 +135,8 @@ def test_old_frames_and_other_senders_do_not_count(receiver):
         sender.send(POINTS, 1.1)
         until(lambda: receiver.taken == 2)
         assert receiver.lost == 3
-        # The other is a sender of its own: it counts once ours is silent, then ours has to ask anew.
+        # The other is a sender of its own: it counts once ours is silent, then ours has to ask
+        # anew.
         end = time.monotonic() + 30.0
         while receiver.taken == 2:
             assert time.monotonic() < end
@@ -127,7 +144,9 @@ def test_old_frames_and_other_senders_do_not_count(receiver):
             time.sleep(SILENCE / 5)
         assert receiver.refused["sender"] >= 1
         time.sleep(2 * SILENCE)
-        sender._socket.send(packed(Message(POINTS.astype(np.float32), 9.0, sender._session, 99), KEY))
+        sender._socket.send(
+            packed(Message(POINTS.astype(np.float32), 9.0, sender._session, 99), KEY)
+        )
         until(lambda: receiver.refused["session"] == 1)
     stamps = [frame.stamp for frame in receiver.seen()]
     assert receiver.taken == 3 and np.all(np.diff(stamps) > 0)
@@ -135,17 +154,27 @@ def test_old_frames_and_other_senders_do_not_count(receiver):
 
 @pytest.mark.parametrize("key", [None, KEY])
 def test_a_recording_counts_nothing_after_a_restart_of_the_receiver(key):
-    with PointReceiver("127.0.0.1", 0, key) as first, PointSender("127.0.0.1", first.port, key) as sender:
+    with (
+        PointReceiver("127.0.0.1", 0, key) as first,
+        PointSender("127.0.0.1", first.port, key) as sender,
+    ):
         met(first, sender)
-        recorded = [packed(Message(POINTS.astype(np.float32), k, sender._session, k), key) for k in range(1, 20)]
+        recorded = [
+            packed(Message(POINTS.astype(np.float32), k, sender._session, k), key)
+            for k in range(1, 20)
+        ]
         for datagram in recorded:
             sender._socket.send(datagram)
         until(lambda: first.taken == len(recorded))
-    with PointReceiver("127.0.0.1", 0, key) as second, PointSender("127.0.0.1", second.port, key) as thief:
+    with (
+        PointReceiver("127.0.0.1", 0, key) as second,
+        PointSender("127.0.0.1", second.port, key) as thief,
+    ):
         for datagram in recorded:
             thief._socket.send(datagram)
         until(lambda: second.refused["session"] == len(recorded))
-        assert second.taken == 0 and len(thief._socket.recv(4096)) < len(recorded[0])  # no amplification
+        # no amplification
+        assert second.taken == 0 and len(thief._socket.recv(4096)) < len(recorded[0])
 
 
 def test_one_clock_through_a_camera_that_was_started_anew(receiver):
@@ -159,7 +188,9 @@ def test_one_clock_through_a_camera_that_was_started_anew(receiver):
     now[0] += 5.0
     receiver._session, receiver._sequence = second, 0
     for k in range(60):
-        receiver._take(packed(one(stamp=900.0 + k / 30, session=second, sequence=k + 1), KEY), "a", now[0])
+        receiver._take(
+            packed(one(stamp=900.0 + k / 30, session=second, sequence=k + 1), KEY), "a", now[0]
+        )
         now[0] += 1 / 30
     frames = receiver.seen()
     assert len(frames) == 120
@@ -212,7 +243,11 @@ def test_what_cannot_be_sent_is_told(points, visible, line):
     ("points", "stamp", "line"),
     [
         (POINTS / 1000, 0.0, "within 0.011 mm of the origin, which looks like metres"),
-        ([[0.0, 0.0, 0.04], [np.nan] * 3, [0.01, 0.0, 0.12]], 0.0, "all 2 points .* looks like metres"),
+        (
+            [[0.0, 0.0, 0.04], [np.nan] * 3, [0.01, 0.0, 0.12]],
+            0.0,
+            "all 2 points .* looks like metres",
+        ),
         (POINTS * 1000, 0.0, "at most 10000 mm; convert them to mm"),
         ([[0.0, 0.0, np.inf]], 0.0, "at most 10000 mm; convert them to mm"),
         (POINTS, float("nan"), "a stamp of nan s"),
@@ -225,7 +260,10 @@ def test_points_that_are_not_in_mm_are_refused_by_their_sender(points, stamp, li
 
 
 def test_the_largest_frame_passes():
-    with PointReceiver("127.0.0.1", 0) as receiver, PointSender("127.0.0.1", receiver.port) as sender:
+    with (
+        PointReceiver("127.0.0.1", 0) as receiver,
+        PointSender("127.0.0.1", receiver.port) as sender,
+    ):
         assert met(receiver, sender).send(np.zeros((MOST_POINTS, 3)), 0.0)
         until(lambda: receiver.taken == 1)
 
@@ -248,7 +286,9 @@ PAGE = (Path(__file__).parents[2] / "docs/do/camera.md").read_text(encoding="utf
 
 
 def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
-    """Its Python runs; its commands are understood (what they do is shown by the tests of each verb)."""
+    """Its Python runs; its commands are understood (what they do is shown by the tests of each
+    verb).
+    """
     monkeypatch.chdir(tmp_path)
     names = {command.name: command for command in COMMANDS}
     for language, text in blocks(PAGE):
@@ -258,7 +298,9 @@ def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
             parser = argparse.ArgumentParser(exit_on_error=False)
             two = " ".join(words[1:3])
             command = names.get(two) or names[words[1]]
-            getattr(importlib.import_module(command.module), f"{command.function}_arguments")(parser)
+            getattr(importlib.import_module(command.module), f"{command.function}_arguments")(
+                parser
+            )
             parser.parse_args(words[1 + len(command.name.split()) :])
     assert len(read_key(tmp_path / "camera.key")) == 32
     assert f"at most {MOST_POINTS} points" in PAGE

@@ -74,7 +74,9 @@ def test_what_goes_while_driving_asks_for_a_new_press(back):
 
 def test_a_press_waits_for_what_is_lacking_but_not_for_long():
     assert run((0.0, "page", "no hand"), (0.5, "page", "")).stage == "driving"
-    late = run((0.0, "page", "no hand"), (PATIENCE + 0.1, "page", "no hand"), (PATIENCE + 0.2, "page", ""))
+    late = run(
+        (0.0, "page", "no hand"), (PATIENCE + 0.1, "page", "no hand"), (PATIENCE + 0.2, "page", "")
+    )
     assert late.stage == "lost"
 
 

@@ -1,4 +1,6 @@
-"""The official SDK drives the emulated servos through its own port, as our bus does; packets: test_sdk_packets.py."""
+"""The official SDK drives the emulated servos through its own port, as our bus does; packets:
+test_sdk_packets.py.
+"""
 
 import random
 
@@ -21,7 +23,9 @@ def nasty(rng, count):
 def test_packets_are_found_in_any_stream():
     rng = random.Random(3)
     asked = [nasty(rng, rng.randrange(0, 40)) for _ in range(200)]
-    stream = b"".join(nasty(rng, rng.randrange(12)) + _core.servo_packet(7, 3, one) for one in asked)
+    stream = b"".join(
+        nasty(rng, rng.randrange(12)) + _core.servo_packet(7, 3, one) for one in asked
+    )
     found = [parameters for id, _, parameters in _core.servo_packets(stream) if id == 7]
     assert found == asked
 
@@ -33,10 +37,16 @@ def test_a_packet_too_long_is_refused():
 
 @pytest.fixture
 def bus():
-    """Two XL330 at 1 Mbaud, their horns at 2000 ticks, a tendon that asks for 0.4 mA a tick from there."""
+    """Two XL330 at 1 Mbaud, their horns at 2000 ticks, a tendon that asks for 0.4 mA a tick from
+    there.
+    """
     load = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
     emulated = _core.EmulatedBus(
-        [(1, XL330, 1_000_000, 2000.0), (2, XL330, 1_000_000, 2000.0)], [load, load], delay=0.01, lag=0.03, seed=1
+        [(1, XL330, 1_000_000, 2000.0), (2, XL330, 1_000_000, 2000.0)],
+        [load, load],
+        delay=0.01,
+        lag=0.03,
+        seed=1,
     )
     yield emulated
     emulated.unplug()
@@ -55,7 +65,9 @@ def test_the_sdk_finds_reads_and_moves_the_servos(bus, sdk):
     assert result == COMM_SUCCESS and found == {1: [XL330, 46], 2: [XL330, 46]}
     assert PROTOCOL.write1ByteTxRx(sdk, 1, MODE, 5) == (COMM_SUCCESS, 0)
     assert PROTOCOL.write1ByteTxRx(sdk, 1, TORQUE, 1) == (COMM_SUCCESS, 0)
-    assert PROTOCOL.write1ByteTxRx(sdk, 1, MODE, 4) == (COMM_SUCCESS, 7), "EEPROM is locked under torque"
+    assert PROTOCOL.write1ByteTxRx(sdk, 1, MODE, 4) == (COMM_SUCCESS, 7), (
+        "EEPROM is locked under torque"
+    )
     assert PROTOCOL.write4ByteTxRx(sdk, 1, GOAL, 2300) == (COMM_SUCCESS, 0)
     at = 0
     for _ in range(300):
@@ -129,10 +141,24 @@ def test_servos_are_described_in_units():
     models = {model["name"]: model for model in _core.servo_models()}
     assert len(models) == 11
     assert models["XM430-W210"]["current_limit_mA"] == pytest.approx(2.69 * 1193)
-    assert models["XL430-W250"]["current_unit_mA"] is None and models["XL430-W250"]["operating_mode"] == 4
+    assert (
+        models["XL430-W250"]["current_unit_mA"] is None
+        and models["XL430-W250"]["operating_mode"] == 4
+    )
     assert models["XL330-M288"]["baud_rates"][-1] == 4_000_000
-    stalls = {name: (model["stall_torque_Nm"], model["stall_current_mA"]) for name, model in models.items()}
-    assert stalls["XL330-M288"] == (0.52, 1470.0) and stalls["XC330-T288"] == (0.92, 800.0), "at 5.0 and 11.1 V"
-    assert stalls["XM430-W350"] == (4.1, 2300.0) and stalls["XM540-W270"] == (10.6, 4400.0), "at 12.0 V"
+    stalls = {
+        name: (model["stall_torque_Nm"], model["stall_current_mA"])
+        for name, model in models.items()
+    }
+    assert stalls["XL330-M288"] == (0.52, 1470.0) and stalls["XC330-T288"] == (0.92, 800.0), (
+        "at 5.0 and 11.1 V"
+    )
+    assert stalls["XM430-W350"] == (4.1, 2300.0) and stalls["XM540-W270"] == (10.6, 4400.0), (
+        "at 12.0 V"
+    )
     registers = _core.servo_registers()
-    assert registers["goal_position"] == (116, 4, False) and registers["homing_offset"] == (20, 4, True)
+    assert registers["goal_position"] == (116, 4, False) and registers["homing_offset"] == (
+        20,
+        4,
+        True,
+    )

@@ -1,4 +1,6 @@
-"""docs/do/commission.md: from servos as delivered to a tracked circle, each command as its reader types it."""
+"""docs/do/commission.md: from servos as delivered to a tracked circle, each command as its reader
+types it.
+"""
 
 import json
 from pathlib import Path
@@ -16,7 +18,20 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/do/commission.md").read_text(encoding="utf-8")
-STEPS = ["scan", "setup", "setup", "read", "home", "calibrate", "pull", "limits", "doctor", "move", "move", "track"]
+STEPS = [
+    "scan",
+    "setup",
+    "setup",
+    "read",
+    "home",
+    "calibrate",
+    "pull",
+    "limits",
+    "doctor",
+    "move",
+    "move",
+    "track",
+]
 
 
 def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
@@ -39,7 +54,8 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
                 name = words[2] if words[1] == "servo" else words[1]
                 code = main(words[1:])
                 told = capsys.readouterr()
-                # What this computer lacks (a camera's packages, real-time rights) is no matter of the bench.
+                # What this computer lacks (a camera's packages, real-time rights) is no matter of
+                # the bench.
                 assert code == 0 or name == "doctor", f"{name}: {told.err}"
                 done.append(name)
                 said[name] = told.out
@@ -50,8 +66,20 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
     assert all(servo.home is not None and servo.current_mA for servo in rig.servos)
     assert set(rig.made) >= {"homed", "pulled"} and rig.ceiling.get("high") == 800.0
     assert "800" in said["limits"] and "nothing is driven" not in said["limits"]
-    well = {line.removeprefix("ok").split(":")[0].strip() for line in said["doctor"].splitlines() if line[:2] == "ok"}
-    assert {"bundle", "calibration", "safety.toml", "rig", "servo 1", "servo 2", "limits"} <= well, said["doctor"]
+    well = {
+        line.removeprefix("ok").split(":")[0].strip()
+        for line in said["doctor"].splitlines()
+        if line[:2] == "ok"
+    }
+    assert {
+        "bundle",
+        "calibration",
+        "safety.toml",
+        "rig",
+        "servo 1",
+        "servo 2",
+        "limits",
+    } <= well, said["doctor"]
     assert {"home of servo 1", "home of servo 2"} <= well and "ceiling" not in said["doctor"]
     assert Path("o.svg").read_text(encoding="utf-8").startswith("<")
     done = json.loads(Path("finger/calibration.json").read_text(encoding="utf-8"))
@@ -59,4 +87,6 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
 
 
 def test_the_guards_page_leads_here():
-    assert "(../do/commission.md)" in (ROOT / "docs/reference/safety.md").read_text(encoding="utf-8")
+    assert "(../do/commission.md)" in (ROOT / "docs/reference/safety.md").read_text(
+        encoding="utf-8"
+    )

@@ -1,4 +1,6 @@
-"""What a servo senses and the guard refuses is a fault of doctor and read too, with value, limit and remedy."""
+"""What a servo senses and the guard refuses is a fault of doctor and read too, with value, limit
+and remedy.
+"""
 
 import re
 import shlex
@@ -22,12 +24,26 @@ POWER = "has a supply voltage of {} V, allowed are 3.5 to 7 V"
 @pytest.mark.parametrize(
     "breaks, said, remedy",
     [
-        (lambda bus: bus.heat(0, 69.0), r"is too hot: 6\d °C, allowed is below 65 °C", "let it cool"),
-        (lambda bus: bus.supply(0, 2.9), "has a supply voltage of 2.9 V, allowed are 3.5 to 7 V", "power supply"),
-        (lambda bus: bus.supply(0, 8.1), "has a supply voltage of 8.1 V, allowed are 3.5 to 7 V", "power supply"),
+        (
+            lambda bus: bus.heat(0, 69.0),
+            r"is too hot: 6\d °C, allowed is below 65 °C",
+            "let it cool",
+        ),
+        (
+            lambda bus: bus.supply(0, 2.9),
+            "has a supply voltage of 2.9 V, allowed are 3.5 to 7 V",
+            "power supply",
+        ),
+        (
+            lambda bus: bus.supply(0, 8.1),
+            "has a supply voltage of 8.1 V, allowed are 3.5 to 7 V",
+            "power supply",
+        ),
     ],
 )
-def test_what_keeps_the_guard_from_starting_is_a_fault_everywhere(breaks, said, remedy, tmp_path, capsys):
+def test_what_keeps_the_guard_from_starting_is_a_fault_everywhere(
+    breaks, said, remedy, tmp_path, capsys
+):
     file = str(tmp_path / "rig.toml")
     with bench() as (bus, rig, limits):
         rig.write(file)
@@ -52,7 +68,10 @@ def test_what_keeps_the_guard_from_starting_is_a_fault_everywhere(breaks, said, 
 def test_connect_is_denied_with_servo_value_limit_and_remedy():
     with bench() as (bus, rig, limits):
         bus.heat(1, 69.0)
-        with pytest.raises(ServoError, match=r"'connect' is denied .*: servo 2 is too hot: 6\d °C, .* 65 °C; let it"):
+        with pytest.raises(
+            ServoError,
+            match=r"'connect' is denied .*: servo 2 is too hot: 6\d °C, .* 65 °C; let it",
+        ):
             Controller(rig, calibration(), limits).__enter__()
 
 
@@ -95,22 +114,39 @@ def test_a_ceiling_of_the_bench_is_the_limit(tmp_path):
     with bench() as (bus, rig, _):
         replace(rig, ceiling=Ceiling((("hot", 50.0),))).write(tmp_path / "rig.toml")
         bus.heat(0, 55.0)
-        (line,) = [one for one in doctor.examine(rig=tmp_path / "rig.toml").lines if one.name == "servo 1"]
+        (line,) = [
+            one for one in doctor.examine(rig=tmp_path / "rig.toml").lines if one.name == "servo 1"
+        ]
         assert "allowed is below 50 °C" in line.found
 
 
 def test_a_place_outside_the_window_is_a_fault_and_its_command_leads_back(tmp_path, capsys):
     file, finger = str(tmp_path / "rig.toml"), str(tmp_path / "finger")
     save_bundle(replace(builtin_model(), calibration=calibration()), finger)
-    drive = ["servo", "move", "0.2,0.2", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0.1"]
+    drive = [
+        "servo",
+        "move",
+        "0.2,0.2",
+        "--rig",
+        file,
+        "--bundle",
+        finger,
+        "--hold",
+        "--seconds",
+        "0.1",
+    ]
     with bench(load=[]) as (bus, rig, _):
         rig.write(file)
         for _ in range(4):
-            assert main(["servo", "move", "--servo", "1", "--by", "280", "--rig", file, "--hold"]) == 0
+            assert (
+                main(["servo", "move", "--servo", "1", "--by", "280", "--rig", file, "--hold"]) == 0
+            )
         capsys.readouterr()
         assert main(drive) == 2
         denied = capsys.readouterr().err
-        assert re.search(r"servo 1 stands at 31\d\d ticks, outside its window of 1100 to 2900", denied)
+        assert re.search(
+            r"servo 1 stands at 31\d\d ticks, outside its window of 1100 to 2900", denied
+        )
         (line,) = [one for one in doctor.examine(file, finger).lines if one.name == "servo 1"]
         assert line.state == "fault" and "outside its window of 1100 to 2900" in line.found
         assert follow(line.do) == follow(denied, run=False)
@@ -127,9 +163,13 @@ def follow(said, run=True):
 
 def test_limits_hold_at_their_edges():
     assert too_hot(64.9, 65.0) == "" and too_hot(65.0, 65.0) and too_hot(90, None) == ""
-    assert undersupplied(3.5, (3.5, 7.0)) == "" == undersupplied(7.0, (3.5, 7.0)) and undersupplied(3.4, (3.5, 7.0))
+    assert undersupplied(3.5, (3.5, 7.0)) == "" == undersupplied(7.0, (3.5, 7.0)) and undersupplied(
+        3.4, (3.5, 7.0)
+    )
     low, high = HOME + WINDOW[0], HOME + WINDOW[1]
-    assert outside(1, low, (low, high)) == "" == outside(1, high, (low, high)) and outside(1, high + 1, (low, high))
+    assert outside(1, low, (low, high)) == "" == outside(1, high, (low, high)) and outside(
+        1, high + 1, (low, high)
+    )
     assert outside(1, 10.0, (0.0, 4.0)), "a window narrower than a jog"
 
 
@@ -145,5 +185,8 @@ def test_limits_hold_at_their_edges():
 )
 def test_jogs_reach_their_goal_in_allowed_steps(ticks, most, command):
     said = jogs(3, ticks, most)
-    step, times = int(re.search(r"--by ([+-]\d+)", said)[1]), int((re.findall(r", (\d+) times", said) or [1])[0])
+    step, times = (
+        int(re.search(r"--by ([+-]\d+)", said)[1]),
+        int((re.findall(r", (\d+) times", said) or [1])[0]),
+    )
     assert command in said and abs(step) <= most and abs(step * times - ticks) <= times

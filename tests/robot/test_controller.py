@@ -1,4 +1,6 @@
-"""The control loop in its own process, on emulated servos: it follows, and whatever dies, the finger ends slack."""
+"""The control loop in its own process, on emulated servos: it follows, and whatever dies, the
+finger ends slack.
+"""
 
 import contextlib
 import os
@@ -28,9 +30,13 @@ def test_follows_targets_and_ends_slack():
             assert robot.engage() == pytest.approx([0.0, 0.0])
             assert robot.state == "engaged" and torque(bus)
             assert robot.target([1.0, -1.0]) == pytest.approx([1.0, -1.0])
-            assert robot.target([9.0, -1.0]) == pytest.approx([900 / TICKS_PER_MM, -1.0]), "what will be done"
+            assert robot.target([9.0, -1.0]) == pytest.approx([900 / TICKS_PER_MM, -1.0]), (
+                "what will be done"
+            )
             hold_for(robot, [1.0, -1.0], 1.2)
-            assert angles(bus) == pytest.approx(HOME + TICKS_PER_MM * np.array([1.0, -1.0]), abs=2.0)
+            assert angles(bus) == pytest.approx(
+                HOME + TICKS_PER_MM * np.array([1.0, -1.0]), abs=2.0
+            )
         assert not torque(bus)
         assert np.abs(angles(bus) - HOME).max() < 60.0
         assert robot.ended["ended"] == "alone" and robot.ended["lost"] == 0
@@ -67,18 +73,25 @@ def test_who_sent_nothing_for_too_long_is_told_so_and_who_let_go_that_he_did():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         until(lambda: robot.state == "ready", 10.0)
-        with pytest.raises(ServoError, match=r"in state ready \(this program sent no target for [2-9]\.\d s\); call e"):
+        with pytest.raises(
+            ServoError,
+            match=r"in state ready \(this program sent no target for [2-9]\.\d s\); call e",
+        ):
             robot.target([0.0, 0.0])
         robot.engage()
         robot.release()
         until(lambda: robot.state == "ready", 10.0)
-        with pytest.raises(ServoError, match=r"in state ready \(the deadman was released\); call engage\(\) first"):
+        with pytest.raises(
+            ServoError, match=r"in state ready \(the deadman was released\); call engage\(\) first"
+        ):
             robot.target([0.0, 0.0])
 
 
 def test_a_request_that_is_denied_says_why():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
-        with pytest.raises(ServoError, match="'arm' is denied in state ready: not allowed in state ready"):
+        with pytest.raises(
+            ServoError, match="'arm' is denied in state ready: not allowed in state ready"
+        ):
             robot.request("arm")
         with pytest.raises(ServoError, match="no request 'fly'"):
             robot.request("fly")
@@ -99,7 +112,10 @@ def test_a_request_that_is_denied_says_why():
 def test_a_fault_ends_without_torque(name, breaks):
     silent = pytest.raises(ServoError, match="did not confirm that (its|their) torque is off")
     with bench() as (bus, rig, limits):
-        with silent if name == "silent" else contextlib.nullcontext(), Controller(rig, calibration(), limits) as robot:
+        with (
+            silent if name == "silent" else contextlib.nullcontext(),
+            Controller(rig, calibration(), limits) as robot,
+        ):
             robot.engage()
             hold_for(robot, [1.0, 1.0], 0.6)
             breaks(bus)
@@ -130,7 +146,9 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
             bus.faults(unpowered=False) if power else bus.damage(1, mute=False)
             until(lambda: acknowledged(robot), 5.0)
             assert robot.state == "connected", "home is forgotten"
-            with pytest.raises(ServoError, match="in state connected, and a running loop cannot prove home"):
+            with pytest.raises(
+                ServoError, match="in state connected, and a running loop cannot prove home"
+            ):
                 robot.request("home")
             assert robot.state == "connected" and not torque(bus)
             with pytest.raises(ServoError, match="'engage' is denied in state connected"):
@@ -143,7 +161,10 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
 def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
     with bench() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        with pytest.raises(ServoError, match="does not follow"), Controller(rig, calibration(), limits) as robot:
+        with (
+            pytest.raises(ServoError, match="does not follow"),
+            Controller(rig, calibration(), limits) as robot,
+        ):
             robot.engage()
             hold_for(robot, [0.5, 0.0], 0.5)
             bus.damage(0, **{how: True})
@@ -163,14 +184,18 @@ def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
 
 
 def acknowledged(robot):
-    """Return whether the fault could be acknowledged; it cannot before every servo has said that it has no torque."""
+    """Return whether the fault could be acknowledged; it cannot before every servo has said that it
+    has no torque.
+    """
     with contextlib.suppress(ServoError):
         robot.request("acknowledge")
     return robot.state != "fault"
 
 
 def test_an_unplugged_port_ends_the_loop_with_a_reason():
-    unsure = pytest.raises(ServoError, match="servos 1, 2 did not confirm that their torque is off; cut their supply")
+    unsure = pytest.raises(
+        ServoError, match="servos 1, 2 did not confirm that their torque is off; cut their supply"
+    )
     with bench() as (bus, rig, limits), unsure, Controller(rig, calibration(), limits) as robot:
         robot.engage()
         bus.unplug()
@@ -199,10 +224,14 @@ with Controller(rig, calibration(), limits) as robot:
 
 @pytest.fixture
 def program():
-    """Start a user's program in a process of its own on an emulated bus; gives bus, process, and the loop's pid."""
+    """Start a user's program in a process of its own on an emulated bus; gives bus, process, and
+    the loop's pid.
+    """
     with bench() as (bus, _, _):
         text = PROGRAM.format(tests=str(Path(__file__).parents[1] / "support"), path=bus.path)
-        user = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        user = subprocess.Popen(
+            [sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
         loop = int(user.stdout.readline())
         until(lambda: np.abs(angles(bus) - HOME).min() > 250, 5.0)
         try:
@@ -258,7 +287,10 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"in state fault (the control loop died or froze); start another Controller" in user.stderr.read()
+    assert (
+        b"in state fault (the control loop died or froze); start another Controller"
+        in user.stderr.read()
+    )
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
@@ -274,10 +306,14 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
     user.wait()
     rig = Rig(bus.path, 1_000_000, tuple(RigServo(id, "XL330-M288", HOME) for id in (1, 2)))
     limits = loop_limits([servo_limits("XL330-M288", HOME, (-900, 900))] * 2)
-    with pytest.raises(ServoError, match="servo 1: its torque is on: another program drives it, or one died"):
+    with pytest.raises(
+        ServoError, match="servo 1: its torque is on: another program drives it, or one died"
+    ):
         Controller(rig, calibration(), limits).__enter__()
     assert main(["servo", "off", "--port", bus.path, "--baud", "1000000"]) == 0
-    assert all(tripped for _, _, tripped, _ in bus.state()[1]), "torque off alone clears no watchdog"
+    assert all(tripped for _, _, tripped, _ in bus.state()[1]), (
+        "torque off alone clears no watchdog"
+    )
     with Controller(rig, calibration(), limits) as robot:
         robot.engage()
         hold_for(robot, [0.5, 0.5], 1.0)
@@ -311,16 +347,23 @@ def test_servos_that_are_not_as_said_are_refused():
         ours.write(1, 11, b"\x03")
         ours.close()
         with pytest.raises(
-            ServoError, match=r"servo 1: operating mode is 3 \(position\), needed is 5; run `softmap servo setup --port"
+            ServoError,
+            match=r"servo 1: operating mode is 3 \(position\), needed is 5; run `softmap servo setup --port",
         ):
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", HOME), rig.servos[1]))
-        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig lists XM430-W210"):
+        with pytest.raises(
+            ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig lists XM430-W210"
+        ):
             Controller(other, calibration(), limits).__enter__()
         absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288", HOME), rig.servos[1]))
         with pytest.raises(
-            ServoError, match="servo 7: no answer, but id 1 answers, which the rig does not list; .*--id 1 --new-id 7"
+            ServoError,
+            match=(
+                "servo 7: no answer, but id 1 answers, which the rig does not list; .*--id 1 "
+                "--new-id 7"
+            ),
         ):
             Controller(absent, calibration(), limits).__enter__()
         with pytest.raises(ServoError, match="no such port"):
@@ -345,13 +388,18 @@ def test_limits_that_make_no_sense_are_refused():
 
 
 def test_a_rig_survives_its_file(tmp_path):
-    rig = Rig('/dev/tty "odd"', 1_000_000, (RigServo(3, "XL330-M288", -5), RigServo(4, "XM430-W210")))
+    rig = Rig(
+        '/dev/tty "odd"', 1_000_000, (RigServo(3, "XL330-M288", -5), RigServo(4, "XM430-W210"))
+    )
     rig.write(tmp_path / "rig.toml")
     assert read_rig(tmp_path / "rig.toml") == rig
     for text, said in (
         ("schema = 1", "expected text"),
         ('schema = "softmap.rig/1"\nbaud = 57600', "no port"),
-        ('schema = "softmap.rig/1"\nport = "x"\n[[servo]]\nmodel = "XL330-M288"', "servo 1 has no id"),
+        (
+            'schema = "softmap.rig/1"\nport = "x"\n[[servo]]\nmodel = "XL330-M288"',
+            "servo 1 has no id",
+        ),
         (
             'schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"',
             "no servo 'Y' is known",

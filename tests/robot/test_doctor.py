@@ -1,4 +1,6 @@
-"""The doctor says of each thing whether it is well and what to do, on computers and benches that are not."""
+"""The doctor says of each thing whether it is well and what to do, on computers and benches that
+are not.
+"""
 
 import json
 import os
@@ -43,7 +45,10 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
         lines = doctor.examine(rig=tmp_path / "rig.toml").lines
         assert named(lines, "rig").state == OK and named(lines, "servo 1").state == OK
         assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
-        assert named(lines, "ceiling").state == WARNING and "softmap servo pull" in named(lines, "ceiling").do
+        assert (
+            named(lines, "ceiling").state == WARNING
+            and "softmap servo pull" in named(lines, "ceiling").do
+        )
         assert bus.state()[1] == before, "nothing moved, no torque"
         told = ["servo", "doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
         assert main(told) == 0, "a warning is no fault"
@@ -62,9 +67,19 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
     "breaks, name, found, do",
     [
         (lambda bus: bus.damage(0, mute=True), "servo 1", "no answer", "check power"),
-        (lambda bus: bus.reset(1), "home of servo 2", "not homed since power-up", "softmap servo home"),
+        (
+            lambda bus: bus.reset(1),
+            "home of servo 2",
+            "not homed since power-up",
+            "softmap servo home",
+        ),
         (lambda bus: bus.fail(1, 0x20), "servo 2", "it reports overload", "softmap servo reboot"),
-        (lambda bus: bus.rename(0, 9), "servo 1", "no answer, but id 9 answers", "--id 9 --new-id 1"),
+        (
+            lambda bus: bus.rename(0, 9),
+            "servo 1",
+            "no answer, but id 9 answers",
+            "--id 9 --new-id 1",
+        ),
         (lambda bus: bus.unplug(), "bus", "no such port", "softmap servo scan"),
     ],
 )
@@ -92,7 +107,9 @@ def test_torque_that_is_on_is_told_and_left_on(tmp_path):
         ours.close()
         rig.write(tmp_path / "rig.toml")
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "servo 1")
-        assert line == doctor.Line("servo 1", FAULT, ON, f"`softmap servo off --rig {tmp_path}/rig.toml` releases it")
+        assert line == doctor.Line(
+            "servo 1", FAULT, ON, f"`softmap servo off --rig {tmp_path}/rig.toml` releases it"
+        )
         assert torque(bus)
 
 
@@ -106,7 +123,8 @@ def test_a_busy_port_another_model_and_damaged_files(tmp_path):
         ours.close()
         Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", 5),)).write(file)
         assert (
-            "is XL330-M288 (1200), the rig lists XM430-W210" in named(doctor.examine(rig=file).lines, "servo 1").found
+            "is XL330-M288 (1200), the rig lists XM430-W210"
+            in named(doctor.examine(rig=file).lines, "servo 1").found
         )
     file.write_text("[")
     assert named(doctor.examine(rig=file).lines, "rig").state == FAULT
@@ -118,8 +136,13 @@ def test_a_busy_port_another_model_and_damaged_files(tmp_path):
 def test_a_bundle_without_calibration(tmp_path):
     save_bundle(builtin_model(), tmp_path / "b")
     lines = doctor.examine(bundle=tmp_path / "b").lines
-    assert named(lines, "bundle").state == OK and named(lines, "safety.toml") == doctor.Line("safety.toml", OK, "there")
-    assert named(lines, "calibration").state == FAULT and "softmap model calibrate" in named(lines, "calibration").do
+    assert named(lines, "bundle").state == OK and named(lines, "safety.toml") == doctor.Line(
+        "safety.toml", OK, "there"
+    )
+    assert (
+        named(lines, "calibration").state == FAULT
+        and "softmap model calibrate" in named(lines, "calibration").do
+    )
 
 
 def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
@@ -137,17 +160,25 @@ def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
             if key.name == "stop.key" and not key.exists():
                 new_key(key)
             line = None if chip is None else emergency.Line(chip, 3)
-            replace(rig, emergency=emergency.Emergency(line, emergency.Beats(5006, str(key)))).write(
-                tmp_path / "r.toml"
-            )
-            found = [one for one in doctor.examine(tmp_path / "r.toml").lines if one.name == "emergency stop"]
+            replace(
+                rig, emergency=emergency.Emergency(line, emergency.Beats(5006, str(key)))
+            ).write(tmp_path / "r.toml")
+            found = [
+                one
+                for one in doctor.examine(tmp_path / "r.toml").lines
+                if one.name == "emergency stop"
+            ]
             wrong = [one for one in found if one.state == "fault"]
             assert len(wrong) == len(faults) and all(one.do for one in wrong), found
             for one, said in zip(wrong, faults):
                 assert said in one.found.lower()
-            assert faults or [one.state for one in found] == [OK] and "UDP port 5006" in found[0].found
+            assert (
+                faults or [one.state for one in found] == [OK] and "UDP port 5006" in found[0].found
+            )
         rig.write(tmp_path / "r.toml")
-        assert not [one for one in doctor.examine(tmp_path / "r.toml").lines if one.name == "emergency stop"]
+        assert not [
+            one for one in doctor.examine(tmp_path / "r.toml").lines if one.name == "emergency stop"
+        ]
 
 
 def test_an_edited_safety_toml_is_told(tmp_path, capsys):
@@ -157,29 +188,44 @@ def test_an_edited_safety_toml_is_told(tmp_path, capsys):
     text = (folder / "safety.toml").read_text()
     (folder / "safety.toml").write_text(text.replace("slew = 8.0", "slew = 7.0"))
     line = named(doctor.examine(bundle=folder).lines, "safety.toml")
-    assert line.state == "warning" and line.found == "edited since the bundle was written" and line.do
+    assert (
+        line.state == "warning" and line.found == "edited since the bundle was written" and line.do
+    )
     announce_edited_limits(load_bundle(folder))
     said = capsys.readouterr().err
-    assert said == "safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it\n"
+    assert (
+        said
+        == "safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it\n"
+    )
 
 
 def test_what_combined_drives_is_no_fault(tmp_path):
-    """A calibration without a window and a bundle without safety.toml: limits are derived, the doctor says so."""
+    """A calibration without a window and a bundle without safety.toml: limits are derived, the
+    doctor says so.
+    """
     plain = replace(calibration(), window=None)
     save_bundle(replace(builtin_model(), calibration=plain, safety=None), tmp_path / "b")
     with bench() as (_, rig, _):
         rig.write(tmp_path / "rig.toml")
         effective_limits(rig, load_bundle(tmp_path / "b")).table()
         lines = doctor.examine(rig=tmp_path / "rig.toml", bundle=tmp_path / "b").lines
-        assert [named(lines, name).state for name in ("bundle", "calibration", "safety.toml", "limits")] == [OK] * 4
+        assert [
+            named(lines, name).state for name in ("bundle", "calibration", "safety.toml", "limits")
+        ] == [OK] * 4
         assert "derived from the model each time" in named(lines, "safety.toml").found
         assert "derived from the model" in named(lines, "limits").found
-        # A bench whose home is half a turn from the calibration's, and one of three servos: combined() refuses them.
+        # A bench whose home is half a turn from the calibration's, and one of three servos:
+        # combined() refuses them.
         moved = replace(rig, servos=tuple(replace(servo, home=HOME + 2048) for servo in rig.servos))
         more = replace(rig, servos=(*rig.servos, RigServo(3, MODEL)))
-        for other, found in ((moved, "home of the bench is 4048"), (more, "the rig has 3 servos, the calibration 2")):
+        for other, found in (
+            (moved, "home of the bench is 4048"),
+            (more, "the rig has 3 servos, the calibration 2"),
+        ):
             other.write(tmp_path / "rig.toml")
-            line = named(doctor.examine(rig=tmp_path / "rig.toml", bundle=tmp_path / "b").lines, "limits")
+            line = named(
+                doctor.examine(rig=tmp_path / "rig.toml", bundle=tmp_path / "b").lines, "limits"
+            )
             assert line.state == FAULT and found in line.found and line.do
 
 
@@ -204,7 +250,9 @@ def test_a_slow_adapter_says_how_to_set_it(tmp_path):
         (folder / "latency_timer").write_text(text)
     slow, quick, odd = host.latency(tmp_path)
     assert slow.state == WARNING and slow.found.startswith("16 ms")
-    assert slow.do.startswith(f"run echo 1 | sudo tee {tmp_path}/bus/usb-serial/devices/ttyUSB0/latency_timer")
+    assert slow.do.startswith(
+        f"run echo 1 | sudo tee {tmp_path}/bus/usb-serial/devices/ttyUSB0/latency_timer"
+    )
     assert quick.state == OK and odd.state == WARNING
 
 
@@ -229,14 +277,20 @@ def test_cameras_are_listed_with_the_names_that_stay(tmp_path):
 
 
 def rights(folder):
-    """Return what is said of ports, cameras and real-time rights to whoever has no more than he needs."""
+    """Return what is said of ports, cameras and real-time rights to whoever has no more than he
+    needs.
+    """
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
     lines = [*host.ports(folder), *host.cameras(None, folder), *host.real_time()]
-    return "\n".join("|".join((line.state, line.name.split("/")[-1], line.found, line.do)) for line in lines)
+    return "\n".join(
+        "|".join((line.state, line.name.split("/")[-1], line.found, line.do)) for line in lines
+    )
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already")
+@pytest.mark.skipif(
+    os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already"
+)
 def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
     with bench() as (bus, _, _):
         os.chmod(bus.path, 0o600)
@@ -245,7 +299,9 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
             (tmp_path / name).touch()
             (tmp_path / name).chmod(0o660)
         for folder in tmp_path.parents:  # pytest's own folders are closed to others
-            if folder.stat().st_uid == os.geteuid() and folder.name.startswith(("pytest-", "popen-")):
+            if folder.stat().st_uid == os.geteuid() and folder.name.startswith(
+                ("pytest-", "popen-")
+            ):
                 folder.chmod(0o755)
         lines = as_ordinary_user(lambda: rights(tmp_path)).splitlines()
         opened = as_ordinary_user(lambda: _core.ServoBus(bus.path, 1_000_000))
@@ -253,8 +309,14 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
     assert said["ttyUSB0"].startswith("fault") and "no permission for this user" in said["ttyUSB0"]
     assert "sudo usermod -aG root" in said["ttyUSB0"] and "log in again" in said["ttyUSB0"]
     assert said["video0"].startswith("warning")
-    assert said["real-time priority"].startswith("warning") and "- rtprio 50" in said["real-time priority"]
-    assert said["locked memory"].startswith("warning") and "- memlock unlimited" in said["locked memory"]
+    assert (
+        said["real-time priority"].startswith("warning")
+        and "- rtprio 50" in said["real-time priority"]
+    )
+    assert (
+        said["locked memory"].startswith("warning")
+        and "- memlock unlimited" in said["locked memory"]
+    )
     assert "no permission; add yourself to the group that owns it (dialout)" in opened
 
 
@@ -284,7 +346,9 @@ def test_a_look_that_fails_is_a_line(monkeypatch):
 def test_as_text(capsys, any_computer):
     assert main(["servo", "doctor"]) == 0
     said = capsys.readouterr().out
-    assert "ok       python: 3." in said and said.endswith(f"{2 + len(host.NEEDED)} ok, 0 warnings, 0 faults\n")
+    assert "ok       python: 3." in said and said.endswith(
+        f"{2 + len(host.NEEDED)} ok, 0 warnings, 0 faults\n"
+    )
 
 
 def test_the_port_of_the_rig_is_among_the_serial_ports(tmp_path):
@@ -309,11 +373,17 @@ def test_a_home_is_said_once_with_a_remedy_that_is_complete(tmp_path):
         rig.write(tmp_path / "rig.toml")
         bus.reset(1)
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 2")
-        assert line.found.startswith("not homed") and line.found.count("(") == line.found.count(")") == 1
-        assert line.do == (
-            f"let the finger hang straight and home the robot with `softmap servo home --rig {tmp_path}/rig.toml`"
+        assert (
+            line.found.startswith("not homed")
+            and line.found.count("(") == line.found.count(")") == 1
         )
-        Rig(rig.port, rig.baud, tuple(replace(one, home=HOME - 400) for one in rig.servos)).write(tmp_path / "rig.toml")
+        assert line.do == (
+            "let the finger hang straight and home the robot with `softmap servo home --rig "
+            f"{tmp_path}/rig.toml`"
+        )
+        Rig(rig.port, rig.baud, tuple(replace(one, home=HOME - 400) for one in rig.servos)).write(
+            tmp_path / "rig.toml"
+        )
         with opened(rig.port, rig.baud) as port:
             set_mark(port, 1, HOME - 400)
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 1")

@@ -1,4 +1,6 @@
-"""The emergency stops, through the loop's own process on emulated servos: torque off at once, latched, home known."""
+"""The emergency stops, through the loop's own process on emulated servos: torque off at once,
+latched, home known.
+"""
 
 import contextlib
 import socket
@@ -62,7 +64,8 @@ def acknowledged(robot):
 
 def again(robot):
     """Acknowledge and go on, as whoever released the stop does; home need not be proved."""
-    until(lambda: acknowledged(robot), 3.0)  # servos are asked five times a second whether they have torque
+    # servos are asked five times a second whether they have torque
+    until(lambda: acknowledged(robot), 3.0)
     assert robot.state == "homed", "home is still known"
     robot.request("arm")
     robot.engage()
@@ -85,7 +88,8 @@ def test_a_program_presses_and_releases():
         assert robot.report["torque"] is False, "it returns once torque is off"
         assert_stopped(robot, bus)
         with pytest.raises(
-            ServoError, match="'acknowledge' is denied in state fault: something is wrong: the emergency"
+            ServoError,
+            match="'acknowledge' is denied in state fault: something is wrong: the emergency",
         ):
             robot.request("acknowledge")
         robot.release()  # any other order in between releases nothing
@@ -158,7 +162,9 @@ def test_a_heart_that_presses_or_stops_is_an_emergency(heart_rig):
             again(robot)
 
 
-def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(heart_rig, tmp_path, monkeypatch):
+def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(
+    heart_rig, tmp_path, monkeypatch
+):
     with_heart, heart = heart_rig
     monkeypatch.setattr(controller_module, "STARTS", 1.0)
     with bench() as (bus, rig, limits):
@@ -167,9 +173,18 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(heart_rig, 
             pass
         recorded = []
         send = heart._socket.send
-        heart._session, heart._socket = heart._session, type("Tap", (), {
-            "send": lambda self, bytes_: recorded.append(bytes_) or send(bytes_), "recv": heart._socket.recv,
-            "close": heart._socket.close})()  # fmt: skip
+        heart._session, heart._socket = (
+            heart._session,
+            type(
+                "Tap",
+                (),
+                {
+                    "send": lambda self, bytes_: recorded.append(bytes_) or send(bytes_),
+                    "recv": heart._socket.recv,
+                    "close": heart._socket.close,
+                },
+            )(),
+        )
         with beating(heart), Controller(rig, calibration(), limits):
             time.sleep(0.2)
         assert len(recorded) > 5 and {len(beat) for beat in recorded} == {BEAT}
@@ -193,9 +208,15 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(heart_rig, 
 def test_a_stop_that_cannot_be_had_starts_nothing_and_says_why(tmp_path):
     with bench() as (bus, rig, limits):
         for stop, said in (
-            (Emergency(gpio=Line("/dev/gpiochip999", 17)), "line 17 of /dev/gpiochip999 cannot be had .*gpioinfo"),
+            (
+                Emergency(gpio=Line("/dev/gpiochip999", 17)),
+                "line 17 of /dev/gpiochip999 cannot be had .*gpioinfo",
+            ),
             (Emergency(gpio=Line("/dev/null", 3)), "line 3 of /dev/null cannot be had"),
-            (Emergency(udp=Beats(free_port(), str(tmp_path / "none.key"))), "the key cannot be read"),
+            (
+                Emergency(udp=Beats(free_port(), str(tmp_path / "none.key"))),
+                "the key cannot be read",
+            ),
         ):
             with pytest.raises(ServoError, match=said):
                 Controller(replace(rig, emergency=stop), calibration(), limits).__enter__()
@@ -204,7 +225,9 @@ def test_a_stop_that_cannot_be_had_starts_nothing_and_says_why(tmp_path):
             new_key(tmp_path / "stop.key")
             taken = Beats(other.getsockname()[1], str(tmp_path / "stop.key"), host="127.0.0.1")
             with pytest.raises(ServoError, match="cannot be listened for at 127.0.0.1"):
-                Controller(replace(rig, emergency=Emergency(udp=taken)), calibration(), limits).__enter__()
+                Controller(
+                    replace(rig, emergency=Emergency(udp=taken)), calibration(), limits
+                ).__enter__()
         assert not torque(bus)
 
 
@@ -216,7 +239,9 @@ def test_the_key_of_a_heart_is_in_no_recording(heart_rig, tmp_path):
         with Controller(with_heart(rig), calibration(), limits, record=record):
             pass
         content = record.read_bytes()
-        assert b"softmap.setup" in content and key not in content and key.hex().encode() not in content
+        assert (
+            b"softmap.setup" in content and key not in content and key.hex().encode() not in content
+        )
 
 
 def test_the_verb_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
@@ -225,7 +250,17 @@ def test_the_verb_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
         rig = with_heart(rig)
         code = "import sys; from softmap_edge.cli import main; sys.exit(main(sys.argv[1:]))"
         where = f"127.0.0.1:{rig.emergency.udp.port}"
-        argv = [sys.executable, "-c", code, "servo", "heartbeat", where, "--key", str(tmp_path / "stop.key"), "--json"]
+        argv = [
+            sys.executable,
+            "-c",
+            code,
+            "servo",
+            "heartbeat",
+            where,
+            "--key",
+            str(tmp_path / "stop.key"),
+            "--json",
+        ]
         with subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as verb:
             try:
                 with Controller(rig, calibration(), limits) as robot:
@@ -241,14 +276,19 @@ def test_the_verb_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
                     verb.stdin.write(b"end\n")
                     verb.stdin.flush()
                     assert_stopped(robot, bus)
-                assert b'"schema": "softmap.heartbeat/1"' in verb.stdout.read() and verb.wait(5) == 0
+                assert (
+                    b'"schema": "softmap.heartbeat/1"' in verb.stdout.read() and verb.wait(5) == 0
+                )
             finally:
                 verb.kill()
 
 
 def test_rig_toml_carries_its_stops(tmp_path):
     with bench() as (_, rig, _):
-        stops = Emergency(Line("/dev/gpiochip4", 22, True), Beats(5006, str(tmp_path / "stop.key"), 0.1, "10.0.0.2"))
+        stops = Emergency(
+            Line("/dev/gpiochip4", 22, True),
+            Beats(5006, str(tmp_path / "stop.key"), 0.1, "10.0.0.2"),
+        )
         replace(rig, emergency=stops).write(tmp_path / "rig.toml")
         assert read_rig(tmp_path / "rig.toml").emergency == stops
         text = (tmp_path / "rig.toml").read_text()
@@ -269,7 +309,9 @@ def test_rig_toml_carries_its_stops(tmp_path):
 
 
 def test_what_a_heart_cannot_reach_is_refused():
-    with pytest.raises(LinkError, match=r"ports are 1 to 65535; .* \[emergency\] of the robot's rig.toml"):
+    with pytest.raises(
+        LinkError, match=r"ports are 1 to 65535; .* \[emergency\] of the robot's rig.toml"
+    ):
         Heart("127.0.0.1", 0, b"k" * 32)
     with pytest.raises(LinkError, match="cannot be reached"):
         Heart("no such host", 5, b"k" * 32)
@@ -282,7 +324,9 @@ def test_what_a_heart_cannot_reach_is_refused():
 
 
 def test_torque_off_drives_nothing_home():
-    """Horns that no tendon pulls stay where the stop met them; whoever ends without one goes home."""
+    """Horns that no tendon pulls stay where the stop met them; whoever ends without one goes
+    home.
+    """
     with bench(load=[]) as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
 

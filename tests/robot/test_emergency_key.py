@@ -1,4 +1,6 @@
-"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an emulated robot."""
+"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an
+emulated robot.
+"""
 
 import os
 import pty
@@ -31,11 +33,15 @@ CAMERA = 5991
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """Give an emulated bus and the folder with its rig, bundle and commands; its camera sends to CAMERA."""
+    """Give an emulated bus and the folder with its rig, bundle and commands; its camera sends to
+    CAMERA.
+    """
     folder, model = tmp_path_factory.mktemp("robot"), builtin_model()
     model = replace(model, calibration=own_map(model))
     save_bundle(model, folder / "finger")
-    write_commands(folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot)
+    write_commands(
+        folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot
+    )
     with (
         emulated_bench(model, model.calibration, rate=100.0) as (bus, rig, _, finger),
         PointSender("127.0.0.1", CAMERA) as sender,
@@ -55,12 +61,20 @@ ON = ["--rig", "rig.toml", "--bundle", "finger"]
 DRIVES = {
     "track": ["track", "O", *ON, "--amplitude", "4", "--duration", "30", "--record", "track.mcap"],
     "record": [
-        "record", "commands.csv", *ON, "--camera", f"udp://:{CAMERA}", "--out", "run.npz", "--record", "record.mcap",
+        "record",
+        "commands.csv",
+        *ON,
+        "--camera",
+        f"udp://:{CAMERA}",
+        "--out",
+        "run.npz",
+        "--record",
+        "record.mcap",
     ],
     "move": ["servo", "move", "2,-1", *ON, "--hold", "--seconds", "100"],
     "jog by keys": ["servo", "move", "--rig", "rig.toml"],
     "jog by ticks": ["servo", "move", "--rig", "rig.toml", "--servo", "1", "--by", "290", "--hold"],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("verb", DRIVES)
@@ -74,7 +88,9 @@ def test_the_key_switches_torque_off_at_once(robot, verb):
         if verb == "jog by keys":
             one.until(lambda: "connected" in one.said)
             holds = threading.Event()
-            held = threading.Thread(target=lambda: [one.types("\x1b[C") for _ in iter(lambda: holds.wait(0.03), True)])
+            held = threading.Thread(
+                target=lambda: [one.types("\x1b[C") for _ in iter(lambda: holds.wait(0.03), True)]
+            )
             held.start()
         one.until(lambda: driven(bus, rig))
         if verb == "jog by keys":
@@ -87,16 +103,25 @@ def test_the_key_switches_torque_off_at_once(robot, verb):
     file = folder / f"{verb}.mcap"
     if file.exists():
         periods = read_recording(file).periods
-        states = list(dict.fromkeys((one["state"], one["cause"]) for one in periods if one["emergency"]))
-        assert states == [("fault", "emergency")], "never slackened: off in the first period that knows"
+        states = list(
+            dict.fromkeys((one["state"], one["cause"]) for one in periods if one["emergency"])
+        )
+        assert states == [("fault", "emergency")], (
+            "never slackened: off in the first period that knows"
+        )
     if verb == "record":
-        assert not (folder / "run.npz").exists() or "what was recorded before is in run.npz" in one.said
+        assert (
+            not (folder / "run.npz").exists()
+            or "what was recorded before is in run.npz" in one.said
+        )
 
 
 def test_without_a_terminal_nothing_is_said(robot):
     bus, _, folder = robot
     words = ["servo", "move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
-    done = subprocess.run([SOFTMAP, *words], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    done = subprocess.run(
+        [SOFTMAP, *words], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
     assert done.returncode == 0 and done.stderr == "" and not torque(bus)
 
 
@@ -124,7 +149,9 @@ def test_in_the_background_the_terminal_is_not_read():
         os.wait()
     """
     ours, theirs = pty.openpty()
-    done = subprocess.run([sys.executable, "-c", code], stdin=theirs, capture_output=True, text=True, timeout=PATIENCE)
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdin=theirs, capture_output=True, text=True, timeout=PATIENCE
+    )
     os.close(ours)
     os.close(theirs)
     assert done.stdout == "0 None\n", done.stderr

@@ -31,7 +31,9 @@ def model():
     return builtin_model()
 
 
-@pytest.mark.parametrize("name", [n for n, law in {**LAWS, **NAMED}.items() if law.command is not Law.command])
+@pytest.mark.parametrize(
+    "name", [n for n, law in {**LAWS, **NAMED}.items() if law.command is not Law.command]
+)
 def test_a_stream_of_a_law_is_its_record(name):
     (law,) = hidden_laws([name], 2, 5)
     rng = np.random.default_rng(0)
@@ -110,26 +112,45 @@ def test_tendons_ask_for_what_the_model_says(model):
     assert ticks[0] == HOME - 2800 and ticks[-1] == HOME + 2800
     assert np.all(np.diff(drawn) > -1.0) and abs(np.interp(HOME, ticks, drawn)) < 1.0
     np.testing.assert_allclose(drawn, -drawn[::-1], atol=1.0)
-    # 10 mm of the first pair: its one tendon pulls with what the simulation says, on a spool of 1/280 mm a tick.
+    # 10 mm of the first pair: its one tendon pulls with what the simulation says, on a spool of
+    # 1/280 mm a tick.
     pull = plain_table(model.arrays["prior"], "pull").evaluate(np.array([[10.0, 0.0]]))[0]
     torque = max(pull) * 1e-3 * 4096 / (2 * np.pi * 280)
     assert drawn[-1] == pytest.approx(torque / 0.52 * 1470.0, rel=1e-3) and 20 < drawn[-1] < 60
     np.testing.assert_allclose(np.array(second), np.array(first), atol=1.0)
     # Tensions are the model's: without them a nominal stiffness stands in.
-    (nominal, _) = tendon_loads(model.with_structure(cables=None), calibration(), (-2800.0, 2800.0), known)
+    (nominal, _) = tendon_loads(
+        model.with_structure(cables=None), calibration(), (-2800.0, 2800.0), known
+    )
     assert nominal[-1][1] == pytest.approx(NOMINAL * 10 * 4096 / (2 * np.pi * 280) * 1470.0 / 520.0)
 
 
 def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
-    with emulated(tmp_path, "--hidden", "backlash", "--strength", "0.5", "--seed", "3") as (process, told, camera):
-        assert told["schema"] == "softmap.emulated/1" and told["ready"] and told["hidden"] == ["backlash"]
+    with emulated(tmp_path, "--hidden", "backlash", "--strength", "0.5", "--seed", "3") as (
+        process,
+        told,
+        camera,
+    ):
+        assert (
+            told["schema"] == "softmap.emulated/1"
+            and told["ready"]
+            and told["hidden"] == ["backlash"]
+        )
         rig, made = read_rig(tmp_path / "rig.toml"), load_bundle(tmp_path / "bundle")
-        assert rig.port == told["port"] and [servo.home for servo in rig.servos] == made.calibration.home.tolist()
+        assert (
+            rig.port == told["port"]
+            and [servo.home for servo in rig.servos] == made.calibration.home.tolist()
+        )
         for servo in rig.servos:
             with opened(rig.port, rig.baud) as bus:
                 number, firmware = bus.ping(servo.id)
                 values = setup.registers(bus, servo.id)
-            assert setup.complaints(setup.ServoState(rig.port, rig.baud, servo.id, number, firmware), values) == []
+            assert (
+                setup.complaints(
+                    setup.ServoState(rig.port, rig.baud, servo.id, number, firmware), values
+                )
+                == []
+            )
         until(lambda: camera.taken > 5)
         frames = camera.seen()
         assert frames[-1].points.shape == model.rest.shape
@@ -140,7 +161,9 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             ).max()
             < 0.5
         )
-        servos = [servo_limits(servo.model, servo.home, made.calibration.window) for servo in rig.servos]
+        servos = [
+            servo_limits(servo.model, servo.home, made.calibration.window) for servo in rig.servos
+        ]
         with Controller(rig, made.calibration, loop_limits(servos, 100.0)) as robot:
             robot.engage()
             hold_for(robot, [3.0, 0.0], 2.5)
@@ -149,7 +172,10 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             assert np.linalg.norm(tip - model.tip(np.zeros((1, 2)))[0]) > 5.0
             say(process, "reversed 0")
             hold_for(robot, [3.0, 0.0], 0.5)
-            away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
+            away = (
+                camera.seen()[-1].points[model.tip_indices].mean(axis=0)
+                - model.tip(np.zeros((1, 2)))[0]
+            )
             assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
         say(process, "blind 1")
         until(lambda: time.monotonic() - camera.seen()[-1].arrived > 0.5)
@@ -190,5 +216,7 @@ def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
 @pytest.mark.parametrize("servos", [[], ["--servos", "1"]])
 def test_an_emulated_robot_whose_input_ends_says_why_it_is_gone(servos):
     argv = [SOFTMAP, "servo", "emulate", *servos]
-    done = subprocess.run(argv, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        argv, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0 and "standard input has ended" in done.stderr, done

@@ -1,4 +1,6 @@
-"""Every fault in every state: the table of docs/reference/safety.md, each cell through loop process and terminal."""
+"""Every fault in every state: the table of docs/reference/safety.md, each cell through loop process
+and terminal.
+"""
 
 import re
 import signal
@@ -10,15 +12,23 @@ import pytest
 from loops import LEADS_ON, PATIENCE, STATES, Loop
 
 PAGE = Path(__file__).parents[2] / "docs/reference/safety.md"
-FEW = 8  # periods by which anything may be later than its time: two of them are the way to the servos and back
+# periods by which anything may be later than its time: two of them are the way to the servos and
+# back
+FEW = 8
 WIRED = 3.0  # s of a poor wire at the limits of verbs
 TRIES = 4  # where the machine was seen to be too busy to tell
 
 
 def table():
     """Return the page's table: fault → (cause, state → cell, time)."""
-    section = PAGE.read_text(encoding="utf-8").split("## Every fault in every state")[1].split("\n## ")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:1] == "|"]
+    section = (
+        PAGE.read_text(encoding="utf-8").split("## Every fault in every state")[1].split("\n## ")[0]
+    )
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.splitlines()
+        if line[:1] == "|"
+    ]
     head, cells = [name.lower() for name in rows[0]], rows[2:]
     assert head == ["fault", "cause", *STATES, "within"]
     return {row[0]: (row[1], dict(zip(STATES, row[2:11])), row[11]) for row in cells}
@@ -37,7 +47,10 @@ BREAKS = {
     "a servo resets": lambda loop: loop.bus.reset(1),
     "no power on the bus": lambda loop: loop.bus.faults(unpowered=True),
     "a servo shuts down: overload error": lambda loop: loop.bus.fail(1, 0x20),
-    "a servo draws more than its cap": lambda loop: (loop.bus.burden(0, 14.0), loop.bus.damage(0, uncapped=True)),
+    "a servo draws more than its cap": lambda loop: (
+        loop.bus.burden(0, 14.0),
+        loop.bus.damage(0, uncapped=True),
+    ),
     "the finger is blocked": lambda loop: (loop.bus.damage(0, jammed=True), back(loop)),
     "supply too low": lambda loop: loop.bus.supply(0, 2.9),
     "too hot": lambda loop: loop.bus.heat(0, 69.0),
@@ -89,7 +102,13 @@ def bench(request):
 
         def loop():
             nonlocal now, next_one
-            if now is not None and now.untouched and not now.ended and now.state == state and not stop:
+            if (
+                now is not None
+                and now.untouched
+                and not now.ended
+                and now.state == state
+                and not stop
+            ):
                 return now
             before, now = now, next_one.result()
             next_one = worker.submit(led, before)
@@ -110,14 +129,24 @@ def seconds(text, loop):
     """Return a time of the table: a sum of limits by name, and of seconds."""
     parts = [part.strip(" `") for part in text.split("+")]
     return sum(
-        loop.path if part == "path" else float(part[:-2]) if part.endswith(" s") else loop.limits[part]
+        loop.path
+        if part == "path"
+        else float(part[:-2])
+        if part.endswith(" s")
+        else loop.limits[part]
         for part in parts
     )
 
 
 def look(loop, state):
-    """Return for how long (s) nothing must happen where nothing should: as long as the slowest reaction there takes."""
-    slowest = max(seconds(within, loop) for _, cells, within in TABLE.values() if within and cells[state] != "–")
+    """Return for how long (s) nothing must happen where nothing should: as long as the slowest
+    reaction there takes.
+    """
+    slowest = max(
+        seconds(within, loop)
+        for _, cells, within in TABLE.values()
+        if within and cells[state] != "–"
+    )
     return slowest + FEW * loop.limits["period"]
 
 
@@ -131,15 +160,19 @@ def goes_on(loop, state, begin):
 
 
 def changes(loop, state, begin, cause, wanted, within):
-    """Prove that the next changes are to the states `wanted`, because of `cause`, in its time since the fault.
+    """Prove that the next changes are to the states `wanted`, because of `cause`, in its time since
+    the fault.
 
-    By the loop's clock: a report tells of which period it is. Periods that it could not have are told too.
+    By the loop's clock: a report tells of which period it is. Periods that it could not have are
+    told too.
     """
     struck, overruns = time.monotonic(), loop.reports[-1]["overruns"]
     loop.wait(lambda: len(loop.changes(begin, state)) >= len(wanted) or loop.ended)
     found = loop.changes(begin, state)[: len(wanted)]
     causes = ["late" if one == "hold" else cause for one in wanted]
-    assert [(one["state"], one["cause"]) for one in found] == list(zip(wanted, causes)), loop.reports[-1]
+    assert [(one["state"], one["cause"]) for one in found] == list(zip(wanted, causes)), (
+        loop.reports[-1]
+    )
     late = FEW + loop.reports[-1]["overruns"] - overruns
     assert found[-1]["t"] - struck <= within + late * loop.limits["period"], "too late"
     assert [one["torque"] for one in found] == [one in ("hold", "safe_stop") for one in wanted]
@@ -154,7 +187,9 @@ def without_torque(loop):
 
 
 def told(get, check):
-    """Check, and once more where it fails on a machine that was too busy meanwhile to tell (`Loop.busy`)."""
+    """Check, and once more where it fails on a machine that was too busy meanwhile to tell
+    (`Loop.busy`).
+    """
     for left in reversed(range(TRIES)):
         loop = get()
         begin = time.monotonic()
@@ -182,7 +217,10 @@ EXCHANGED = [
     )
     for state in STATES
     if TABLE[broken][1][state] != "–"
-] + [("ready", "a servo is mute", "each answer 0.5 ms late"), ("hold", "a servo is mute", "a tendon is torn")]
+] + [
+    ("ready", "a servo is mute", "each answer 0.5 ms late"),
+    ("hold", "a servo is mute", "a tendon is torn"),
+]
 
 
 @pytest.mark.parametrize("bench, broken, quiet", EXCHANGED, indirect=["bench"])
@@ -211,7 +249,9 @@ def reacts(loop, state, begin, fault, broken):
         loop.untouched = fault in WIRE
         return None
     if cell == "denies":
-        return denies(loop, state, cause, loop.limits["late"] if cause == "silent" else seconds(within, loop))
+        return denies(
+            loop, state, cause, loop.limits["late"] if cause == "silent" else seconds(within, loop)
+        )
     *parts, last = cell.split(" → ")
     wanted = [part.lower() for part in [*parts, last] if part != "ends"]
     if wanted:
@@ -229,7 +269,11 @@ def denies(loop, state, cause, within):
     """Prove that what leads on is denied from that time on, because of `cause`."""
     begin = time.monotonic() + within + FEW * loop.limits["period"]
     assert loop.wait(lambda: loop.reports[-1]["t"] >= begin)
-    known = ("trouble(late)", "trouble(silent)") if cause == "silent" else (f"trouble({cause})", "outside")
+    known = (
+        ("trouble(late)", "trouble(silent)")
+        if cause == "silent"
+        else (f"trouble({cause})", "outside")
+    )
     until = time.monotonic() + PATIENCE
     # On a busy machine an answer may be late besides.
     while (said := loop.ask(LEADS_ON[state])) not in known and time.monotonic() < until:
@@ -251,7 +295,10 @@ def briefly(loop, state, cell, begin):
         return goes_on(loop, state, begin)
     assert cell == "HOLD → ENGAGED" and loop.wait(lambda: len(loop.changes(begin, state)) > 1)
     found = loop.changes(begin, state)
-    assert [(report["state"], report["cause"]) for report in found] == [("hold", "late"), ("engaged", "none")]
+    assert [(report["state"], report["cause"]) for report in found] == [
+        ("hold", "late"),
+        ("engaged", "none"),
+    ]
     assert found[0]["t"] - begin <= late + FEW * loop.limits["period"]
     return None
 
@@ -303,7 +350,9 @@ def usual():
 
 @pytest.mark.parametrize("fault", WIRE)
 def test_a_poor_wire_at_the_limits_of_verbs_ends_nothing(usual, fault):
-    """At 100 Hz five answers in a row are late, and of one in five that happens: a hold that goes on by itself."""
+    """At 100 Hz five answers in a row are late, and of one in five that happens: a hold that goes
+    on by itself.
+    """
 
     def goes_on_by_itself(loop, begin):
         BREAKS[fault](loop)

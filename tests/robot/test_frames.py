@@ -1,4 +1,6 @@
-"""Pictures of a camera, newest first, and of files at their own rate; what cannot be read says why."""
+"""Pictures of a camera, newest first, and of files at their own rate; what cannot be read says
+why.
+"""
 
 import threading
 import time
@@ -31,10 +33,18 @@ def video(tmp_path_factory):
 
 
 class Device:
-    """A camera that takes its pictures from a list, one each `period` s; ends, freezes or fails after them."""
+    """A camera that takes its pictures from a list, one each `period` s; ends, freezes or fails
+    after them.
+    """
 
     def __init__(self, count, period=0.005, after="end"):
-        self.count, self.period, self.after, self.taken, self.released = count, period, after, 0, threading.Event()
+        self.count, self.period, self.after, self.taken, self.released = (
+            count,
+            period,
+            after,
+            0,
+            threading.Event(),
+        )
         self.frozen = threading.Event()
 
     def read(self):
@@ -55,11 +65,22 @@ class Device:
 
 def test_what_a_camera_is():
     assert source("0") == 0 and source("12") == 12
-    assert source("clip.mp4") == Path("clip.mp4") and source("/absent/video0") == Path("/absent/video0")
+    assert source("clip.mp4") == Path("clip.mp4") and source("/absent/video0") == Path(
+        "/absent/video0"
+    )
     assert source("udp://:5005") == UdpAddress("", 5005)
     assert source("udp://192.168.0.7:5005") == UdpAddress("192.168.0.7", 5005)
     assert source("udp://[::1]:5005/") == UdpAddress("::1", 5005)
-    bad = ["", "udp://", "udp://host", "udp://host:0", "udp://host:70000", "udp://host:x", "udp://a:1/b", "udp://u@h:1"]
+    bad = [
+        "",
+        "udp://",
+        "udp://host",
+        "udp://host:0",
+        "udp://host:70000",
+        "udp://host:x",
+        "udp://a:1/b",
+        "udp://u@h:1",
+    ]
     for text in [*bad, "rtsp://camera/1", "http://x/y.mp4", "a\0b", "udp://[::1:5"]:
         with pytest.raises(TeleopError, match="udp://HOST:PORT"):
             source(text)
@@ -103,7 +124,10 @@ def test_files_that_are_no_videos(video, tmp_path):
     content = video.read_bytes()
     cut = tmp_path / "cut.avi"
     cut.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(TeleopError, match="ends after 1. of 30 pictures: it is damaged"), FileFrames(cut) as opened:
+    with (
+        pytest.raises(TeleopError, match="ends after 1. of 30 pictures: it is damaged"),
+        FileFrames(cut) as opened,
+    ):
         list(opened)
 
 
@@ -124,7 +148,10 @@ def test_the_newest_picture_of_a_camera_wins():
 @pytest.mark.parametrize("after", ["end", "fail"])
 def test_a_camera_that_is_unplugged(after):
     device = Device(5, after=after)
-    with CameraFrames(3, device=device) as camera, pytest.raises(TeleopError, match="camera 3: is gone"):
+    with (
+        CameraFrames(3, device=device) as camera,
+        pytest.raises(TeleopError, match="camera 3: is gone"),
+    ):
         list(camera)
     assert device.released.wait(1)
     with pytest.raises(TeleopError, match="is closed"):
@@ -145,13 +172,17 @@ def test_a_camera_that_freezes_is_told_in_time():
 
 def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
     monkeypatch.setattr(devices, "DEVICES", tmp_path)
-    with pytest.raises(TeleopError, match=r"there is no .*video7; no camera is connected; give another camera"):
+    with pytest.raises(
+        TeleopError, match=r"there is no .*video7; no camera is connected; give another camera"
+    ):
         CameraFrames(7)
     (tmp_path / "video2").write_text("")
     with pytest.raises(TeleopError, match=r"the cameras here are 2 \(.*video2\)"):
         CameraFrames(7)
     (tmp_path / "video97").write_text("")
-    with pytest.raises(TeleopError, match="camera 97: .* cannot be opened; close the program that uses it"):
+    with pytest.raises(
+        TeleopError, match="camera 97: .* cannot be opened; close the program that uses it"
+    ):
         CameraFrames(97)
     monkeypatch.setattr(frames.os, "access", lambda *_: False)
     with pytest.raises(TeleopError, match="sudo usermod -aG video"):
@@ -160,7 +191,9 @@ def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
 
 def test_without_opencv_the_install_line_is_said(monkeypatch):
     monkeypatch.setitem(frames.importlib.sys.modules, "cv2", None)
-    with pytest.raises(TeleopError, match="OpenCV cannot be loaded .*; run uv pip install --override"):
+    with pytest.raises(
+        TeleopError, match="OpenCV cannot be loaded .*; run uv pip install --override"
+    ):
         FileFrames("clip.mp4")
 
 
@@ -169,7 +202,9 @@ USB = "usb-Logitech_BRIO_1F2A-video-index0"
 
 @pytest.fixture
 def dev(monkeypatch, tmp_path):
-    """Give a folder of devices with three cameras: one with lasting names, one with a name by its plug, one bare."""
+    """Give a folder of devices with three cameras: one with lasting names, one with a name by its
+    plug, one bare.
+    """
     folder = tmp_path / "dev"
     for name in ("video0", "video3", "video12", "ttyUSB0", "video-notes.txt"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -192,7 +227,11 @@ def test_a_path_of_a_device_is_the_camera_that_it_links_to(dev, tmp_path, monkey
     (tmp_path / "cam").symlink_to(dev / "left_camera")  # and a user's own, elsewhere
     assert source(str(dev / "left_camera")) == 3 and source(str(tmp_path / "cam")) == 3
     monkeypatch.chdir(dev)
-    assert source("video12") == 12 and source("../dev/v4l/../video0") == 0 and source("v4l/by-id/" + USB) == 3
+    assert (
+        source("video12") == 12
+        and source("../dev/v4l/../video0") == 0
+        and source("v4l/by-id/" + USB) == 3
+    )
 
 
 def test_a_regular_file_is_a_video_wherever_it_lies(dev, tmp_path):
@@ -206,7 +245,9 @@ def test_a_regular_file_is_a_video_wherever_it_lies(dev, tmp_path):
 
 
 def test_a_device_that_is_no_camera_or_gone_lists_those_there(dev, tmp_path):
-    there = f"the cameras here are 0 ({dev}/video0), 3 ({dev}/v4l/by-id/{USB}), 12 ({dev}/v4l/by-path/"
+    there = (
+        f"the cameras here are 0 ({dev}/video0), 3 ({dev}/v4l/by-id/{USB}), 12 ({dev}/v4l/by-path/"
+    )
     for path, what in (
         (dev / "video5", "is not there"),
         (dev / "v4l/by-id/usb-Other-video-index0", "is not there"),
@@ -222,7 +263,9 @@ def test_a_device_that_is_no_camera_or_gone_lists_those_there(dev, tmp_path):
     for path in (dev / "round", dev / ("x" * 300)):
         with pytest.raises(TeleopError, match="the cameras here are"):
             source(str(path))
-    with pytest.raises(TeleopError, match="no such video file; give one, or a camera; the cameras here are 0"):
+    with pytest.raises(
+        TeleopError, match="no such video file; give one, or a camera; the cameras here are 0"
+    ):
         FileFrames(tmp_path / "absent.mp4")
 
 

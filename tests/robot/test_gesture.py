@@ -45,13 +45,28 @@ def test_the_key_alone_asks_for_no_hand():
 
 
 def test_a_fist_lets_go_at_once_until_the_key_is_pressed_anew():
-    steps = [(True, None), (True, PALM), (True, FIST), (True, PALM), (True, None), (False, PALM), (True, PALM)]
+    steps = [
+        (True, None),
+        (True, PALM),
+        (True, FIST),
+        (True, PALM),
+        (True, None),
+        (False, PALM),
+        (True, PALM),
+    ]
     assert played("fist releases", steps) == [True, True, False, False, False, False, True]
     assert played("fist releases", [(True, PALM), (True, BETWEEN), (True, PALM)]) == [True] * 3
-    assert played("fist releases", [(True, FIST), (True, BETWEEN), (False, BETWEEN), (True, BETWEEN)])[-1] is False
+    assert (
+        played("fist releases", [(True, FIST), (True, BETWEEN), (False, BETWEEN), (True, BETWEEN)])[
+            -1
+        ]
+        is False
+    )
 
 
-@pytest.mark.parametrize(("rule", "shown", "other"), [("open palm", PALM, FIST), ("fist", FIST, PALM)])
+@pytest.mark.parametrize(
+    ("rule", "shown", "other"), [("open palm", PALM, FIST), ("fist", FIST, PALM)]
+)
 def test_an_asked_gesture_must_last_and_ends_at_once(rule, shown, other):
     wait = round(DWELL * 30)
     held = played(rule, [(True, shown)] * (wait + 3))
@@ -60,7 +75,8 @@ def test_an_asked_gesture_must_last_and_ends_at_once(rule, shown, other):
     assert after[-2:] == [False, False]
     assert played(rule, [(True, shown)] * (wait + 3) + [(True, None)])[-1] is False
     assert played(rule, [(True, shown)] * (wait + 3) + [(True, BETWEEN)])[-1] is True  # hysteresis
-    assert not any(played(rule, [(True, BETWEEN)] * (wait + 3)))  # never shown, never taken for granted
+    # never shown, never taken for granted
+    assert not any(played(rule, [(True, BETWEEN)] * (wait + 3)))
 
 
 @pytest.mark.parametrize("jump", [GAP + 0.01, -0.01, -1e6])

@@ -6,7 +6,15 @@ from hands import hand, turned
 
 from softmap_edge.commands.teleop import _flips
 from softmap_edge.errors import TeleopError
-from softmap_edge.robot.teleop.hand import FARTHEST, SMALLEST, Hand, HandMap, View, in_pixels, projection
+from softmap_edge.robot.teleop.hand import (
+    FARTHEST,
+    SMALLEST,
+    Hand,
+    HandMap,
+    View,
+    in_pixels,
+    projection,
+)
 
 RANGE = [[-9.0, 9.0], [-6.0, 8.0]]
 
@@ -34,7 +42,9 @@ def test_the_formula_is_the_papers():
 
 
 def test_directions_mean_what_they_say():
-    """Straight is 0.9, curled 0; a tip to the right of the picture of an upright hand is positive."""
+    """Straight is 0.9, curled 0; a tip to the right of the picture of an upright hand is
+    positive.
+    """
     middle = hand().points[9] - hand().points[0]  # 20 px to the side: the frame leans by 11°
     assert middle[1] == -100
     straight, curled, right = (projection(h) for h in (hand(), hand(curl=0.9), hand(sideways=0.5)))
@@ -51,7 +61,9 @@ def test_place_turn_and_distance_change_nothing(degrees, scale):
 
 
 def test_normalised_landmarks_go_to_the_true_aspect_first():
-    """Turned by 60° in a 16:9 picture: right in pixels, wrong by what the facts say when left normalised."""
+    """Turned by 60° in a 16:9 picture: right in pixels, wrong by what the facts say when left
+    normalised.
+    """
     points = turned(hand(curl=0.2, sideways=0.3), 60).points
     normalised = np.column_stack([points / (1280, 720), np.zeros(21)])
     np.testing.assert_allclose(in_pixels(normalised, 1280, 720), points)
@@ -92,9 +104,18 @@ def test_bad_hands_views_and_maps_are_refused():
         (lambda: HandMap([[-1, np.nan], [-1, 1]]), "LOW < 0 < HIGH"),
         (lambda: HandMap(RANGE, reach=(0.0, 1.0)), "two numbers above 0"),
         (lambda: HandMap(RANGE, reach=(np.inf, 1.0)), "two numbers above 0"),
-        (lambda: HandMap(RANGE).command([np.nan, 0.0], [0.9, 0.0]), "without a hand there is no command"),
-        (lambda: HandMap(RANGE).command([0.5, 0.0], [0.9, np.inf]), "without a hand there is no command"),
-        (lambda: HandMap(RANGE).command([0.5, 0.0, 0.1], [0.9, 0.0, 0.0]), "without a hand there is no command"),
+        (
+            lambda: HandMap(RANGE).command([np.nan, 0.0], [0.9, 0.0]),
+            "without a hand there is no command",
+        ),
+        (
+            lambda: HandMap(RANGE).command([0.5, 0.0], [0.9, np.inf]),
+            "without a hand there is no command",
+        ),
+        (
+            lambda: HandMap(RANGE).command([0.5, 0.0, 0.1], [0.9, 0.0, 0.0]),
+            "without a hand there is no command",
+        ),
     ]
     for act, said in cases:
         with pytest.raises(TeleopError, match=said) as fault:
@@ -106,8 +127,12 @@ def test_the_pose_of_engaging_is_rest_and_reach_is_the_end_of_the_range():
     drive = HandMap(RANGE, reach=(0.5, 0.8))
     neutral = projection(hand(curl=0.2, sideways=0.1))
     assert drive.command(neutral, neutral).tolist() == [0.0, 0.0]
-    np.testing.assert_allclose(drive.command(neutral + [0.0, 0.5], neutral), [-9.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(drive.command(neutral + [-0.8, -0.25], neutral), [4.5, -6.0], atol=1e-12)
+    np.testing.assert_allclose(
+        drive.command(neutral + [0.0, 0.5], neutral), [-9.0, 0.0], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        drive.command(neutral + [-0.8, -0.25], neutral), [4.5, -6.0], atol=1e-12
+    )
     np.testing.assert_allclose(drive.command(neutral + [0.4, 0.0], neutral), [0.0, 4.0], atol=1e-12)
     both = HandMap(RANGE, reach=(0.5, 0.8), flip=(True, True))
     np.testing.assert_allclose(both.command(neutral + [0.8, 0.5], neutral), [9.0, -6.0], atol=1e-12)
@@ -130,7 +155,9 @@ def test_the_driving_hand_and_mirrored_pictures():
     assert View("left", mirrored=True).driving([left, right]) is right
     bent = hand(sideways=0.3)
     image = Hand((640.0, 0.0) + bent.points * (-1.0, 1.0), "left")
-    np.testing.assert_allclose(View(mirrored=True).projection(image), View().projection(bent), atol=1e-12)
+    np.testing.assert_allclose(
+        View(mirrored=True).projection(image), View().projection(bent), atol=1e-12
+    )
     assert View(mirrored=True).side(image) == View().side(bent) == "right"
     assert View().projection(None) is None
 
@@ -143,5 +170,7 @@ def test_as_it_ships_a_finger_leads_to_the_side_to_which_its_owner_points():
     pointing = Hand(points, "right")
     u = drive.command(View().projection(pointing), View().projection(straight))
     assert u[0] > 1.0, u
-    flipped = HandMap(RANGE, flip=_flips("x")).command(View().projection(pointing), View().projection(straight))
+    flipped = HandMap(RANGE, flip=_flips("x")).command(
+        View().projection(pointing), View().projection(straight)
+    )
     assert _flips("") == (False, False) and flipped[0] == pytest.approx(-u[0])

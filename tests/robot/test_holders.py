@@ -1,4 +1,6 @@
-"""Another program that has the port open without a lock is named by whatever opens the port, but torque goes off."""
+"""Another program that has the port open without a lock is named by whatever opens the port, but
+torque goes off.
+"""
 
 import subprocess
 import sys
@@ -25,7 +27,10 @@ def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_pat
         with holding(bus.path) as other:
             (one,) = holders(bus.path)
             assert one.pid == other.pid and one.name.startswith("python")
-            said = f"{bus.path} is in use by another program ({one.name}, pid {other.pid}); close it first"
+            said = (
+                f"{bus.path} is in use by another program ({one.name}, pid {other.pid}); close it "
+                "first"
+            )
             with pytest.raises(ServoError) as fault:
                 Controller(rig, calibration(), limits).__enter__()
             assert str(fault.value) == said
@@ -41,7 +46,10 @@ def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_pat
                 assert main(argv) == 2, argv
                 assert said in capsys.readouterr().err
             lines = [line for line in doctor.examine(rig=file).lines if line.name == "bus"]
-            assert lines[0].found == said.removesuffix("; close it first") and lines[0].do == "close it first"
+            assert (
+                lines[0].found == said.removesuffix("; close it first")
+                and lines[0].do == "close it first"
+            )
             assert main(["servo", "off", "--rig", file]) == 0, "torque goes off whoever is there"
         with Controller(rig, calibration(), limits) as robot:
             assert robot.state == "ready", "once it is closed"
@@ -53,7 +61,11 @@ def test_whoever_opens_by_another_name_is_found_and_others_are_not(tmp_path):
         link.symlink_to(bus.path)
         assert holders(bus.path) == [], "the program that emulates is none, nor is this one"
         with holding(str(link)) as other:
-            assert [one.pid for one in holders(bus.path)] == [one.pid for one in holders(str(link))] == [other.pid]
+            assert (
+                [one.pid for one in holders(bus.path)]
+                == [one.pid for one in holders(str(link))]
+                == [other.pid]
+            )
         with bench() as (second, _, _), holding(second.path):
             assert holders(bus.path) == [], "another terminal is another port"
         (tmp_path / "plain").touch()
@@ -95,7 +107,10 @@ def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
 
 def test_alone_on_the_bus_nothing_is_said(tmp_path):
     file, told = tmp_path / "drive.mcap", []
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits, record=file, tell=told.append) as robot:
+    with (
+        bench() as (bus, rig, limits),
+        Controller(rig, calibration(), limits, record=file, tell=told.append) as robot,
+    ):
         robot.engage([0.2, 0.0])
         for _ in range(20):
             robot.target([0.2, 0.0])

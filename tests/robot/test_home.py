@@ -38,7 +38,9 @@ def home(file, *more):
 def drive(file):
     """Start and end a controller on the bench of `file`."""
     rig = read_rig(file)
-    limits = loop_limits([servo_limits(one.model, one.home or 0, (-900, 900)) for one in rig.servos], 100.0)
+    limits = loop_limits(
+        [servo_limits(one.model, one.home or 0, (-900, 900)) for one in rig.servos], 100.0
+    )
     with Controller(rig, calibration(), limits) as robot:
         assert robot.state == "ready"
 
@@ -59,7 +61,9 @@ def answers(file):
 
 def test_first_time_this_is_home_and_it_is_known_until_power_goes(wound, capsys):
     bus, file = wound
-    with pytest.raises(ServoError, match="servo 1 has no home; home the robot with `softmap servo home"):
+    with pytest.raises(
+        ServoError, match="servo 1 has no home; home the robot with `softmap servo home"
+    ):
         drive(file)
     assert home(file) == 0
     assert "servo 1: home at 1800 (set now)" in capsys.readouterr().out
@@ -67,14 +71,20 @@ def test_first_time_this_is_home_and_it_is_known_until_power_goes(wound, capsys)
     rig = read_rig(file)
     assert [servo.home for servo in rig.servos] == [FAR, FAR]
     said = rig.made["homed"]
-    assert said["positions"] == [FAR, FAR] and said["firmware"] == [46, 46] and said["confirmed"] == "by --yes"
+    assert (
+        said["positions"] == [FAR, FAR]
+        and said["firmware"] == [46, 46]
+        and said["confirmed"] == "by --yes"
+    )
     assert said["first"] == [1, 2] and said["when"].startswith("20")
 
     # Homes were found when the tendons had been wound up by three turns.
     Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, FAR + 3 * 4096) for id in (1, 2))).write(file)
     power_cycle(bus)
     answers(file)
-    with pytest.raises(ServoError, match=r"servo 1: not homed since power-up \(turns are lost without power"):
+    with pytest.raises(
+        ServoError, match=r"servo 1: not homed since power-up \(turns are lost without power"
+    ):
         drive(file)
     assert home(file, "--json") == 0
     document = json.loads(capsys.readouterr().out)
@@ -98,12 +108,18 @@ def test_a_finger_that_is_not_straight_is_refused_and_nothing_is_marked(wound, c
     bus, file = wound
     rig = read_rig(file)
     for away, code in ((NEAR, 0), (NEAR + 1, 2)):
-        Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, FAR - away - 4096) for id in (1, 2))).write(file)
+        Rig(
+            rig.port, rig.baud, tuple(RigServo(id, MODEL, FAR - away - 4096) for id in (1, 2))
+        ).write(file)
         assert home(file) == code
         with opened(rig.port, rig.baud) as port:
             assert marked(port, 1, FAR - away) == (code == 0)
     said = capsys.readouterr().err
-    assert f"{NEAR + 1:+d} ticks from the stored home" in said and "--new" in said and "slipped" in said
+    assert (
+        f"{NEAR + 1:+d} ticks from the stored home" in said
+        and "--new" in said
+        and "slipped" in said
+    )
     assert home(file, "--new") == 0
     assert [servo.home for servo in read_rig(file).servos] == [FAR, FAR]
 
@@ -144,12 +160,16 @@ def test_setting_up_takes_the_proof_away(wound):
     bus, file = wound
     assert home(file) == 0
     assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
-    with pytest.raises(ServoError, match="servo 1: not homed .* setting up .* need homing again too"):
+    with pytest.raises(
+        ServoError, match="servo 1: not homed .* setting up .* need homing again too"
+    ):
         drive(file)
 
 
 def test_a_finger_that_moves_is_not_at_home():
-    falling = _core.EmulatedBus([(1, NUMBER, BAUD, 200_000.0)], [[(0.0, 300.0), (400_000.0, 300.0)]], seed=1)
+    falling = _core.EmulatedBus(
+        [(1, NUMBER, BAUD, 200_000.0)], [[(0.0, 300.0), (400_000.0, 300.0)]], seed=1
+    )
     set_up(falling.path, (1,))
     rig = Rig(falling.path, BAUD, (RigServo(1, MODEL),))
     with pytest.raises(ServoError, match="the finger moves: servo 1 turned by"):
@@ -172,7 +192,10 @@ def test_torque_goes_off_before_anybody_is_asked(wound, capsys, monkeypatch):
     "change, said",
     [
         (lambda bus, rig: bus.damage(0, mute=True), "servo 1: no answer at"),
-        (lambda bus, rig: bus.rename(0, 9), "servo 1: no answer, but id 9 answers, which the rig does not list"),
+        (
+            lambda bus, rig: bus.rename(0, 9),
+            "servo 1: no answer, but id 9 answers, which the rig does not list",
+        ),
         (lambda bus, rig: bus.fail(0, 0x04), "it reports overheating"),
         (lambda bus, rig: bus.faults(unpowered=True), "check power and wiring"),
     ],
@@ -190,7 +213,8 @@ def test_another_model_than_the_rig_says(wound, capsys):
     Rig(bus.path, BAUD, (RigServo(1, "XM430-W210"),)).write(file)
     assert home(file) == 2
     assert (
-        "servo 1: it is XL330-M288 (1200), the rig lists XM430-W210 (1030); correct the rig" in capsys.readouterr().err
+        "servo 1: it is XL330-M288 (1200), the rig lists XM430-W210 (1030); correct the rig"
+        in capsys.readouterr().err
     )
 
 
@@ -205,13 +229,21 @@ def test_all_servos_away_from_home_are_listed_with_jogs_that_lead_back(tmp_path,
     """After a fault the horns stand anywhere: one message, and its commands suffice."""
     file = str(tmp_path / "rig.toml")
     with bench(load=[]) as (bus, rig, _):
-        Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, HOME - away) for id, away in ((1, 559), (2, -210)))).write(
-            file
-        )
+        Rig(
+            rig.port,
+            rig.baud,
+            tuple(RigServo(id, MODEL, HOME - away) for id, away in ((1, 559), (2, -210))),
+        ).write(file)
         assert home(file) == 2
         said = capsys.readouterr().err
-        assert "servo 1 stands at 2000, +559 ticks" in said and "servo 2 stands at 2000, -210 ticks" in said
-        assert "--new is for another finger" in said and "calibrations made before no longer fit" in said
+        assert (
+            "servo 1 stands at 2000, +559 ticks" in said
+            and "servo 2 stands at 2000, -210 ticks" in said
+        )
+        assert (
+            "--new is for another finger" in said
+            and "calibrations made before no longer fit" in said
+        )
         jogs = re.findall(r"`softmap (servo move [^`]+)`(?:, (\d+) times)?", said)
         assert [times for _, times in jogs] == ["2", ""] and file in jogs[0][0]
         for command, times in jogs:

@@ -1,4 +1,6 @@
-"""What setting up makes sure of is looked at by each start, homing and the doctor, and the command named mends it."""
+"""What setting up makes sure of is looked at by each start, homing and the doctor, and the command
+named mends it.
+"""
 
 import re
 import shlex
@@ -49,7 +51,9 @@ def test_what_another_program_left_is_refused_and_the_command_named_mends_it(reg
         with pytest.raises(ServoError) as fault:
             started(rig.port, rig.baud, members(rig))
         line = str(fault.value)
-        assert line.startswith(f"servo 1: {said}; run `softmap servo setup --port {bus.path} --baud {BAUD} --id 1`")
+        assert line.startswith(
+            f"servo 1: {said}; run `softmap servo setup --port {bus.path} --baud {BAUD} --id 1`"
+        )
         assert main(remedy(line)) == 0
         assert started(rig.port, rig.baud, members(rig)) == []
         assert refusal(examined(rig.port, rig.baud, members(rig))) == ""
@@ -61,7 +65,9 @@ def test_all_that_differs_is_listed_with_one_command():
         leave(bus.path, BAUD, 2, homing_offset=5)
         with pytest.raises(ServoError) as fault:
             started(rig.port, rig.baud, members(rig))
-        one, two = (f"run `softmap servo setup --port {bus.path} --baud {BAUD} --id {id}`" for id in (1, 2))
+        one, two = (
+            f"run `softmap servo setup --port {bus.path} --baud {BAUD} --id {id}`" for id in (1, 2)
+        )
         assert str(fault.value) == (
             f"servo 1: drive mode is 1, needed is 0, secondary id is 9, needed is 255; {one}; "
             f"servo 2: homing offset is 5, needed is 0; {two}"
@@ -74,7 +80,10 @@ def test_a_reversed_drive_mode_is_seen_by_all_that_drive(tmp_path, capsys):
         rig.write(file)
         leave(bus.path, BAUD, drive_mode=9)
         said = "servo 1: drive mode is 9, needed is 0; run `softmap servo setup"
-        for start in (lambda: Controller(rig, calibration(), limits).__enter__(), lambda: Jog(rig).__enter__()):
+        for start in (
+            lambda: Controller(rig, calibration(), limits).__enter__(),
+            lambda: Jog(rig).__enter__(),
+        ):
             with pytest.raises(ServoError, match=re.escape(said)):
                 start()
         for argv in (
@@ -84,7 +93,9 @@ def test_a_reversed_drive_mode_is_seen_by_all_that_drive(tmp_path, capsys):
             assert main(argv) == 2
             assert said in capsys.readouterr().err
         lines = [line for line in doctor.examine(rig=file).lines if line.name == "servo 1"]
-        assert [line.found for line in lines] == ["drive mode is 9, needed is 0"] and "servo setup" in lines[0].do
+        assert [line.found for line in lines] == [
+            "drive mode is 9, needed is 0"
+        ] and "servo setup" in lines[0].do
         assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 1
         assert "! drive mode is 9, needed is 0; run" in capsys.readouterr().out
         assert not torque(bus)
@@ -110,7 +121,8 @@ def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
         leave(bus.path, BAUD, **{register: PASSES[register]})
         name = register.replace("_", " ")
         assert started(rig.port, rig.baud, members(known)) == [
-            f"servo 1: {name} was {PASSES[register]}, left by another program: it is {before[register]} now"
+            f"servo 1: {name} was {PASSES[register]}, left by another program: it is "
+            f"{before[register]} now"
         ]
         with opened(bus.path, BAUD) as port:
             assert setup.registers(port, 1)[register] == before[register]
@@ -127,7 +139,13 @@ def test_a_start_says_what_it_wrote_anew():
 
 
 @pytest.mark.parametrize(
-    "values", [{"current_limit": 700}, {"velocity_limit": 500}, {"secondary_id": 253}, {"position_p_gain": 900}]
+    "values",
+    [
+        {"current_limit": 700},
+        {"velocity_limit": 500},
+        {"secondary_id": 253},
+        {"position_p_gain": 900},
+    ],
 )
 def test_what_binds_nothing_is_left_as_its_user_chose_it(values):
     """A current limit above the cap protects; gains that no rig knows are the user's own."""
@@ -146,7 +164,9 @@ def test_limits_are_held_against_what_is_in_force():
         assert "(300 mA) is below the cap (612 mA)" in refusal(examined(rig.port, rig.baud, found))
         tight = limits | {"servos": [one | {"current": 157.0} for one in limits["servos"]]}
         assert refusal(examined(rig.port, rig.baud, members_of(rig.numbers, tight, []))) == ""
-        capped = Rig(rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=250.0), rig.servos[1]))
+        capped = Rig(
+            rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=250.0), rig.servos[1])
+        )
         assert refusal(examined(rig.port, rig.baud, members(capped))) == ""
 
 
@@ -165,7 +185,17 @@ def test_each_model_as_delivered_lacks_only_what_setting_up_gives():
 def test_the_rig_keeps_the_gains_of_a_servo_that_was_set_up(tmp_path, capsys):
     file = tmp_path / "rig.toml"
     with bench() as (bus, _, _):
-        argv = ["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--rig", str(file), "--id"]
+        argv = [
+            "servo",
+            "setup",
+            "--port",
+            bus.path,
+            "--baud",
+            str(BAUD),
+            "--rig",
+            str(file),
+            "--id",
+        ]
         leave(bus.path, BAUD, position_p_gain=1)
         assert main([*argv, "1"]) == 0 and main([*argv, "2"]) == 0
         assert "position p gain is 1: it becomes 400" in capsys.readouterr().out
@@ -173,10 +203,14 @@ def test_the_rig_keeps_the_gains_of_a_servo_that_was_set_up(tmp_path, capsys):
         assert gains_of(rig.made, 1) == gains_of(rig.made, 2) == (400, 0, 0, 0, 0)
         assert len(GAINS) == 5
         leave(bus.path, BAUD, position_p_gain=20)
-        assert started(rig.port, rig.baud, members(rig))[0].startswith("servo 1: position p gain was 20")
+        assert started(rig.port, rig.baud, members(rig))[0].startswith(
+            "servo 1: position p gain was 20"
+        )
 
 
-@pytest.mark.parametrize("kept", [[1, 2], [1, 2, 3, 4, "5"], [1, 2, 3, 4, -5], "no list", [10**9] * 5, [True] * 5])
+@pytest.mark.parametrize(
+    "kept", [[1, 2], [1, 2, 3, 4, "5"], [1, 2, 3, 4, -5], "no list", [10**9] * 5, [True] * 5]
+)
 def test_gains_that_a_rig_cannot_hold_count_for_nothing(kept):
     assert gains_of({SET_UP: {"servo_1": kept}}, 1) == ()
     assert servo_model(MODEL)["pwm_limit"] == 885

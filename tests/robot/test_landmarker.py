@@ -1,4 +1,6 @@
-"""MediaPipe Hands on the published clip: hands, their frame, filter and gesture, and what cannot run here says so."""
+"""MediaPipe Hands on the published clip: hands, their frame, filter and gesture, and what cannot
+run here says so.
+"""
 
 import os
 import subprocess
@@ -32,7 +34,10 @@ def model(tmp_path_factory):
 def clip(model):
     """Hands and times of every picture, and what each took of wall and of processor, s."""
     hands, times, took = [], [], []
-    with Landmarker(model) as finds, FileFrames(published("hand") / "hand.mp4", live=False) as frames:
+    with (
+        Landmarker(model) as finds,
+        FileFrames(published("hand") / "hand.mp4", live=False) as frames,
+    ):
         for frame in frames:
             start = time.perf_counter(), time.process_time()
             seen = finds.see(frame.picture, frame.t)
@@ -46,14 +51,20 @@ def test_the_clip_shows_a_hand(clip):
     hands, times, took = clip
     assert len(hands) == 621 and np.allclose(np.diff(times), 1 / 30)
     assert sum(hand is not None for hand in hands) >= 600
-    assert all(hand.side == "right" for hand in hands if hand)  # a palm, its thumb at the picture's right
+    # a palm, its thumb at the picture's right
+    assert all(hand.side == "right" for hand in hands if hand)
     wall, processor = np.median(took, axis=0) * 1e3
-    print(f"{wall:.1f} ms a picture, {processor:.1f} ms of processor, {np.percentile(took[:, 0], 95) * 1e3:.1f} ms p95")
+    print(
+        f"{wall:.1f} ms a picture, {processor:.1f} ms of processor, "
+        f"{np.percentile(took[:, 0], 95) * 1e3:.1f} ms p95"
+    )
     assert processor < 1000 / 30  # one core keeps up with the camera, whatever else runs beside it
 
 
 def test_what_the_finger_does_comes_out(clip):
-    """Straight and curled are both in the clip; steps are as large as the limits of the servos must stand."""
+    """Straight and curled are both in the clip; steps are as large as the limits of the servos must
+    stand.
+    """
     seen = np.array([View().projection(hand) for hand in clip[0] if hand])
     assert np.isfinite(seen).all() and len(seen) >= 600
     assert seen[:, 0].max() > 0.9 and seen[:, 0].min() < 0.1 and np.abs(seen).max() < 1.5
@@ -93,7 +104,9 @@ def test_no_hand_is_no_hand_and_comes_back(model):
     with Landmarker(model) as finds:
         (image,) = finds.see(mirror, 0.0)
     assert image.side == "left" and View(mirrored=True).side(image) == "right"
-    np.testing.assert_allclose(View(mirrored=True).projection(image), View().projection(hand), atol=0.15)
+    np.testing.assert_allclose(
+        View(mirrored=True).projection(image), View().projection(hand), atol=0.15
+    )
 
 
 def test_bad_pictures_times_and_settings_are_refused(model):
@@ -128,7 +141,9 @@ def python(tmp_path, text):
 
 
 def test_a_library_that_aborts_is_an_error_of_this_process(tmp_path):
-    with pytest.raises(TeleopError, match=r"dies on this computer \(SIGABRT\); send landmarks from another"):
+    with pytest.raises(
+        TeleopError, match=r"dies on this computer \(SIGABRT\); send landmarks from another"
+    ):
         try_out(tmp_path / "model", python(tmp_path, "ulimit -c 0; kill -ABRT $$"))
     with pytest.raises(TeleopError, match=r"dies on this computer \(SIGILL\)"):
         try_out(tmp_path / "model", python(tmp_path, "ulimit -c 0; kill -ILL $$"))
@@ -141,7 +156,9 @@ def test_a_library_that_aborts_is_an_error_of_this_process(tmp_path):
 
 
 def test_a_processor_without_lse_is_asked_before_anything_is_started(monkeypatch, tmp_path):
-    monkeypatch.setattr(landmarker, "processor", lambda: Line("processor", WARNING, "no LSE", "udp"))
+    monkeypatch.setattr(
+        landmarker, "processor", lambda: Line("processor", WARNING, "no LSE", "udp")
+    )
     with pytest.raises(TeleopError, match="no LSE; udp"):
         try_out(tmp_path / "other", python(tmp_path, "exit 0"))
     monkeypatch.setattr(landmarker.importlib.metadata, "version", lambda _: "0.10.18")
@@ -151,7 +168,9 @@ def test_a_processor_without_lse_is_asked_before_anything_is_started(monkeypatch
         raise landmarker.importlib.metadata.PackageNotFoundError
 
     monkeypatch.setattr(landmarker.importlib.metadata, "version", absent)
-    with pytest.raises(TeleopError, match="mediapipe is not installed; run uv pip install --override"):
+    with pytest.raises(
+        TeleopError, match="mediapipe is not installed; run uv pip install --override"
+    ):
         try_out(tmp_path / "third")
 
 
@@ -174,8 +193,8 @@ def test_networks_that_are_none_are_an_error_too(model, tmp_path):
 
 def test_nothing_of_it_is_loaded_with_the_package():
     code = (
-        "import sys, pkgutil, importlib, softmap_edge.robot.teleop as t\n"
-        "for m in pkgutil.iter_modules(t.__path__): importlib.import_module('softmap_edge.robot.teleop.' + m.name)\n"
-        "assert not {'cv2', 'mediapipe', 'matplotlib'} & set(sys.modules), 'loaded'"
+        "import sys, pkgutil, importlib, softmap_edge.robot.teleop as t\nfor m in "
+        "pkgutil.iter_modules(t.__path__): importlib.import_module('softmap_edge.robot.teleop.' + "
+        "m.name)\nassert not {'cv2', 'mediapipe', 'matplotlib'} & set(sys.modules), 'loaded'"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])

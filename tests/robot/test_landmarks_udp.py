@@ -114,7 +114,10 @@ def test_replayed_and_reordered_datagrams_count_nothing(receiver):
 def test_a_recording_counts_nothing_after_a_restart_of_the_receiver():
     with Receiver("127.0.0.1", 0, KEY) as first, Sender("127.0.0.1", first.port, KEY) as sender:
         again = recorded(first, sender, 10)
-    with Receiver("127.0.0.1", 0, KEY) as second, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+    with (
+        Receiver("127.0.0.1", 0, KEY) as second,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief,
+    ):
         for _ in range(5):
             for datagram in again:
                 thief.sendto(datagram, ("127.0.0.1", second.port))
@@ -150,7 +153,10 @@ def test_either_side_may_be_started_anew():
 
 
 def test_while_a_sender_is_alive_no_other_takes_its_place(receiver):
-    with Sender("127.0.0.1", receiver.port, KEY) as first, Sender("127.0.0.1", receiver.port, KEY) as second:
+    with (
+        Sender("127.0.0.1", receiver.port, KEY) as first,
+        Sender("127.0.0.1", receiver.port, KEY) as second,
+    ):
         met(receiver, first)
         for _ in range(5):
             arrived(receiver, second, Message())
@@ -165,7 +171,10 @@ def test_while_a_sender_is_alive_no_other_takes_its_place(receiver):
 
 
 def test_another_key_and_changed_bytes_count_nothing(receiver):
-    with Sender("127.0.0.1", receiver.port, KEY) as sender, Sender("127.0.0.1", receiver.port, KEY[::-1]) as stranger:
+    with (
+        Sender("127.0.0.1", receiver.port, KEY) as sender,
+        Sender("127.0.0.1", receiver.port, KEY[::-1]) as stranger,
+    ):
         met(receiver, sender)
         before = receiver.newest().sequence
         assert arrived(receiver, stranger).sequence == before and not stranger.heard
@@ -175,7 +184,9 @@ def test_another_key_and_changed_bytes_count_nothing(receiver):
             changed[place] ^= 1 << (place % 8)
             sender._socket.send(bytes(changed))
             receiver.newest()
-        assert receiver.newest().sequence == before and receiver.refused["signature"] == DATAGRAM + 1
+        assert (
+            receiver.newest().sequence == before and receiver.refused["signature"] == DATAGRAM + 1
+        )
         sender._socket.send(good)
         assert receiver.newest().sequence == 10**9
 
@@ -199,7 +210,9 @@ def test_forged_offers_are_not_taken(receiver):
 
 
 def test_fuzzed_datagrams_never_crash_and_are_never_believed(receiver):
-    """Random bytes, and rightly signed ones of any content: numbers that are none, flags that do not exist."""
+    """Random bytes, and rightly signed ones of any content: numbers that are none, flags that do
+    not exist.
+    """
     rng = random.Random(0)
     with Sender("127.0.0.1", receiver.port, KEY) as sender:
         met(receiver, sender)
@@ -212,7 +225,9 @@ def test_fuzzed_datagrams_never_crash_and_are_never_believed(receiver):
         for _ in range(3000):
             body = bytearray(packed(PALM, sender._session, 0, 0.0, KEY)[:-32])
             for _ in range(rng.randint(1, 8)):
-                body[rng.randrange(len(body))] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)])
+                body[rng.randrange(len(body))] = rng.choice(
+                    [0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)]
+                )
             found = unpacked(bytes(body) + tag(KEY, bytes(body)), KEY)
             if isinstance(found, str):
                 assert found == "content"
@@ -252,7 +267,9 @@ def test_a_flood_holds_nobody_up(receiver):
 
 
 def test_clocks_that_part_slowly_make_nothing_old(receiver):
-    """A sender's clock that loses 50 parts in a million for an hour: 0.18 s, of which nothing is lateness."""
+    """A sender's clock that loses 50 parts in a million for an hour: 0.18 s, of which nothing is
+    lateness.
+    """
     late = [receiver._lateness(now, now * (1 - 50e-6) + 1e6) for now in np.arange(0.0, 3600.0, 0.5)]
     assert max(late) < 1e-3
     assert receiver._lateness(3600.3, 3600.0 * (1 - 50e-6) + 1e6) > 0.25
@@ -283,7 +300,10 @@ def test_keys(tmp_path):
     os.mkfifo(tmp_path / "pipe", 0o600)
     with pytest.raises(LinkError, match="at least 16 are needed"):
         read_key(tmp_path / "pipe")  # does not wait for who writes it
-    for make in (lambda: Sender("127.0.0.1", 9, b"short"), lambda: Receiver("127.0.0.1", 0, b"short")):
+    for make in (
+        lambda: Sender("127.0.0.1", 9, b"short"),
+        lambda: Receiver("127.0.0.1", 0, b"short"),
+    ):
         with pytest.raises(LinkError, match="key: 5 bytes"):
             make()
 

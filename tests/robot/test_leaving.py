@@ -1,4 +1,6 @@
-"""What whoever leaves a robot is told: a fault of the way home once, and none that was told before."""
+"""What whoever leaves a robot is told: a fault of the way home once, and none that was told
+before.
+"""
 
 import pytest
 from rigs import bench, calibration, torque
@@ -11,7 +13,9 @@ from softmap_edge.robot.control.controller import Controller
 def test_a_finger_that_does_not_come_home_at_the_end_is_told():
     with bench() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        told = pytest.raises(ServoError, match=r"in state fault \(servo 1 does not follow.*home the robot again")
+        told = pytest.raises(
+            ServoError, match=r"in state fault \(servo 1 does not follow.*home the robot again"
+        )
         with told, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [2.5, 0.0], 1.5)
@@ -37,7 +41,9 @@ def test_a_fault_that_its_program_has_seen_is_not_told_again():
             hold_for(robot, [1.0, 0.0], 0.5)
             bus.heat(0, 69.0)
             until(lambda: robot.report["state"] == "fault", 5.0)
-        with pytest.raises(ServoError, match=r"servo 1 is too hot: \d+ °C, allowed is below 65 °C\).*Controller$"):
+        with pytest.raises(
+            ServoError, match=r"servo 1 is too hot: \d+ °C, allowed is below 65 °C\).*Controller$"
+        ):
             bus.heat(0, 30.0)
             with Controller(rig, calibration(), limits) as robot:
                 robot.engage()

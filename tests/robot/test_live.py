@@ -1,4 +1,6 @@
-"""`softmap compare --live`: a growing recording followed, a model's error while another process drives and is seen."""
+"""`softmap compare --live`: a growing recording followed, a model's error while another process
+drives and is seen.
+"""
 
 import json
 import math
@@ -87,7 +89,10 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
         except RunError as fault:
             assert "record again" in str(fault) or "no recording" in str(fault)
     begun = content[:8]
-    for content, line in ((b"PK\x03\x04" * 9, "no recording of a control loop"), (begun + b"\xff" * 20, "damaged")):
+    for content, line in (
+        (b"PK\x03\x04" * 9, "no recording of a control loop"),
+        (begun + b"\xff" * 20, "damaged"),
+    ):
         cut.write_bytes(content)
         with pytest.raises(RunError, match=line):
             Following(cut).new()
@@ -97,7 +102,9 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
 
 def periods(t, u):
     """Periods of a loop whose servos stand at commands u (T, 2) at t (T,) s."""
-    return [{"now": int(s * 1e9), "position": row.tolist()} for s, row in zip(t, calibration().ticks(u))]
+    return [
+        {"now": int(s * 1e9), "position": row.tolist()} for s, row in zip(t, calibration().ticks(u))
+    ]
 
 
 def test_the_error_is_that_of_the_frames_and_memory_is_right():
@@ -113,7 +120,9 @@ def test_the_error_is_that_of_the_frames_and_memory_is_right():
         play.append(half)
     acting = np.stack([np.interp(stamps, t, column) for column in np.array(play).T], axis=1)
     points = np.asarray(model.prior.evaluate(acting)).reshape(len(stamps), -1, 3)
-    frames = [Frame(s - 480.0, s, p + np.array([0.3 * (s > 515.0), 0, 0])) for s, p in zip(stamps, points)]
+    frames = [
+        Frame(s - 480.0, s, p + np.array([0.3 * (s > 515.0), 0, 0])) for s, p in zip(stamps, points)
+    ]
     for k in range(0, len(t), 50):
         for one in (live, plain):
             one.drove(periods(t[k : k + 50], u[k : k + 50]))
@@ -122,8 +131,13 @@ def test_the_error_is_that_of_the_frames_and_memory_is_right():
         if 505.0 < t[k] < 514.0:
             assert live.compared().whole_mm < 0.02  # ticks are whole
     told, missed = live.compared(), plain.compared()
-    assert told.frames == missed.frames == pytest.approx(len(frames), abs=2) and now.frames == told.frames
-    assert told.now_mm == pytest.approx(0.3, abs=0.01) and told.recent_mm == pytest.approx(0.3, abs=0.02)
+    assert (
+        told.frames == missed.frames == pytest.approx(len(frames), abs=2)
+        and now.frames == told.frames
+    )
+    assert told.now_mm == pytest.approx(0.3, abs=0.01) and told.recent_mm == pytest.approx(
+        0.3, abs=0.02
+    )
     assert told.whole_mm == pytest.approx(0.3 * math.sqrt(5 / 20), abs=0.02)
     assert missed.whole_mm > 0.8 > 4 * told.whole_mm
     assert json.loads(json.dumps(told.to_dict()))["schema"] == "softmap.live/1"
@@ -150,7 +164,9 @@ def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
     model = with_map()
     names = [name for name in names if not model.missing_for(name)]
     chain = model.with_effects(names, {}).chain
-    start = dict(zip(chain.labels, chain.start)) | {k: v for k, v in NUMBERS.items() if k in chain.labels}
+    start = dict(zip(chain.labels, chain.start)) | {
+        k: v for k, v in NUMBERS.items() if k in chain.labels
+    }
     model = model.with_effects(names, start)
     t = np.arange(0.0, KEPT + 20.0, 0.02)
     u = np.stack([3 * np.sin(0.7 * t) * (t < 30) + (t >= 30), np.cos(0.4 * t)], axis=1)
@@ -158,14 +174,22 @@ def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
     stamps = np.arange(0.5, t[-1] - 0.5, 0.25)
     noise = np.random.default_rng(0).normal(0, 0.3, (len(stamps), *model.rest.shape))
     points, whole = model.rest + noise, []
-    run = Run(t=t, ticks=ticks, present_ticks=ticks, t_seen=stamps, vertices=points, robot=model.robot)
+    run = Run(
+        t=t, ticks=ticks, present_ticks=ticks, t_seen=stamps, vertices=points, robot=model.robot
+    )
     predicted, seen, visible = aligned(model, run)
     whole = np.sqrt(np.sum((predicted - seen) ** 2) / visible.sum())
     live = Live(model)
     told = periods(t, u)
     for begin, end in zip(range(0, len(t), 47), range(47, len(t) + 47, 47)):
         live.drove(told[begin:end])
-        live.saw([Frame(s + 1000.0, s, p) for s, p in zip(stamps, points) if s <= t[min(end, len(t)) - 1]])
+        live.saw(
+            [
+                Frame(s + 1000.0, s, p)
+                for s, p in zip(stamps, points)
+                if s <= t[min(end, len(t)) - 1]
+            ]
+        )
         live.compared()
     now = live.compared()
     assert now.frames == len(stamps) and now.left_out == 0
@@ -207,7 +231,9 @@ def test_what_was_not_seen_counts_nothing_and_other_robots_are_told():
 
 
 def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path):
-    """One process is the robot, one drives and records it, one compares; Ctrl-C ends it with a summary."""
+    """One process is the robot, one drives and records it, one compares; Ctrl-C ends it with a
+    summary.
+    """
     robot = tmp_path / "robot"
     robot.mkdir()
     file = tmp_path / "loop.mcap"
@@ -215,14 +241,24 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
         until(lambda: receiver.taken > 0)
         receiver.close()
         rig, made = read_rig(robot / "rig.toml"), load_bundle(robot / "bundle").calibration
-        limits = loop_limits([servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0)
+        limits = loop_limits(
+            [servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0
+        )
         driver = threading.Thread(target=drive, args=(rig, limits, made, file, 8.0))
-        on = ["--bundle", str(robot / "bundle"), "--camera", f"udp://:{receiver.port}", "--late", "0.02"]
+        on = [
+            "--bundle",
+            str(robot / "bundle"),
+            "--camera",
+            f"udp://:{receiver.port}",
+            "--late",
+            "0.02",
+        ]
         with interruptible("compare", str(file), "--live", *on, "--json") as live:
             assert live.stdout.readline() == "up\n"
             driver.start()
             told = ""
-            while '"whole_mm": null' in (line := live.stdout.readline()):  # nothing was seen of it yet
+            # nothing was seen of it yet
+            while '"whole_mm": null' in (line := live.stdout.readline()):
                 told += line
             told += line + live.stdout.readline()
             assert driver.is_alive()
@@ -234,7 +270,8 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
     assert {line["schema"] for line in lines} == {"softmap.live/1"} and len(lines) >= 3
     last = lines[-1]
     assert last["whole"] and last["effects"] == [] and last["came"] >= last["frames"] > 30
-    assert last["whole_mm"] > 0.3 and last["worst_mm"] >= last["whole_mm"]  # its play, beside 0.17 mm of noise
+    # its play, beside 0.17 mm of noise
+    assert last["whole_mm"] > 0.3 and last["worst_mm"] >= last["whole_mm"]
 
 
 def test_what_cannot_be_followed_is_told(tmp_path, capsys):

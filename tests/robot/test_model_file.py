@@ -10,7 +10,14 @@ from hand_model import hand_model
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.robot.teleop import model_file
-from softmap_edge.robot.teleop.model_file import DETECTOR, IN_WHEEL, LANDMARKS, check_model, default_path, fetch_model
+from softmap_edge.robot.teleop.model_file import (
+    DETECTOR,
+    IN_WHEEL,
+    LANDMARKS,
+    check_model,
+    default_path,
+    fetch_model,
+)
 
 NETWORKS = {DETECTOR: b"\x1c\0\0\0TFL3" + b"d" * 500, LANDMARKS: b"\x1c\0\0\0TFL3" + b"l" * 900}
 
@@ -43,8 +50,12 @@ def test_a_wheel_becomes_a_task_file_and_a_task_file_is_copied(tmp_path):
     assert (tmp_path / "deep/hand.task.sha256").read_text() == f"{task.sha256}  hand.task\n"
     copy = fetch_model(task.path, tmp_path / "copy.task")
     assert copy.path.read_bytes() == content and copy.sha256 == task.sha256
-    assert fetch_model(wheel(tmp_path / "b.whl"), tmp_path / "again.task").sha256 == task.sha256  # the same bytes
-    assert {path.name for path in (tmp_path / "deep").iterdir()} == {"hand.task", "hand.task.sha256"}
+    # the same bytes
+    assert fetch_model(wheel(tmp_path / "b.whl"), tmp_path / "again.task").sha256 == task.sha256
+    assert {path.name for path in (tmp_path / "deep").iterdir()} == {
+        "hand.task",
+        "hand.task.sha256",
+    }
 
 
 def test_what_is_there_is_kept_unless_forced(tmp_path):
@@ -77,7 +88,9 @@ def test_bombs_and_other_contents_are_refused(tmp_path, monkeypatch):
         "are compressed": archive(tmp_path / "packed.task", good, zipfile.ZIP_DEFLATED),
         "holds no model of hands": archive(tmp_path / "other.zip", [*good, ("run.sh", b"")]),
         "no network in TFLite": wheel(tmp_path / "text.whl", **{DETECTOR: b"hello"}),
-        "of different names": archive(tmp_path / "many.zip", [(f"{k}", b"") for k in range(20_001)]),
+        "of different names": archive(
+            tmp_path / "many.zip", [(f"{k}", b"") for k in range(20_001)]
+        ),
         "no such file": tmp_path / "absent.whl",
         "is no zip archive": tmp_path / "text.task",
     }
@@ -91,7 +104,8 @@ def test_bombs_and_other_contents_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(model_file, "LARGEST_SOURCE", 1000)
     with pytest.raises(TeleopError, match="at most 0 MB are read"):
         fetch_model(
-            wheel(tmp_path / "a.whl", **{DETECTOR: b"\x1c\0\0\0TFL3" + os.urandom(2000)}), tmp_path / "out.task"
+            wheel(tmp_path / "a.whl", **{DETECTOR: b"\x1c\0\0\0TFL3" + os.urandom(2000)}),
+            tmp_path / "out.task",
         )
     assert not [path for path in tmp_path.iterdir() if "out.task" in path.name]
 
@@ -100,7 +114,10 @@ def test_bombs_and_other_contents_are_refused(tmp_path, monkeypatch):
 def test_damaged_archives_are_one_line(tmp_path, seed):
     """Bytes changed, cut and added at random: a model that is whole, or one clear error."""
     rng = random.Random(seed)
-    whole = [wheel(tmp_path / "a.whl").read_bytes(), archive(tmp_path / "a.task", NETWORKS.items()).read_bytes()]
+    whole = [
+        wheel(tmp_path / "a.whl").read_bytes(),
+        archive(tmp_path / "a.task", NETWORKS.items()).read_bytes(),
+    ]
     for _ in range(150):
         content = bytearray(rng.choice(whole))
         for _ in range(rng.randint(1, 6)):

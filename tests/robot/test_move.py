@@ -1,4 +1,6 @@
-"""Servos jogged by held keys of a terminal, by options, and sent to a command: always through the guard."""
+"""Servos jogged by held keys of a terminal, by options, and sent to a command: always through the
+guard.
+"""
 
 import contextlib
 import json
@@ -46,7 +48,9 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             jog.by(1, -900, Held())
             until(lambda: angles(bus)[1] <= HOME - jog.travel + 6)
             time.sleep(0.3)
-            assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
+            assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), (
+                "no farther than its travel"
+            )
             assert jog.push(1, -1) == "travel" and jog.push(1, 1) == "", "and it is told"
         assert not torque(bus)
 
@@ -70,13 +74,23 @@ def test_a_ceiling_about_a_proved_home_is_kept():
             assert angles(bus)[0] > HOME + 60, "without one it goes on"
 
 
-CEILING = {"low": -50.0, "high": 50.0, "jog_travel": 90.0, "jog_slew": 60.0, "jog_current": 20.0, "hot": 50.0}
+CEILING = {
+    "low": -50.0,
+    "high": 50.0,
+    "jog_travel": 90.0,
+    "jog_slew": 60.0,
+    "jog_current": 20.0,
+    "hot": 50.0,
+}
 
 
 def test_whatever_the_bench_allows_binds_a_jog():
     with bench() as (bus, rig, _):
         tight = replace(rig, ceiling=Ceiling(tuple(CEILING.items())))
-        slow = tuple(replace(one, slew=50.0, acceleration=800.0, current_mA=30.0, low=-20) for one in rig.servos)
+        slow = tuple(
+            replace(one, slew=50.0, acceleration=800.0, current_mA=30.0, low=-20)
+            for one in rig.servos
+        )
         with Jog(tight) as jog:
             begun = time.monotonic()
             assert jog.by(0, 300, Held()) == pytest.approx(50, abs=4), "the window of [ceiling]"
@@ -86,10 +100,21 @@ def test_whatever_the_bench_allows_binds_a_jog():
             assert setup.registers(port, 1)["goal_current"] <= 20, "mA"
         with Jog(replace(tight, servos=slow), travel=200, slew=300, current=100) as jog:
             limits = jog.robot.limits
-            assert (limits["jog_travel"], limits["jog_slew"], limits["jog_current"]) == (90.0, 50.0, 20.0)
+            assert (limits["jog_travel"], limits["jog_slew"], limits["jog_current"]) == (
+                90.0,
+                50.0,
+                20.0,
+            )
             one = limits["servos"][1]
-            assert (one["low"], one["high"]) == (HOME - 20, HOME + 50), "of two ceilings the stricter"
-            assert (one["slew"], one["acceleration"], one["current"], one["hot"]) == (50.0, 800.0, 30.0, 50.0)
+            assert (one["low"], one["high"]) == (HOME - 20, HOME + 50), (
+                "of two ceilings the stricter"
+            )
+            assert (one["slew"], one["acceleration"], one["current"], one["hot"]) == (
+                50.0,
+                800.0,
+                30.0,
+                50.0,
+            )
         with Jog(replace(rig, servos=slow)) as jog:
             assert jog.by(0, 20, Held()) == pytest.approx(20, abs=4)
         with opened(bus.path, rig.baud) as port:
@@ -173,15 +198,26 @@ def test_one_jog_by_options(tmp_path, capsys):
     with bench() as (bus, rig, _):
         file = str(tmp_path / "rig.toml")
         rig.write(file)
-        assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "-120", "--hold", "--json"]) == 0
+        assert (
+            main(
+                ["servo", "move", "--rig", file, "--servo", "2", "--by", "-120", "--hold", "--json"]
+            )
+            == 0
+        )
         one, two = json.loads(capsys.readouterr().out)["servos"]
-        assert two["to"] - two["from"] == pytest.approx(-120, abs=6) and abs(one["to"] - one["from"]) < 6
+        assert (
+            two["to"] - two["from"] == pytest.approx(-120, abs=6)
+            and abs(one["to"] - one["from"]) < 6
+        )
         assert not torque(bus)
         for more, said in (
             (["--servo", "9", "--by", "10", "--hold"], "the rig has no servo 9; it has 1, 2"),
             (["--servo", "1"], "--servo ID with --by TICKS"),
             (["--servo", "1", "--by", "900"], "allowed are 1 to 300 ticks"),
-            (["--servo", "1", "--by", "50"], "no terminal whose keys could be held; start it in one, or give --hold"),
+            (
+                ["--servo", "1", "--by", "50"],
+                "no terminal whose keys could be held; start it in one, or give --hold",
+            ),
             (["1,2,3", "--hold"], "the bundle holds no calibration"),
         ):
             assert main(["servo", "move", "--rig", file, *more]) == 2
@@ -238,7 +274,10 @@ def types(ours, key, seconds):
 def jogging(terminal, *on):
     """Give the process of `softmap servo move` at a terminal, once it reads keys."""
     with subprocess.Popen(
-        [SOFTMAP, "move", *on, "--json"], stdin=terminal[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [SOFTMAP, "move", *on, "--json"],
+        stdin=terminal[1],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     ) as process:
         told = b""
         while b"connected" not in told:  # the keys are read from here on
@@ -315,8 +354,12 @@ def test_keys_of_a_terminal(terminal, monkeypatch):
             assert after(0.033, b"+") == ("+", True) and keys.presses == 1
         assert after(0.25) == ("", False), "who does not repeat has let go"
         assert after(0.1, b"+") == ("+", False) and keys.presses == 2
-        assert after(0.1, b"-") == ("-", False) and keys.presses == 3, "another key has not repeated"
-        assert after(0.1, b"- ") == ("", False) and keys.stopped, "space stops, whatever else is held"
+        assert after(0.1, b"-") == ("-", False) and keys.presses == 3, (
+            "another key has not repeated"
+        )
+        assert after(0.1, b"- ") == ("", False) and keys.stopped, (
+            "space stops, whatever else is held"
+        )
     assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b[15~\x1b") == ["a", "up", "down", "q", "escape"]
     file = os.open("/dev/null", os.O_RDONLY)
     with pytest.raises(ServoError, match="no terminal whose keys"):
@@ -326,7 +369,9 @@ def test_keys_of_a_terminal(terminal, monkeypatch):
 
 @pytest.mark.parametrize("command", [" -15,0", "15,15"])
 def test_the_documented_bench_goes_through_its_window_at_full_speed(tmp_path, command):
-    """Its servos are 0.24 s late, as the trunk's were; a limit of `following` below that faults on a healthy finger."""
+    """Its servos are 0.24 s late, as the trunk's were; a limit of `following` below that faults on
+    a healthy finger.
+    """
     with emulated(tmp_path):
         on = ["--rig", str(tmp_path / "rig.toml"), "--bundle", str(tmp_path / "bundle")]
         moved = subprocess.run(
@@ -339,7 +384,9 @@ def test_the_documented_bench_goes_through_its_window_at_full_speed(tmp_path, co
 
 @pytest.fixture
 def weak(tmp_path):
-    """Give a rig whose cap carries the load of some 150 ticks only (0.4 mA a tick), and a bundle; nothing faults."""
+    """Give a rig whose cap carries the load of some 150 ticks only (0.4 mA a tick), and a bundle;
+    nothing faults.
+    """
     save_bundle(replace(builtin_model(), calibration=calibration()), tmp_path / "finger")
     with bench() as (bus, rig, _):
         servos = tuple(replace(one, current_mA=60.0) for one in rig.servos)
@@ -354,7 +401,10 @@ def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, serv
     assert main([*argv, "--json", "--", command]) == 1
     told = capsys.readouterr()
     document = json.loads(told.out)
-    assert [one in document["short"] for one in ("servo 1 stands", "servo 2 stands")] == ["1" in servos, "2" in servos]
+    assert [one in document["short"] for one in ("servo 1 stands", "servo 2 stands")] == [
+        "1" in servos,
+        "2" in servos,
+    ]
     assert "allowed are 25, under at most 60 mA" in told.err and "softmap servo pull" in told.err
     assert main([*argv, "--", command]) == 1
     assert "came only to" in capsys.readouterr().out
@@ -362,7 +412,23 @@ def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, serv
 
 def test_a_command_that_is_reached_under_the_same_cap_is_one(weak, capsys):
     _, rig, bundle = weak
-    assert main(["servo", "move", "0.3,-0.3", "--rig", rig, "--bundle", bundle, "--hold", "--seconds", "0.2"]) == 0
+    assert (
+        main(
+            [
+                "servo",
+                "move",
+                "0.3,-0.3",
+                "--rig",
+                rig,
+                "--bundle",
+                bundle,
+                "--hold",
+                "--seconds",
+                "0.2",
+            ]
+        )
+        == 0
+    )
     assert "came to" in capsys.readouterr().out
 
 
@@ -380,7 +446,20 @@ def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
         rig.write(tmp_path / "rig.toml")
         bus.damage(0, jammed=True)
         assert (
-            main(["servo", "move", "--rig", str(tmp_path / "rig.toml"), "--servo", "1", "--by", "200", "--hold"]) != 0
+            main(
+                [
+                    "servo",
+                    "move",
+                    "--rig",
+                    str(tmp_path / "rig.toml"),
+                    "--servo",
+                    "1",
+                    "--by",
+                    "200",
+                    "--hold",
+                ]
+            )
+            != 0
         )
         assert "servo 1" in capsys.readouterr().err and angles(bus)[0] == pytest.approx(HOME, abs=1)
 
@@ -392,16 +471,31 @@ def test_a_servo_that_does_not_turn_loses_its_proof_of_home(servo, tmp_path, cap
     with bench() as (bus, rig, _):
         rig.write(file)
         bus.damage(servo, stuck=True)
-        assert main(["servo", "move", "--rig", file, "--servo", str(servo + 1), "--by", "100", "--hold"]) == 1
+        assert (
+            main(
+                ["servo", "move", "--rig", file, "--servo", str(servo + 1), "--by", "100", "--hold"]
+            )
+            == 1
+        )
         said = capsys.readouterr().err
-        assert f"servo {servo + 1} did not turn at all" in said and f"`softmap servo home --rig {file}`" in said
-        homes = {line.name: line.state for line in doctor.examine(rig=file).lines if line.name.startswith("home of")}
+        assert (
+            f"servo {servo + 1} did not turn at all" in said
+            and f"`softmap servo home --rig {file}`" in said
+        )
+        homes = {
+            line.name: line.state
+            for line in doctor.examine(rig=file).lines
+            if line.name.startswith("home of")
+        }
         assert homes == {f"home of servo {k + 1}": "fault" if k == servo else "ok" for k in (0, 1)}
 
 
 def test_a_fault_of_a_jog_takes_the_proof_of_home_away():
     with bench(load=[]) as (bus, rig, _):
-        with pytest.raises(ServoError, match="guard ended the jog.*run the same command again"), Jog(rig) as jog:
+        with (
+            pytest.raises(ServoError, match="guard ended the jog.*run the same command again"),
+            Jog(rig) as jog,
+        ):
             jog.press(0, HOME + 100.0)
             bus.reset(0)
             for _ in range(300):
@@ -414,24 +508,64 @@ def test_a_fault_of_a_jog_takes_the_proof_of_home_away():
 def test_a_jog_that_its_window_ends_is_off_its_goal(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with bench() as (_, rig, _):
-        replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos)).write(file)
+        replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos)).write(
+            file
+        )
         assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "200", "--hold"]) == 1
-        assert "was asked to go to 2200 ticks, outside its window of 1900 to 2050" in capsys.readouterr().err
+        assert (
+            "was asked to go to 2200 ticks, outside its window of 1900 to 2050"
+            in capsys.readouterr().err
+        )
         assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "-90", "--hold"]) == 0
 
 
 def test_a_fault_at_the_command_line_says_what_to_type(tmp_path, capsys):
-    """No method of Python is named to somebody who typed a command, and the fault is reported once."""
+    """No method of Python is named to somebody who typed a command, and the fault is reported
+    once.
+    """
     file, finger = str(tmp_path / "rig.toml"), str(tmp_path / "finger")
     save_bundle(replace(builtin_model(), calibration=calibration()), finger)
     with bench() as (bus, rig, _):
         rig.write(file)
         threading.Timer(2.0, lambda: bus.heat(0, 69.0)).start()
-        assert main(["servo", "move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "9"]) == 2
+        assert (
+            main(
+                [
+                    "servo",
+                    "move",
+                    "1,1",
+                    "--rig",
+                    file,
+                    "--bundle",
+                    finger,
+                    "--hold",
+                    "--seconds",
+                    "9",
+                ]
+            )
+            == 2
+        )
         said = capsys.readouterr().err
         assert re.search(
-            r"servo 1 is too hot: 6\d °C, allowed is below 65 °C\); let it cool .*run the same command", said
+            r"servo 1 is too hot: 6\d °C, allowed is below 65 °C\); let it cool .*run the same command",
+            said,
         )
         assert said.count("too hot") == 1 and not re.search("acknowledge|engage|Controller", said)
         bus.heat(0, 30.0)
-        assert main(["servo", "move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0"]) == 0
+        assert (
+            main(
+                [
+                    "servo",
+                    "move",
+                    "1,1",
+                    "--rig",
+                    file,
+                    "--bundle",
+                    finger,
+                    "--hold",
+                    "--seconds",
+                    "0",
+                ]
+            )
+            == 0
+        )

@@ -1,4 +1,6 @@
-"""Whatever happens to the loop or to a servo, somebody notices and says the truth, even if the program only sleeps."""
+"""Whatever happens to the loop or to a servo, somebody notices and says the truth, even if the
+program only sleeps.
+"""
 
 import os
 import signal
@@ -33,8 +35,14 @@ SUPPORT = Path(__file__).parents[1] / "support"
 
 
 def program(bus, text, hold):
-    """Return the command line of a user's program that has engaged the robot at `bus` and then does `text`."""
-    return [sys.executable, "-c", PROGRAM.format(tests=str(SUPPORT), path=bus.path, hold=hold) + text]
+    """Return the command line of a user's program that has engaged the robot at `bus` and then does
+    `text`.
+    """
+    return [
+        sys.executable,
+        "-c",
+        PROGRAM.format(tests=str(SUPPORT), path=bus.path, hold=hold) + text,
+    ]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
@@ -44,9 +52,14 @@ def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freeze
         hold_for(robot, [1.0, -1.0], 0.4)
         os.kill(robot._process.pid, how)
         until(lambda: not torque(bus))
-        assert robot.state == "fault" and robot.report["cause"] == "loop" and not robot.report["torque"]
+        assert (
+            robot.state == "fault"
+            and robot.report["cause"] == "loop"
+            and not robot.report["torque"]
+        )
         with pytest.raises(
-            ServoError, match=r"in state fault \(the control loop died or froze\); start another Controller"
+            ServoError,
+            match=r"in state fault \(the control loop died or froze\); start another Controller",
         ):
             robot.target([0.0, 0.0])
 
@@ -72,20 +85,26 @@ def test_a_program_that_was_frozen_itself_does_not_end_a_loop_that_is_well():
 
 def test_a_rescue_says_which_servo_kept_its_torque():
     with bench(late=0.5, silent=1.0, stale=0.5) as (bus, rig, limits):
-        said = pytest.raises(ServoError, match="servo 1 did not confirm that its torque is off; cut its supply")
+        said = pytest.raises(
+            ServoError, match="servo 1 did not confirm that its torque is off; cut its supply"
+        )
         with said, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [1.0, -1.0], 0.4)
             bus.damage(0, mute=True)
             robot._process.kill()
             until(lambda: "rescued" in robot.report)
-            assert "but servo 1 did not confirm" in robot.report["rescued"] and robot.report["torque"]
+            assert (
+                "but servo 1 did not confirm" in robot.report["rescued"] and robot.report["torque"]
+            )
         assert [one[1] for one in bus.state()[1]] == [True, False]
 
 
 def test_a_servo_that_does_not_hear_at_the_end_is_named(tmp_path, capsys):
     with bench() as (bus, rig, limits):
-        said = pytest.raises(ServoError, match="in state fault .*; servo 2 did not confirm that its torque is off")
+        said = pytest.raises(
+            ServoError, match="in state fault .*; servo 2 did not confirm that its torque is off"
+        )
         with said, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [1.0, -1.0], 0.4)
@@ -141,7 +160,15 @@ def starts(rig, limits):
 def test_what_is_no_command_is_one_line_and_what_is_not_finite_will_not_be_done():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage([1.0, 0.0])
-        for bad in ("ab", None, [1 + 1j, 0], [[1.0, 2.0]], [1.0, 2.0, 3.0], [1.0, "x"], [[1.0], 2.0]):
+        for bad in (
+            "ab",
+            None,
+            [1 + 1j, 0],
+            [[1.0, 2.0]],
+            [1.0, 2.0, 3.0],
+            [1.0, "x"],
+            [[1.0], 2.0],
+        ):
             with pytest.raises(ServoError, match="expected shape .2,.: 2 real numbers"):
                 robot.target(bad)
         assert robot.target([2.0, 1.0]) == pytest.approx([2.0, 1.0])

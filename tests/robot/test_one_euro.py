@@ -49,7 +49,8 @@ def test_still_hands_are_stilled_and_moving_ones_do_not_lag():
     noise = 0.005 * rng.normal(size=(600, 1))
     out = filtered(t, noise)
     assert np.std(out[30:]) < 0.6 * np.std(noise[30:])
-    assert np.std(filtered(t, noise, OneEuro(1e9))[30:]) > 0.99 * np.std(noise[30:])  # a filter that lets all through
+    # a filter that lets all through
+    assert np.std(filtered(t, noise, OneEuro(1e9))[30:]) > 0.99 * np.std(noise[30:])
     ramp = 2.0 * t[:, None]  # two hand scales a second
     behind = (ramp - filtered(t, ramp))[60:] / 2.0  # s
     assert 0 < behind.max() < 1 / 30
@@ -76,7 +77,9 @@ def test_it_never_leaves_what_was_seen_nor_gives_nan():
         assert np.isfinite(out).all() and (out >= -1.0).all() and (out <= 1e100).all()
 
 
-@pytest.mark.parametrize("bad", [(math.nan, [0.0]), (1.0, [math.nan]), (1.0, [math.inf]), (1.0, [0.0, 0.0])])
+@pytest.mark.parametrize(
+    "bad", [(math.nan, [0.0]), (1.0, [math.nan]), (1.0, [math.inf]), (1.0, [0.0, 0.0])]
+)
 def test_bad_samples_are_refused(bad):
     one = OneEuro()
     state = one.step(None, 0.9, [0.0])
@@ -84,7 +87,9 @@ def test_bad_samples_are_refused(bad):
         one.step(state, *bad)
 
 
-@pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 0.0), (math.nan, 1.0, 1.0)])
+@pytest.mark.parametrize(
+    "bad", [(0.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 0.0), (math.nan, 1.0, 1.0)]
+)
 def test_bad_settings_are_refused(bad):
     with pytest.raises(TeleopError, match="min_cutoff > 0 Hz"):
         OneEuro(*bad)

@@ -1,4 +1,6 @@
-"""Ports that are busy or forbidden, as an ordinary user meets them: root may open what others may not."""
+"""Ports that are busy or forbidden, as an ordinary user meets them: root may open what others may
+not.
+"""
 
 import os
 

@@ -1,4 +1,6 @@
-"""The hand of a press drives until the key is released: no other hand in its place, however fast the own one moves."""
+"""The hand of a press drives until the key is released: no other hand in its place, however fast
+the own one moves.
+"""
 
 import time
 
@@ -25,7 +27,9 @@ def at(place, side="right", scale=1.0, degrees=0.0, **pose):
 
 
 def followed(hands, rate=RATE):
-    """Return of each picture (a hand, a list of them, or None) whether it showed the hand of the first."""
+    """Return of each picture (a hand, a list of them, or None) whether it showed the hand of the
+    first.
+    """
     own = OwnHand()
     own.begin(hands[0], 0.0)
     seen = []
@@ -59,7 +63,8 @@ def test_a_fast_flick_a_hasty_turn_and_a_push_to_the_camera_stay_the_same():
 def test_a_palm_that_leans_to_the_camera_stays_the_same():
     upright = hand()
     lean = []
-    for share in (1.0, 0.8, 0.5, 0.25, 0.15, 0.3, 0.6, 0.85, 1.0):  # of its length, as the camera sees it
+    # of its length, as the camera sees it
+    for share in (1.0, 0.8, 0.5, 0.25, 0.15, 0.3, 0.6, 0.85, 1.0):
         points = upright.points.copy()
         points[:, 1] = 400 + share * (points[:, 1] - 400)
         lean.append(Hand(points, "right"))
@@ -159,7 +164,9 @@ def test_another_hand_before_the_camera_holds_and_asks_for_a_new_press(side):
         s.lets_go()
         time.sleep(0.3)
         s.presses()  # whose hand it is now
-        s.finder.hands = [moved(shown(aside=0.35 + 0.35 / 16, forward=0.3), (-390, -200), 0.6, side)]
+        s.finder.hands = [
+            moved(shown(aside=0.35 + 0.35 / 16, forward=0.3), (-390, -200), 0.6, side)
+        ]
         s.stands([1.0, 0.0])
 
 
@@ -186,13 +193,18 @@ def link(tmp_path):
     path = tmp_path / "teleop.key"
     new_key(path)
     key = read_key(path)
-    with Receiver("127.0.0.1", 0, key) as receiver, Sender("127.0.0.1", receiver.port, key) as sender:
+    with (
+        Receiver("127.0.0.1", 0, key) as receiver,
+        Sender("127.0.0.1", receiver.port, key) as sender,
+    ):
         yield sender, lambda view: RemoteHandSource(receiver, view)
 
 
 @pytest.mark.parametrize("which", ("any", "right"))
 def test_another_hand_over_udp_is_no_hand_either(link, which):
-    """What the eyes give is what `Drive` takes: all hands that may drive, and of them the own one."""
+    """What the eyes give is what `Drive` takes: all hands that may drive, and of them the own
+    one.
+    """
     sender, eyes_of = link
     own, other = shown(), moved(shown(aside=0.3), (-390, -200), 0.6)
     follow, kept = OwnHand(), []

@@ -1,4 +1,6 @@
-"""The blocks of docs/do/own_program.md, in order, on the emulated robot that it names; and what opening one refuses."""
+"""The blocks of docs/do/own_program.md, in order, on the emulated robot that it names; and what
+opening one refuses.
+"""
 
 import json
 import re
@@ -19,7 +21,16 @@ PAGE = (Path(__file__).parents[2] / "docs/do/own_program.md").read_text(encoding
 def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
     (command,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.S)
     hides, stream = command.split()[3:5], command.split()[9:]
-    assert command.split()[:9] == ["softmap", "servo", "emulate", *hides, "--rig", "rig.toml", "--calibrated", "finger"]
+    assert command.split()[:9] == [
+        "softmap",
+        "servo",
+        "emulate",
+        *hides,
+        "--rig",
+        "rig.toml",
+        "--calibrated",
+        "finger",
+    ]
     assert stream == ["--stream", "udp://127.0.0.1:9870"]
     programs = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     assert len(programs) == 4
@@ -42,7 +53,9 @@ def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     assert found["error"]["rms_mm"] > 0.5, "it hides something"
     assert main(["diagnose", "seen.mcap", "--bundle", "finger", "--out", "lacks.json"]) == 0
     assert "The model lacks" in capsys.readouterr().out
-    assert [effect["name"] for effect in json.loads(Path("lacks.json").read_text())["effects"]] == ["backlash"]
+    assert [effect["name"] for effect in json.loads(Path("lacks.json").read_text())["effects"]] == [
+        "backlash"
+    ]
     assert names["found"].distance.max() < 0.01
     at = names["robot"].calibration.commands(names["robot"].position)
     assert np.abs(at).max() < 0.3, "slack at the end"
@@ -57,5 +70,8 @@ def test_a_robot_that_cannot_be_opened_says_what_to_do(tmp_path):
     with emulated(tmp_path) as (_, told, _):
         with pytest.raises(SoftmapError, match=r"none\.toml"):
             open_robot(tmp_path / "none.toml", told["bundle"])
-        with open_robot(told["rig"], told["bundle"]) as robot, pytest.raises(SoftmapError, match=r"shape \(3,\)"):
+        with (
+            open_robot(told["rig"], told["bundle"]) as robot,
+            pytest.raises(SoftmapError, match=r"shape \(3,\)"),
+        ):
             robot.engage([1.0, 2.0, 3.0])

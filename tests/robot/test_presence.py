@@ -1,4 +1,6 @@
-"""Who answers and who does not: another rate, another id, an id that two share, pings only; each is named."""
+"""Who answers and who does not: another rate, another id, an id that two share, pings only; each is
+named.
+"""
 
 import json
 import re
@@ -52,7 +54,10 @@ def test_answers_that_lie_over_one_another_are_named(capsys, delays, said):
     assert main(["servo", "scan", *where]) == 1
     told = capsys.readouterr().out
     assert said in told and "connect one servo at a time" in told
-    for argv in (["servo", "read", *where], ["servo", "setup", *where, "--id", "1", "--new-id", "2"]):
+    for argv in (
+        ["servo", "read", *where],
+        ["servo", "setup", *where, "--id", "1", "--new-id", "2"],
+    ):
         assert main(argv) == 2
         assert said in capsys.readouterr().err
     assert [servo[0] for servo in bus.state()[1]] == [500.0, 500.0]
@@ -69,13 +74,20 @@ def test_an_id_that_is_answered_twice_is_named_by_scan_setup_and_start(capsys, t
         said = "two servos share id 1: it is answered twice; connect one servo at a time"
         assert main(["servo", "scan", *where]) == 1
         assert said in capsys.readouterr().out
-        for argv in (["servo", "setup", *where, "--id", "1", "--new-id", "5"], ["servo", "setup", *where]):
+        for argv in (
+            ["servo", "setup", *where, "--id", "1", "--new-id", "5"],
+            ["servo", "setup", *where],
+        ):
             assert main(argv) == 2
             line = capsys.readouterr().err
             assert said in line and "or say which with --id" not in line
         with pytest.raises(ServoError, match=said):
             Controller(rig, calibration(), limits).__enter__()
-        found = [line.found for line in doctor.examine(rig=tmp_path / "rig.toml").lines if line.name == "servo 1"]
+        found = [
+            line.found
+            for line in doctor.examine(rig=tmp_path / "rig.toml").lines
+            if line.name == "servo 1"
+        ]
         assert any("two servos share id 1" in one for one in found)
         bus.rename(1, 2)
         assert main(["servo", "setup", *where, "--id", "2"]) == 0, "one at a time it goes on"
@@ -86,7 +98,9 @@ def test_another_servo_beside_two_that_share_an_id_is_still_found():
     bus = _core.EmulatedBus([(id, NUMBER, BAUD, 0.0) for id in (1, 2, 3)], [[]] * 3, seed=1)
     bus.rename(1, 1)
     heard_there = listened(bus.path, BAUD)
-    assert [one.id for one in heard_there.found] == [3] and "cannot be read" in heard_there.remarks[0]
+    assert [one.id for one in heard_there.found] == [3] and "cannot be read" in heard_there.remarks[
+        0
+    ]
     bus.unplug()
 
 
@@ -120,7 +134,10 @@ def test_a_servo_that_answers_pings_only_is_named_and_set_up(tmp_path, capsys):
         (line,) = [one for one in doctor.examine(rig=file).lines if one.name == "servo 1"]
         assert line.found.startswith("answers pings only")
         assert run(line.do) == 0
-        assert "it answered pings only (status return level 0): it becomes 2" in capsys.readouterr().out
+        assert (
+            "it answered pings only (status return level 0): it becomes 2"
+            in capsys.readouterr().out
+        )
         assert started(rig.port, rig.baud, members(rig)) == []
 
 
@@ -141,9 +158,14 @@ def test_a_wrong_rate_is_named_with_the_command_that_mends_it(baud, tmp_path, ca
     rig = type(rig)(bus.path, BAUD, rig.servos[:1])
     rig.write(file)
     line = refusal(examined(rig.port, rig.baud, members(rig)))
-    assert line.startswith(f"servo 1: it answers at {baud} baud, not at {BAUD}; run `softmap servo setup")
+    assert line.startswith(
+        f"servo 1: it answers at {baud} baud, not at {BAUD}; run `softmap servo setup"
+    )
     assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
-    assert f"no servo of id 1 answers: it answers at {baud} baud, not at {BAUD}" in capsys.readouterr().err
+    assert (
+        f"no servo of id 1 answers: it answers at {baud} baud, not at {BAUD}"
+        in capsys.readouterr().err
+    )
     assert main(["servo", "scan", "--port", bus.path, "--baud", str(BAUD)]) == 1
     assert "without --baud every rate is tried" in capsys.readouterr().out
     (fault,) = [one for one in doctor.examine(rig=file).lines if one.name == "servo 1"]
@@ -159,7 +181,8 @@ def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
         bus.rename(0, 9)
         line = refusal(examined(rig.port, rig.baud, members(rig)))
         assert line.startswith(
-            "servo 1: no answer, but id 9 answers, which the rig does not list; if it got another id"
+            "servo 1: no answer, but id 9 answers, which the rig does not list; if it got another "
+            "id"
         )
         assert run(line, FILE=file) == 0
         assert [servo.id for servo in read_rig(file).servos] == [1, 2]
@@ -169,7 +192,10 @@ def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
 def test_what_is_gone_is_gone():
     with bench() as (bus, rig, _):
         bus.damage(0, mute=True)
-        said = "no answer at .*; check power and wiring, `softmap servo scan --port .*` lists who answers"
+        said = (
+            "no answer at .*; check power and wiring, `softmap servo scan --port .*` lists who "
+            "answers"
+        )
         assert re.fullmatch(said, why_silent(rig.port, rig.baud, 1, [1, 2]))
         bus.damage(0, mute=False)
         assert why_silent(rig.port, rig.baud, 1, [1, 2]).startswith("it answered late")
@@ -179,13 +205,19 @@ def test_scan_and_read_look_for_the_servos_of_a_rig(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with bench() as (bus, rig, _):
         rig.write(file)
-        assert main(["servo", "scan", "--rig", file]) == 0 and main(["servo", "read", "--rig", file]) == 0
+        assert (
+            main(["servo", "scan", "--rig", file]) == 0
+            and main(["servo", "read", "--rig", file]) == 0
+        )
         bus.rename(0, 9)
         capsys.readouterr()
         for what in ("scan", "read"):
             assert main(["servo", what, "--rig", file]) == 1
             told = capsys.readouterr().out
-            assert "! servo 1: no answer, but id 9 answers, which the rig does not list; if it got another id" in told
+            assert (
+                "! servo 1: no answer, but id 9 answers, which the rig does not list; if it got "
+                "another id" in told
+            )
         assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
         assert "but id 2, 9 answers; check which id it has" in capsys.readouterr().err
         assert main(["servo", "scan", "--rig", file, "--json"]) == 1
@@ -218,7 +250,9 @@ def test_the_doctor_holds_a_current_limit_against_the_limits_in_force(tmp_path):
 def test_why_a_servo_answers_no_reads_is_found_once(ask, tmp_path, monkeypatch, capsys):
     """The diagnosis takes seconds: each further read repeats ten times."""
     count, real = [], presence._silent_reads
-    monkeypatch.setattr(presence, "_silent_reads", lambda bus, id: count.append(id) or real(bus, id))
+    monkeypatch.setattr(
+        presence, "_silent_reads", lambda bus, id: count.append(id) or real(bus, id)
+    )
     with bench() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         leave(bus.path, BAUD, status_return_level=0)

@@ -1,4 +1,6 @@
-"""The pull test finds the current at the stroke on emulated servos, and writes the ceiling; or says why it does not."""
+"""The pull test finds the current at the stroke on emulated servos, and writes the ceiling; or says
+why it does not.
+"""
 
 import json
 import re
@@ -45,7 +47,9 @@ def words(file, bundle, *more):
 
 
 def pulled(capsys, argv, before=lambda: None):
-    """Run the command to its end and return what it prints; again if a busy machine held the bus up."""
+    """Run the command to its end and return what it prints; again if a busy machine held the bus
+    up.
+    """
     for _ in range(3):
         before()
         code, (out, err) = main(argv), capsys.readouterr()
@@ -63,10 +67,18 @@ def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
     for servo, one in zip(rig.servos, told["servos"], strict=True):
         low, high = one["legs"]
         assert (low["stroke_ticks"], high["stroke_ticks"]) == (-250, 300)
-        assert low["mA"] == pytest.approx(100.0, abs=12.0) and high["mA"] == pytest.approx(120.0, abs=12.0)
-        assert servo.current_mA == one["current_mA"] == pytest.approx(MARGIN * high["mA"] + IDLE * 1470.0, abs=0.1)
+        assert low["mA"] == pytest.approx(100.0, abs=12.0) and high["mA"] == pytest.approx(
+            120.0, abs=12.0
+        )
+        assert (
+            servo.current_mA
+            == one["current_mA"]
+            == pytest.approx(MARGIN * high["mA"] + IDLE * 1470.0, abs=0.1)
+        )
         assert "ticks/s" in rig.made["pulled"][f"servo_{servo.id}"]
-    limits = {one.name: one for one in effective_limits(replace(rig, ceiling=Ceiling()), FINGER).servos[0]}
+    limits = {
+        one.name: one for one in effective_limits(replace(rig, ceiling=Ceiling()), FINGER).servos[0]
+    }
     assert limits["current"].value <= rig.servos[0].current_mA, "and it is in force"
 
 
@@ -89,7 +101,9 @@ def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys, monk
     assert shown == [("servo 2, low end", 0.0), ("servo 2, high end", 0.4), ("servo 2, home", 0.8)]
     rig = read_rig(file)
     assert (
-        rig.servos[0].current_mA == 99.0 and rig.servos[1].current_mA > 150 and list(rig.made["pulled"]) == ["servo_2"]
+        rig.servos[0].current_mA == 99.0
+        and rig.servos[1].current_mA > 150
+        and list(rig.made["pulled"]) == ["servo_2"]
     )
     assert main(words(file, bundle, "--servo", "9")) == 2
     assert "the rig has no servo 9; it has 1, 2" in capsys.readouterr().err
@@ -128,7 +142,9 @@ def test_who_stops_it_gets_no_ceiling():
 
 def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
     rig = Rig("/dev/none", BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
-    with pytest.raises(ServoError, match="servo 1, a XL430-W250, reports no current: its PWM is capped instead"):
+    with pytest.raises(
+        ServoError, match="servo 1, a XL430-W250, reports no current: its PWM is capped instead"
+    ):
         pull(effective_limits(rig, FINGER), Held())
     short = Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)),
                 ceiling=Ceiling((("jog_travel", 500.0),)))  # fmt: skip
@@ -154,7 +170,11 @@ class Jogged:
     """A jog whose servo is on its way for `late` s, 100 ticks/s, then stands."""
 
     def __init__(self, late, says=True):
-        self.rig, self.late, self.says = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME),)), late, says
+        self.rig, self.late, self.says = (
+            Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME),)),
+            late,
+            says,
+        )
         self.robot = SimpleNamespace(state="commissioning", report={})
         self.begun, self.current = time.monotonic(), np.array([30.0])
 

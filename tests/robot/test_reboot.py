@@ -1,4 +1,6 @@
-"""Hardware errors name the servo and the error in each line, and a servo that shut itself down is restarted."""
+"""Hardware errors name the servo and the error in each line, and a servo that shut itself down is
+restarted.
+"""
 
 import json
 import re
@@ -17,7 +19,13 @@ from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import marked
 from softmap_edge.robot.servo.known_state import hardware
 
-ERRORS = {0x01: "input voltage", 0x04: "overheating", 0x08: "motor encoder", 0x10: "electrical shock", 0x20: "overload"}
+ERRORS = {
+    0x01: "input voltage",
+    0x04: "overheating",
+    0x08: "motor encoder",
+    0x10: "electrical shock",
+    0x20: "overload",
+}
 
 
 @pytest.mark.parametrize("bits", ERRORS)
@@ -29,7 +37,9 @@ def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, caps
         with pytest.raises(ServoError) as fault:
             Controller(rig, calibration(), limits).__enter__()
         line = str(fault.value)
-        assert line.startswith(f"servo 2: it reports {ERRORS[bits]}; find the cause, then run `softmap servo reboot")
+        assert line.startswith(
+            f"servo 2: it reports {ERRORS[bits]}; find the cause, then run `softmap servo reboot"
+        )
         assert main(re.search(r"`softmap ([^`]+)`", line)[1].split()) == 0
         out = capsys.readouterr().out
         assert f"servo 2 was restarted: it reported {ERRORS[bits]} before, and no error now" in out
@@ -46,12 +56,19 @@ def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, caps
 def test_an_error_while_it_drives_names_servo_error_and_the_way_on():
     with bench() as (bus, rig, limits):
         renamed = type(rig)(rig.port, rig.baud, rig.servos)
-        with pytest.raises(ServoError) as fault, Controller(renamed, calibration(), limits) as robot:
+        with (
+            pytest.raises(ServoError) as fault,
+            Controller(renamed, calibration(), limits) as robot,
+        ):
             robot.engage([0.2, 0.0])
             bus.fail(1, 0x24)
             until(lambda: robot.state == "fault")
-            assert "servo 2 reports a hardware error: overheating, overload" in words.sentence(robot.report)
-            with pytest.raises(ServoError, match="servo 2 reports a hardware error: overheating, overload"):
+            assert "servo 2 reports a hardware error: overheating, overload" in words.sentence(
+                robot.report
+            )
+            with pytest.raises(
+                ServoError, match="servo 2 reports a hardware error: overheating, overload"
+            ):
                 robot.target([0.2, 0.0])
             robot.request("acknowledge")
         assert "servo 2 reports a hardware error" in str(fault.value)
@@ -61,13 +78,22 @@ def test_an_error_while_it_drives_names_servo_error_and_the_way_on():
 def test_what_is_denied_for_an_error_names_it():
     report = {"hardware": [0, 0x10], "ids": [7, 3], "state": "off"}
     said = words.denied("trouble(hardware)", report)
-    assert "servo 3 reports a hardware error: electrical shock" in said and "servo reboot --rig FILE --id 3" in said
+    assert (
+        "servo 3 reports a hardware error: electrical shock" in said
+        and "servo reboot --rig FILE --id 3" in said
+    )
     assert words.denied("trouble(hardware)").endswith("a servo reports a hardware error")
-    assert words.cause({"cause": "following", "servo": 0, "id": 7}).startswith("servo 7 does not follow")
-    assert words.cause({"cause": "following", "servo": 0, "id": 0}).startswith("servo 0 does not follow")
+    assert words.cause({"cause": "following", "servo": 0, "id": 7}).startswith(
+        "servo 7 does not follow"
+    )
+    assert words.cause({"cause": "following", "servo": 0, "id": 0}).startswith(
+        "servo 0 does not follow"
+    )
     fault = {"state": "fault", "cause": "hardware", "hardware": [0x20, None], "ids": [7, 3]}
     assert words.where(fault) == "in state fault (servo 7 reports a hardware error: overload)"
-    assert "servo reboot --rig FILE --id 7" in words.onward(fault) and "servo home" in words.onward(fault)
+    assert "servo reboot --rig FILE --id 7" in words.onward(fault) and "servo home" in words.onward(
+        fault
+    )
     assert "servo reboot --rig FILE --id 7" in words.lost(fault, "")
     assert hardware(0x42) == "error 0x42" and hardware(0x60) == "overload, error 0x40"
 
@@ -127,6 +153,8 @@ def test_the_doctor_names_the_restart(tmp_path):
     with bench() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.fail(0, 0x21)
-        lines = [one for one in doctor.examine(rig=tmp_path / "rig.toml").lines if one.name == "servo 1"]
+        lines = [
+            one for one in doctor.examine(rig=tmp_path / "rig.toml").lines if one.name == "servo 1"
+        ]
         assert [one.found for one in lines] == ["it reports input voltage, overload"]
         assert "softmap servo reboot" in lines[0].do and "supply off and on" in lines[0].do

@@ -1,4 +1,6 @@
-"""What `softmap record` leaves when it is ended by a signal, killed, or out of disk: a cut loses its last second."""
+"""What `softmap record` leaves when it is ended by a signal, killed, or out of disk: a cut loses
+its last second.
+"""
 
 import json
 import os
@@ -31,7 +33,9 @@ MOST = 200_000  # bytes of a file
 def folder(tmp_path, monkeypatch):
     """Give a folder with a command file, where a recording is made."""
     monkeypatch.chdir(tmp_path)
-    write_commands(tmp_path / "c.csv", plan(chosen(["circle"]), Limits.even(2, 4.0)), builtin_model().robot)
+    write_commands(
+        tmp_path / "c.csv", plan(chosen(["circle"]), Limits.even(2, 4.0)), builtin_model().robot
+    )
     return tmp_path
 
 
@@ -39,7 +43,12 @@ def record(folder, *more, before=None):
     """Begin a recording; gives its process."""
     argv = [SOFTMAP, "record", "c.csv", "--emulated", "--out", "run.npz", *more]
     return subprocess.Popen(
-        argv, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=before
+        argv,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=before,
     )
 
 
@@ -47,7 +56,11 @@ def frames(file):
     """Return how many frames a file holds that grows."""
     if not file.exists():
         return 0
-    return sum(len(json.loads(line).get("taken", [])) for line in file.read_text().splitlines(True) if line[-1] == "\n")
+    return sum(
+        len(json.loads(line).get("taken", []))
+        for line in file.read_text().splitlines(True)
+        if line[-1] == "\n"
+    )
 
 
 def kept(tmp_path, shape=(5, 3)):
@@ -55,7 +68,11 @@ def kept(tmp_path, shape=(5, 3)):
     rng, played = np.random.default_rng(0), Kept(camera=HostClock(0.01))
     with Keeper(tmp_path / "a.seen", 0.01, builtin_model()) as keeper:
         for k in range(8):
-            frame = Frame(k / 30, 5.0 + k / 30 + 0.01 * rng.random(), rng.normal(size=shape).astype(np.float32))
+            frame = Frame(
+                k / 30,
+                5.0 + k / 30 + 0.01 * rng.random(),
+                rng.normal(size=shape).astype(np.float32),
+            )
             played.clock.append((5.0 + k / 30, k / 30))
             taken = [(k, frame)] if k % 2 else []
             played.taken += taken
@@ -132,7 +149,9 @@ def test_what_could_not_be_read_again_is_a_fault_and_no_end(tmp_path, stamp, poi
     assert [look for look, _ in found.taken] == [0] and "no line that ends it" in found.lacks
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("gone"), MemoryError()])
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), RuntimeError("gone"), MemoryError()]
+)
 def test_a_write_that_fails_is_a_fault_whatever_it_is(tmp_path, monkeypatch, error):
     def fails(line):
         raise error
@@ -156,10 +175,15 @@ def test_a_line_whose_checksum_fails_is_left_out_and_a_file_without_checksums_sa
     first, *lines = file.read_bytes().splitlines(True)
     file.write_bytes(b"".join([first, *lines[:2], lines[2].replace(b"0", b"1", 1), *lines[3:]]))
     again = read_kept(file)
-    assert "1 of 10 lines fail their checksum, the first is line 4" in again.lacks and len(again.taken) >= 3
+    assert (
+        "1 of 10 lines fail their checksum, the first is line 4" in again.lacks
+        and len(again.taken) >= 3
+    )
     bare = [json.loads(line) for line in (first, *lines)]
     bare[0]["schema"] = "softmap.seen/1"
-    file.write_text("".join(json.dumps({k: v for k, v in one.items() if k != "crc"}) + "\n" for one in bare))
+    file.write_text(
+        "".join(json.dumps({k: v for k, v in one.items() if k != "crc"}) + "\n" for one in bare)
+    )
     again = read_kept(file)
     assert len(again.taken) == 4 and "carries no checksum" in again.lacks
 
@@ -179,7 +203,11 @@ def test_no_flipped_bit_changes_what_was_kept_without_a_word(tmp_path):
             continue
         noticed += again.lacks is not None
         if again.lacks is None:
-            assert (again.clock, again.robot, again.vertices) == (sound.clock, sound.robot, sound.vertices)
+            assert (again.clock, again.robot, again.vertices) == (
+                sound.clock,
+                sound.robot,
+                sound.vertices,
+            )
             for (_, one), (_, other) in zip(sound.taken, again.taken, strict=True):
                 np.testing.assert_array_equal(one.points, other.points)
     assert noticed > 390
@@ -199,7 +227,10 @@ def test_a_signal_ends_it_as_ctrl_c_does(folder, ends):
 def test_who_is_killed_loses_the_last_second(folder, capsys):
     for _ in range(3):  # on a busy machine a recording may be whole before it is killed
         process = record(folder)
-        until(lambda process=process: frames(folder / "run.seen") > 8 or process.poll() is not None, 60)
+        until(
+            lambda process=process: frames(folder / "run.seen") > 8 or process.poll() is not None,
+            60,
+        )
         process.kill()
         said = process.communicate()[1]
         if (folder / "run.seen").exists():
@@ -214,8 +245,15 @@ def test_who_is_killed_loses_the_last_second(folder, capsys):
     assert main([*shlex.split(line)[1:], "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     run = Run.load(folder / "run.npz")
-    assert told["schema"] == "softmap.record/1" and not told["whole"] and told["frames"] == run.frames >= seen - 3 > 2
-    assert run.vertices.shape[1:] == builtin_model().rest.shape and set(run.block) <= {"circle", "home"}
+    assert (
+        told["schema"] == "softmap.record/1"
+        and not told["whole"]
+        and told["frames"] == run.frames >= seen - 3 > 2
+    )
+    assert run.vertices.shape[1:] == builtin_model().rest.shape and set(run.block) <= {
+        "circle",
+        "home",
+    }
     assert np.abs(np.diff(run.ticks, axis=0)).max() > 0
 
 
@@ -234,11 +272,27 @@ def test_a_full_disk_is_told_and_what_there_is_is_kept(folder):
     assert process.returncode != 0 and not (folder / "run.npz.part").exists(), out
     left = set(os.listdir(folder))
     assert "run.npz" in left or {"run.loop.mcap", "run.seen"} <= left, said
-    assert "recording broke off" in said or "is kept no more" in said or "kept: run.loop.mcap and run.seen" in said
+    assert (
+        "recording broke off" in said
+        or "is kept no more" in said
+        or "kept: run.loop.mcap and run.seen" in said
+    )
 
 
 def test_a_full_disk_under_a_drive_is_told(folder):
-    argv = [SOFTMAP, "track", "O", "--sim", "--amplitude", "2", "--duration", "6", "--record", "t.mcap", "--json"]
+    argv = [
+        SOFTMAP,
+        "track",
+        "O",
+        "--sim",
+        "--amplitude",
+        "2",
+        "--duration",
+        "6",
+        "--record",
+        "t.mcap",
+        "--json",
+    ]
     done = subprocess.run(argv, capture_output=True, text=True, timeout=200, preexec_fn=little)
     assert done.returncode == 2 and re.search(FULL.format("t.mcap"), done.stderr), done.stderr
     assert (folder / "t.mcap").exists() and (folder / "t.mcap").stat().st_size <= MOST
@@ -254,7 +308,10 @@ def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys
         assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     said = capsys.readouterr().err
     assert "run.npz: no space left on device; see to the disk" in said
-    assert "kept: run.loop.mcap and run.seen; they become the run by: softmap record c.csv --recover run.seen" in said
+    assert (
+        "kept: run.loop.mcap and run.seen; they become the run by: softmap record c.csv --recover "
+        "run.seen" in said
+    )
     assert {"run.loop.mcap", "run.seen"} <= set(os.listdir(folder))
     assert main(["record", "c.csv", "--recover", "run.seen", "--out", "run.npz"]) == 0
     assert Run.load(folder / "run.npz").frames > 3

@@ -1,4 +1,6 @@
-"""A command file played on servos and watched by a camera: its pace, when it settles, its diagnosis."""
+"""A command file played on servos and watched by a camera: its pace, when it settles, its
+diagnosis.
+"""
 
 import io
 import json
@@ -24,7 +26,16 @@ from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.drive.command_file import write_commands
 from softmap_edge.robot.drive.observations import SEEN
-from softmap_edge.robot.drive.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.robot.drive.pace import (
+    ANSWER,
+    BEHIND,
+    SHARE,
+    SPAN,
+    STILL,
+    pace,
+    servos_still,
+    view_still,
+)
 from softmap_edge.robot.drive.player import Player, merged
 from softmap_edge.robot.emulated.finger import emulated_bench
 from softmap_edge.robot.link.frames import Frame
@@ -78,7 +89,8 @@ def test_rests_and_stops_are_where_the_file_has_them():
 def test_what_servos_cannot_do_is_told_before_anything_moves():
     made = short()
     with pytest.raises(
-        SoftmapError, match=r"row \d+: command 15 mm is tick 6200 of servo 0, its window is 1100 to 2900"
+        SoftmapError,
+        match=r"row \d+: command 15 mm is tick 6200 of servo 0, its window is 1100 to 2900",
     ):
         pace(replace(made, command=10 * made.command), calibration(), SERVOS)
     with pytest.raises(SoftmapError, match="1 commands in mm, the robot takes 2"):
@@ -95,7 +107,10 @@ def test_settled_is_said_of_what_stands_and_of_nothing_else():
     def frames(speed, noise):
         base = MODEL.rest
         taken = np.arange(0.0, 1.0, 1 / 30)
-        return [Frame(s, s, base + [speed * s, 0, 0] + noise * rng.normal(size=base.shape)) for s in taken]
+        return [
+            Frame(s, s, base + [speed * s, 0, 0] + noise * rng.normal(size=base.shape))
+            for s in taken
+        ]
 
     assert view_still(frames(0.0, 0.1), 0.0, 1.0) and view_still(frames(0.0, 0.5), 0.0, 1.0)
     assert not view_still(frames(4 * STILL / SPAN, 0.1), 0.0, 1.0)
@@ -108,11 +123,13 @@ def replace_points(frame):
 
 
 def stood(file):
-    """Return for how long (s) the line to the servos stood before a fault ended a recording; 0 for any other cause.
+    """Return for how long (s) the line to the servos stood before a fault ended a recording; 0 for
+    any other cause.
 
-    Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an ordinary one, carries the
-    bytes of a pseudo-terminal between them: where the computer is busy it comes late, and for so long no servo is heard
-    at all. What one servo does, or what the guard finds besides, is no such fault.
+    Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an
+    ordinary one, carries the bytes of a pseudo-terminal between them: where the computer is busy it
+    comes late, and for so long no servo is heard at all. What one servo does, or what the guard
+    finds besides, is no such fault.
     """
     periods = read_recording(file).periods
     end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)
@@ -125,17 +142,24 @@ def stood(file):
 
 def halted(file):
     """Return the longest time (s) for which a whole recording heard no servo at all."""
-    heard = [period["now"] for period in read_recording(file).periods if set(period["position"]) != {None}]
+    heard = [
+        period["now"]
+        for period in read_recording(file).periods
+        if set(period["position"]) != {None}
+    ]
     return max(np.diff(heard), default=0) * 1e-9
 
 
 def excused(file):
-    """Return whether the computer, not the robot, ended a recording: its line stood as long as a watchdog waits."""
+    """Return whether the computer, not the robot, ended a recording: its line stood as long as a
+    watchdog waits.
+    """
     return stood(file) > WATCHDOG
 
 
 def played(folder, made, ask, act=lambda finger: None, tell=lambda finger, share: None):
-    """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and what ended it.
+    """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and
+    what ended it.
 
     It is played anew only where the recording proves that the computer stood still.
     """
@@ -151,7 +175,12 @@ def played_once(file, made, ask, act, tell):
     """Play it once."""
     ended = None
     with (
-        emulated_bench(MODEL, replace(calibration(), window=None), rate=100.0) as (bus, rig, limits, finger),
+        emulated_bench(MODEL, replace(calibration(), window=None), rate=100.0) as (
+            bus,
+            rig,
+            limits,
+            finger,
+        ),
         Controller(rig, calibration(), limits, record=file) as robot,
     ):
         act(finger)
@@ -182,7 +211,12 @@ def test_a_condition_is_changed_while_torque_is_off(tmp_path):
     assert said[-2][1:] == said[-1][1:] == (False, "ready")
     run = merged(file, MODEL, paced, player.played)
     assert player.played.whole and run.frames == short().frames and set(run.block) == {"rest"}
-    assert run.load[0] == 0.0 and run.load[-1] == 10.0 and run.vertices is not None and run.visible.all()
+    assert (
+        run.load[0] == 0.0
+        and run.load[-1] == 10.0
+        and run.vertices is not None
+        and run.visible.all()
+    )
     # Frames of a rest show the robot where it rests: it was waited for.
     assert np.ptp(run.vertices.mean(axis=1), axis=0).max() < 0.2
     there = np.array([np.interp(run.t_seen, run.t, run.present_ticks[:, 0])])
@@ -192,9 +226,12 @@ def test_a_condition_is_changed_while_torque_is_off(tmp_path):
 def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr("softmap_edge.robot.drive.player.LOST", 1.5)
     made = short()
-    made = Protocol(made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block)
+    made = Protocol(
+        made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block
+    )
 
-    def tell(finger, share):  # by then frames were taken, and half a second later it still is away from home
+    # by then frames were taken, and half a second later it still is away from home
+    def tell(finger, share):
         finger.blind(share > 0.5)
 
     player, paced, file, ended = played(tmp_path, made, lambda *said: None, tell=tell)
@@ -230,39 +267,65 @@ def commands(tmp_path_factory):
 
 
 def recorded(folder, robot):
-    """Record by the verb; anew, on another robot, only where the recording proves that the computer stood still."""
+    """Record by the verb; anew, on another robot, only where the recording proves that the computer
+    stood still.
+    """
     for trial in range(TRIALS):
         out, loop = folder / f"run{trial}.npz", folder / f"loop{trial}.mcap"
         more = ["--out", str(out), "--record", str(loop), "--json"]
         with robot(trial) as argv:
-            done = subprocess.run([SOFTMAP, "record", *argv, *more], capture_output=True, text=True, timeout=300)
+            done = subprocess.run(
+                [SOFTMAP, "record", *argv, *more], capture_output=True, text=True, timeout=300
+            )
         if done.returncode == 0:
             told = json.loads(done.stdout)
-            assert told["schema"] == "softmap.record/1" and told["whole"] and told["frames"] >= told["wanted"] - 1
+            assert (
+                told["schema"] == "softmap.record/1"
+                and told["whole"]
+                and told["frames"] >= told["wanted"] - 1
+            )
             return Run.load(out)
         assert "state fault" in done.stderr and excused(loop), done.stderr
     pytest.fail(f"the computer stood still in each of {TRIALS} recordings")
 
 
 def test_only_a_line_that_stood_excuses_a_recording(tmp_path, monkeypatch):
-    """One silent servo, a blocked finger, a line that stood for a moment: none of them is played again."""
+    """One silent servo, a blocked finger, a line that stood for a moment: none of them is played
+    again.
+    """
 
     def ends(cause, heard, seconds=0.15):
         rows = [dict(now=0, state="engaged", cause="none", position=[1, 2])]
-        rows += [dict(now=int(1e9 * k * seconds / 9), state="hold", cause="late", position=heard) for k in range(1, 9)]
+        rows += [
+            dict(now=int(1e9 * k * seconds / 9), state="hold", cause="late", position=heard)
+            for k in range(1, 9)
+        ]
         rows += [dict(now=int(1e9 * seconds), state="fault", cause=cause, position=heard)]
-        monkeypatch.setitem(globals(), "read_recording", lambda file: type("Told", (), dict(periods=rows)))
+        monkeypatch.setitem(
+            globals(), "read_recording", lambda file: type("Told", (), dict(periods=rows))
+        )
         return excused(tmp_path)
 
     assert ends("silent", [None, None]) and ends("tripped", [None, None])
-    assert not ends("silent", [1, None]) and not ends("following", [None, None]) and not ends("lost", [None, None])
+    assert (
+        not ends("silent", [1, None])
+        and not ends("following", [None, None])
+        and not ends("lost", [None, None])
+    )
     assert not ends("tripped", [None, None], seconds=0.05)
 
 
 def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
     @contextmanager
     def robot(trial):
-        yield [str(commands), "--emulated", "--calibrated", str(tmp_path / f"b{trial}"), "--seed", "1"]
+        yield [
+            str(commands),
+            "--emulated",
+            "--calibrated",
+            str(tmp_path / f"b{trial}"),
+            "--seed",
+            "1",
+        ]
 
     run = recorded(tmp_path, robot)
     model = load_bundle(next(tmp_path.glob("b*")))
@@ -285,9 +348,18 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
             until(lambda: receiver.taken > 0)
             receiver.close()  # its port is for the one who records
             on = ["--bundle", told["bundle"], "--rig", told["rig"]]
-            yield [str(commands), *on, "--camera", f"udp://:{receiver.port}", "--late", "0.02", "--yes"]
+            yield [
+                str(commands),
+                *on,
+                "--camera",
+                f"udp://:{receiver.port}",
+                "--late",
+                "0.02",
+                "--yes",
+            ]
 
-    for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
+    # anew only where the computer stood still meanwhile: then the finger did, too
+    for trial in range(TRIALS):
         folder = tmp_path / f"{trial}"
         folder.mkdir()
         run = recorded(folder, robot)
@@ -295,8 +367,13 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
         answer = diagnose(model, run)
         if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
             break
-    assert [effect.name for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
-    assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
+    assert [effect.name for effect in answer.effects] == [
+        "backlash"
+    ] and answer.verdict == "identified"
+    assert (
+        compare(model, run).error["rms_mm"]
+        > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
+    )
 
 
 def test_interrupted_is_kept(tmp_path, commands):
@@ -337,4 +414,8 @@ def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(SoftmapError, match="no terminal to confirm that it is done"):
-        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip", None)
+        _ask(
+            type("Args", (), dict(yes=False, emulated=False, json=True)),
+            "hang 10 g at the tip",
+            None,
+        )

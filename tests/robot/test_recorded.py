@@ -1,4 +1,6 @@
-"""A recording with what was seen beside it is a run for every verb; alone nothing was seen; damage is a line."""
+"""A recording with what was seen beside it is a run for every verb; alone nothing was seen; damage
+is a line.
+"""
 
 import json
 import os
@@ -14,7 +16,14 @@ from softmap_edge.commands.robot import plain_map
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import RecordingBroken, RecordingWarning, RunError
 from softmap_edge.robot.control.recording import read_recording
-from softmap_edge.robot.drive.observations import LATELY, Keeper, keeping, read_kept, seen_file, with_crc
+from softmap_edge.robot.drive.observations import (
+    LATELY,
+    Keeper,
+    keeping,
+    read_kept,
+    seen_file,
+    with_crc,
+)
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.robot.link.frames import Frame
 
@@ -51,7 +60,11 @@ def test_what_was_driven_and_seen_is_one_run_on_one_clock(tracked):
     np.testing.assert_array_equal(run.ticks, driven.ticks)
     np.testing.assert_array_equal(run.t, driven.t)
     assert run.robot == MODEL.robot and run.vertices.shape[1:] == MODEL.rest.shape
-    assert run.frames > 25.0 * (run.t[-1] - run.t[0]) and run.t_seen[0] > 0 and run.t_seen[-1] < run.t[-1]
+    assert (
+        run.frames > 25.0 * (run.t[-1] - run.t[0])
+        and run.t_seen[0] > 0
+        and run.t_seen[-1] < run.t[-1]
+    )
     tip = run.vertices[:, MODEL.tip_indices].mean(axis=1)
     acting = told.calibration.commands(run.present_ticks)
 
@@ -82,7 +95,9 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
     found = Diagnosis.load(f"{out}.json")
     assert not (found.effects or found.faults or found.families or found.alternatives)
     # Small circles of 4 s, hanging: a third of all effects would not show.
-    assert found.verdict == "cannot_tell" and {"body_friction", "stiffness"} < {h.name for h in found.not_testable}
+    assert found.verdict == "cannot_tell" and {"body_friction", "stiffness"} < {
+        h.name for h in found.not_testable
+    }
     for words in (
         ["show", file],
         ["check", file],
@@ -95,10 +110,14 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
             assert main(["model", "calibrate", file, "--out", out]) in (0, 1)
         assert main(words) == 0, words
     assert Run.load(f"{out}.npz").hash() == open_run(tracked).hash()
-    assert main(["run", "align", file, "--bundle", out, "--out", f"{out}.a.npz"]) in (0, 1), capsys.readouterr().err
+    assert main(["run", "align", file, "--bundle", out, "--out", f"{out}.a.npz"]) in (0, 1), (
+        capsys.readouterr().err
+    )
     upper = tmp_path / "O.MCAP"
     shutil.copy(tracked, upper)
-    assert main(["model", "predict", str(upper), "--out", f"{out}.q.npz"]) == 0, "by any letters, with nothing seen"
+    assert main(["model", "predict", str(upper), "--out", f"{out}.q.npz"]) == 0, (
+        "by any letters, with nothing seen"
+    )
 
 
 @pytest.mark.parametrize("damage", ["cut", "zeros", "broken"])
@@ -111,7 +130,9 @@ def test_each_command_reports_a_recording_that_is_cut_or_damaged(copied, damage,
         assert main([word, str(copied)]) == 1, word
         said = capsys.readouterr()
         lines = [
-            line for line in said.err.splitlines() if "o.mcap was cut short" in line or "o.mcap is damaged" in line
+            line
+            for line in said.err.splitlines()
+            if "o.mcap was cut short" in line or "o.mcap is damaged" in line
         ]
         assert len(lines) == 1 and "; it is read up to " in lines[0], said.err
         assert said.out, "what is sound is used"
@@ -153,13 +174,30 @@ def changed(line, **what):
 
 
 HEADS = [
-    {"schema": "\x1b[2J\n"}, {"late": "0.5"}, {"late": True}, {"late": float("nan")}, {"late": 1e9}, {"robot": 7},
-    {"robot": "\x1b[31m"}, {"robot": "x" * 1000}, {"vertices": True}, {"vertices": -1}, {"vertices": "548"},
-]  # fmt: skip
+    {"schema": "\x1b[2J\n"},
+    {"late": "0.5"},
+    {"late": True},
+    {"late": float("nan")},
+    {"late": 1e9},
+    {"robot": 7},
+    {"robot": "\x1b[31m"},
+    {"robot": "x" * 1000},
+    {"vertices": True},
+    {"vertices": -1},
+    {"vertices": "548"},
+]
 ROWS = [
-    {"came": {"12": 1}}, {"came": ["12"]}, {"came": [[1, float("inf")]]}, {"came": [["1", 2]]}, {"taken": [[0, 1, 2]]},
-    {"taken": [[0, 1, 2, "a"]]}, {"taken": [[0, 1, 2, 7]]}, {"taken": None}, {"clock": [[1]]}, {"clock": 3},
-]  # fmt: skip
+    {"came": {"12": 1}},
+    {"came": ["12"]},
+    {"came": [[1, float("inf")]]},
+    {"came": [["1", 2]]},
+    {"taken": [[0, 1, 2]]},
+    {"taken": [[0, 1, 2, "a"]]},
+    {"taken": [[0, 1, 2, 7]]},
+    {"taken": None},
+    {"clock": [[1]]},
+    {"clock": 3},
+]
 
 
 @pytest.mark.parametrize("head, row", [(one, {}) for one in HEADS] + [({}, one) for one in ROWS])
@@ -199,7 +237,9 @@ def test_what_another_recording_saw_is_not_this_ones(copied):
     for line in rest:
         one = json.loads(line)
         one["came"] = [[stamp, arrived + 1e4] for stamp, arrived in one["came"]]
-        one["taken"] = [[look, stamp, arrived + 1e4, text] for look, stamp, arrived, text in one["taken"]]
+        one["taken"] = [
+            [look, stamp, arrived + 1e4, text] for look, stamp, arrived, text in one["taken"]
+        ]
         moved.append(changed(line, came=one["came"], taken=one["taken"]))
     seen.write_text("\n".join([first, *moved]) + "\n")
     with pytest.raises(RunError, match=r"none of its \d+ frames was seen while o.mcap was driven"):
@@ -218,7 +258,9 @@ def test_a_recording_without_its_calibration_stays_in_ticks(copied, monkeypatch)
     told = read_recording(copied)
     monkeypatch.setattr(
         "softmap_edge.robot.drive.recorded.read_recording",
-        lambda file: replace(told, setup={key: value for key, value in told.setup.items() if key != "calibration"}),
+        lambda file: replace(
+            told, setup={key: value for key, value in told.setup.items() if key != "calibration"}
+        ),
     )
     run = open_run(copied, MODEL)
     assert run.ticks is not None
@@ -229,8 +271,14 @@ def test_a_recording_without_its_calibration_stays_in_ticks(copied, monkeypatch)
 def test_what_stands_there_is_not_lost(tmp_path, capsys):
     (tmp_path / "x.seen").write_text("mine")
     assert main(["track", "O", "--sim", "--record", str(tmp_path / "x.mcap")]) == 2
-    assert "x.seen exists, and would be taken for what it saw; give another name" in capsys.readouterr().err
-    with pytest.raises(RunError, match="x.seen exists; give another name"), keeping(tmp_path / "x.mcap", list, MODEL):
+    assert (
+        "x.seen exists, and would be taken for what it saw; give another name"
+        in capsys.readouterr().err
+    )
+    with (
+        pytest.raises(RunError, match="x.seen exists; give another name"),
+        keeping(tmp_path / "x.mcap", list, MODEL),
+    ):
         pass
     assert (tmp_path / "x.seen").read_text() == "mine"
 
@@ -259,9 +307,14 @@ def test_what_cannot_be_seen_any_more_is_a_fault_and_no_traceback(tmp_path, capf
         raise OSError("the camera is gone")
 
     said = "the camera is gone: .*x.seen; what was seen until then is kept"
-    with pytest.raises(RecordingBroken, match=said), keeping(tmp_path / "x.mcap", gone, MODEL) as keeper:
+    with (
+        pytest.raises(RecordingBroken, match=said),
+        keeping(tmp_path / "x.mcap", gone, MODEL) as keeper,
+    ):
         pass
-    assert keeper.fault == "OSError: the camera is gone" and "Traceback" not in capfd.readouterr().err
+    assert (
+        keeper.fault == "OSError: the camera is gone" and "Traceback" not in capfd.readouterr().err
+    )
     keeper.add([], [], [])
     with pytest.raises(RunError, match="5 s late, 0 to 2 s is allowed"):
         Keeper(tmp_path / "y.seen", 5.0, MODEL)
@@ -275,7 +328,9 @@ def test_every_command_says_what_was_lost_of_what_was_seen_and_its_run_keeps_tha
     first, second, third, *rest = seen.read_bytes().splitlines(True)
     seen.write_bytes(b"".join([first, second, third.replace(b"[", b"[1", 1), *rest]))
     for words in (["compare"], ["show"], ["check"], ["replay"], ["run", "show"]):
-        assert main([*words, str(copied), *(["--run", out] if words == ["replay"] else [])]) == 1, words
+        assert main([*words, str(copied), *(["--run", out] if words == ["replay"] else [])]) == 1, (
+            words
+        )
         assert "o.seen is damaged: 1 of" in capsys.readouterr().err, words
     assert main(["compare", out]) == 0  # by the map that was driven with
     capsys.readouterr()

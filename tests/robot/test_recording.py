@@ -25,7 +25,10 @@ from softmap_edge.robot.control.recording import Recording, read_recording
 def recorded(tmp_path_factory):
     """Record some seconds of driving with damaged answers and refused targets."""
     file = tmp_path_factory.mktemp("recording") / "drive.mcap"
-    with bench(200.0) as (bus, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+    with (
+        bench(200.0) as (bus, rig, limits),
+        Controller(rig, calibration(), limits, record=file) as robot,
+    ):
         robot.engage()
         bus.faults(damage=0.05, junk=0.1)
         begin = time.monotonic()
@@ -42,14 +45,19 @@ def test_replays_bit_for_bit(recorded):
     assert any(period["refused"] for period in recording.periods)
     assert any(None in period["position"] for period in recording.periods)
     assert recording.replay() == []
-    moved = [period for period in recording.periods if period["torque"] and period["goal"][0] != HOME]
+    moved = [
+        period for period in recording.periods if period["torque"] and period["goal"][0] != HOME
+    ]
     moved[10]["goal"][0] += 1
     assert len(recording.replay()) == 1, "a single tick is seen"
 
 
 def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
     file = tmp_path / "faults.mcap"
-    with bench(200.0, hold=0.2) as (bus, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+    with (
+        bench(200.0, hold=0.2) as (bus, rig, limits),
+        Controller(rig, calibration(), limits, record=file) as robot,
+    ):
 
         def drive(until, u):
             deadline = time.monotonic() + 10.0
@@ -84,14 +92,19 @@ def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
     for one in recording.limits["servos"]:
         one["low"], one["high"] = HOME - 30, HOME + 30
     assert recording.replay() != []
-    goals = [goal for _, _, torque, goal in _core.replay(recording.limits, recording._told()) if torque]
+    goals = [
+        goal for _, _, torque, goal in _core.replay(recording.limits, recording._told()) if torque
+    ]
     assert goals and np.abs(np.array(goals) - HOME).max() <= 30
 
 
 def test_nothing_is_recorded_over(tmp_path):
     file = tmp_path / "old.mcap"
     file.write_text("kept")
-    with bench() as (_, rig, limits), pytest.raises(ServoError, match="old.mcap exists; give another name"):
+    with (
+        bench() as (_, rig, limits),
+        pytest.raises(ServoError, match="old.mcap exists; give another name"),
+    ):
         Controller(rig, calibration(), limits, record=file).__enter__()
     assert file.read_text() == "kept"
 
@@ -109,7 +122,9 @@ def stream(data):
     """Return the loop messages that the `mcap` package's stream reader finds."""
     found = []
     with contextlib.suppress(EndOfFile, McapError, struct.error):
-        found.extend(record.data for record in StreamReader(data).records if isinstance(record, Message))
+        found.extend(
+            record.data for record in StreamReader(data).records if isinstance(record, Message)
+        )
     return found
 
 
@@ -130,11 +145,14 @@ def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
 
 
 def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
-    """A record whose kind, number or length a flipped byte changes is no period less that nobody notices."""
+    """A record whose kind, number or length a flipped byte changes is no period less that nobody
+    notices.
+    """
     whole, file = recorded.read_bytes(), tmp_path / "less.mcap"
     assert read_recording(recorded).short is None
     messages = [message for _, _, message in _core.read_recording(str(recorded))]
-    record = [whole.index(message) - 31 for message in messages]  # kind, length; channel, number, two times
+    # kind, length; channel, number, two times
+    record = [whole.index(message) - 31 for message in messages]
     quarter = record[len(record) // 4]
     for place in (0, 1, 9, 11):  # kind, length, channel, number
         bad = bytearray(whole)
@@ -151,7 +169,9 @@ def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
 
 
 def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
-    """The file holds a checksum of all that the loop wrote: a changed number is not replayed as if it were recorded."""
+    """The file holds a checksum of all that the loop wrote: a changed number is not replayed as if
+    it were recorded.
+    """
     whole, file = recorded.read_bytes(), tmp_path / "changed.mcap"
     messages = [message for _, _, message in _core.read_recording(str(recorded))]
     middle = messages[len(messages) // 2]
@@ -163,7 +183,11 @@ def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
         main(["servo", "replay", str(file)])
         told = capsys.readouterr()
         assert "changed.mcap" in told.err and "damaged" in told.err, (old, told)
-    file.write_bytes(whole[:start] + middle.replace(b'"overruns":', b'"overruns";') + whole[start + len(middle) :])
+    file.write_bytes(
+        whole[:start]
+        + middle.replace(b'"overruns":', b'"overruns";')
+        + whole[start + len(middle) :]
+    )
     assert main(["servo", "replay", str(file)]) == 1
     assert f"message {len(messages) // 2} is no JSON" in capsys.readouterr().err
     assert len(read_recording(file).periods) == len(messages) // 2 - 1
@@ -177,7 +201,10 @@ def test_periods_that_vanish_before_a_clean_end_are_told(recorded, tmp_path, cap
     for start, end in ((second, last), (third, last)):
         file.write_bytes(whole[:start] + whole[end:])
         assert main(["servo", "replay", str(file)]) == 1
-        assert "less.mcap is damaged: the checksum of its data does not match" in capsys.readouterr().err
+        assert (
+            "less.mcap is damaged: the checksum of its data does not match"
+            in capsys.readouterr().err
+        )
 
 
 def test_damaged_recordings_end_with_a_line(recorded, tmp_path):

@@ -1,4 +1,6 @@
-"""Recordings of the loop that are damaged, cut or broken off: no number changes silently, nothing is lost quietly."""
+"""Recordings of the loop that are damaged, cut or broken off: no number changes silently, nothing
+is lost quietly.
+"""
 
 import contextlib
 import re
@@ -37,7 +39,10 @@ def drive(robot, seconds):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     file = tmp_path_factory.mktemp("recording") / "drive.mcap"
-    with bench(200.0) as (_, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+    with (
+        bench(200.0) as (_, rig, limits),
+        Controller(rig, calibration(), limits, record=file) as robot,
+    ):
         drive(robot, 0.6)
     return file
 
@@ -61,7 +66,9 @@ def test_a_sound_recording_gives_no_word(recorded):
     assert told.short is None and told.incomplete is None and not told.doubtful
     with recorded.open("rb") as stream:
         closing = read_closing(stream, recorded.stat().st_size)
-    assert closing.data is True and closing.summary is True, "its own recordings always carry checksums"
+    assert closing.data is True and closing.summary is True, (
+        "its own recordings always carry checksums"
+    )
     assert sum(closing.counts.values()) == len(told.periods) + 1
 
 
@@ -80,7 +87,13 @@ def test_a_number_that_changed_somewhere_is_refused_but_for_replay(copied, tmp_p
     """The remedy that the line names leads out."""
     changed(copied, b'"overruns":', b'"Overruns":')  # a key that no run needs
     line = "drive.mcap is damaged: the checksum of its data does not match, so any of its "
-    for words, code in (("show", 2), ("compare", 2), ("diagnose", 2), ("model predict", 2), ("check", 1)):
+    for words, code in (
+        ("show", 2),
+        ("compare", 2),
+        ("diagnose", 2),
+        ("model predict", 2),
+        ("check", 1),
+    ):
         assert main([*words.split(), str(copied)]) == code, words
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and line in said, said
@@ -95,8 +108,10 @@ def test_a_number_that_changed_somewhere_is_refused_but_for_replay(copied, tmp_p
 def test_what_is_damaged_at_one_place_is_read_up_to_there_and_said(copied, capsys):
     count = len(read_recording(copied).periods)
     changed(copied, b'"overruns":', b'"overruns";')
-    line = re.compile(r"drive.mcap is damaged \(message \d+ is no JSON: .*\); it is read up to \d\.\d\d s; \d+ of "
-                      rf"{count + 1} messages missing")  # fmt: skip
+    line = re.compile(
+        r"drive.mcap is damaged \(message \d+ is no JSON: .*\); it is read up to \d\.\d\d s; \d+ of "
+        rf"{count + 1} messages missing"
+    )
     for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):
         assert main([*words, str(copied)]) == 1, words
         said = capsys.readouterr()
@@ -113,7 +128,10 @@ def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
     for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):
         assert main([*words, str(copied)]) == 1, words
         said = capsys.readouterr()
-        assert re.search(r"drive.mcap was cut short: its loop did not close it.*; it is read up to 0\.\d\d s", said.err)
+        assert re.search(
+            r"drive.mcap was cut short: its loop did not close it.*; it is read up to 0\.\d\d s",
+            said.err,
+        )
         assert said.err.count("cut short") == 1 and said.out
     assert main(["check", str(copied)]) == 1
     assert f"damaged   {copied}" in capsys.readouterr().out
@@ -123,11 +141,15 @@ def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
 def test_a_damaged_recording_without_its_seen_file_says_that_it_is_missing(copied, left):
     copied.write_bytes(copied.read_bytes()[: int(left * copied.stat().st_size)])
     seen_file(copied).unlink(missing_ok=True)
-    with pytest.warns(RecordingWarning, match=rf"cut short.*its file {seen_file(copied).name} is missing"):
+    with pytest.warns(
+        RecordingWarning, match=rf"cut short.*its file {seen_file(copied).name} is missing"
+    ):
         assert open_run(copied).frames == 0
 
 
-@pytest.mark.parametrize("protocol", [["--standard"], ["--block", "circle"], ["--protocol", "grid"]])
+@pytest.mark.parametrize(
+    "protocol", [["--standard"], ["--block", "circle"], ["--protocol", "grid"]]
+)
 def test_next_reports_damage_of_its_runs_without_a_diagnosis_too(copied, protocol, capsys):
     copied.write_bytes(copied.read_bytes()[: copied.stat().st_size // 2])
     assert main(["next", *protocol, "--run", str(copied)]) == 1
@@ -151,16 +173,26 @@ def rewritten(source, path, **options):
         writer = Writer(new, **options)
         writer.start()
         schema = writer.register_schema("softmap", "jsonschema", b"{}")
-        channels = {topic: writer.register_channel(topic, "json", schema) for topic in ("/setup", "/loop")}
+        channels = {
+            topic: writer.register_channel(topic, "json", schema) for topic in ("/setup", "/loop")
+        }
         for _, channel, message in make_reader(old).iter_messages(log_time_order=False):
             topic = channel.topic
-            writer.add_message(channels[topic], message.log_time, message.data, message.publish_time, message.sequence)
+            writer.add_message(
+                channels[topic],
+                message.log_time,
+                message.data,
+                message.publish_time,
+                message.sequence,
+            )
         writer.finish()
     return path
 
 
 def test_a_recording_that_was_rewritten_in_chunks_is_checked_too(recorded, tmp_path):
-    path = rewritten(recorded, tmp_path / "chunks.mcap", compression=CompressionType.NONE, chunk_size=20_000)
+    path = rewritten(
+        recorded, tmp_path / "chunks.mcap", compression=CompressionType.NONE, chunk_size=20_000
+    )
     assert np.array_equal(open_run(path).ticks, open_run(recorded).ticks)
     _, silent = flip_bits(path, open_run, 40, 3)
     assert not silent
@@ -219,7 +251,9 @@ def test_a_full_disk_is_an_error_when_the_block_is_left(tmp_path):
         assert robot.state == "off" or not robot.report.get("torque")
     seconds = float(re.search(r"up to (\S+) s", robot.unrecorded)[1])
     told = read_recording(file)
-    assert (told.periods[-1]["now"] - told.periods[0]["now"]) * 1e-9 == pytest.approx(seconds, abs=0.06)
+    assert (told.periods[-1]["now"] - told.periods[0]["now"]) * 1e-9 == pytest.approx(
+        seconds, abs=0.06
+    )
     assert told.short is not None
 
 

@@ -1,4 +1,6 @@
-"""rig.toml: whatever a name or a port holds is read back, and what its user wrote there lives through the verbs."""
+"""rig.toml: whatever a name or a port holds is read back, and what its user wrote there lives
+through the verbs.
+"""
 
 import random
 import re
@@ -71,16 +73,24 @@ def test_every_character_is_read_back():
     for start in range(0, 0x110000, 4096):
         text = "".join(chr(c) for c in range(start, start + 4096) if not 0xD800 <= c < 0xE000)
         assert tomllib.loads(f"a = {quoted(text)}")["a"] == text
-    assert tomllib.loads(f"a = {quoted('x' + chr(0xD800))}")["a"] == "x?", "half a character has no form in a file"
+    assert tomllib.loads(f"a = {quoted('x' + chr(0xD800))}")["a"] == "x?", (
+        "half a character has no form in a file"
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_rig_of_odd_names_is_read_as_it_was_written(tmp_path, seed):
     rng = random.Random(seed)
     port, chip, said, name = (odd_text(rng) for _ in range(4))
-    stops = Emergency(Line(chip, 1), Beats(5006, str(tmp_path / "a\x7fb\U000f0001"), 0.2, odd_text(rng)))
+    stops = Emergency(
+        Line(chip, 1), Beats(5006, str(tmp_path / "a\x7fb\U000f0001"), 0.2, odd_text(rng))
+    )
     rig = Rig(
-        port, BAUD, (RigServo(1, MODEL, HOME),), emergency=stops, made={name: {name: said, "all": [said, 1, 0.5]}}
+        port,
+        BAUD,
+        (RigServo(1, MODEL, HOME),),
+        emergency=stops,
+        made={name: {name: said, "all": [said, 1, 0.5]}},
     )
     rig.write(tmp_path / "rig.toml")
     assert read_rig(tmp_path / "rig.toml") == rig
@@ -94,7 +104,9 @@ def hanging(tmp_path):
     bus = _core.EmulatedBus([(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)], [[], []], seed=2)
     set_up(bus.path)
     file = tmp_path / "rig.toml"
-    file.write_text(EDITED.replace("/dev/ttyUSB0", bus.path).replace("home = 1 #", f"home = {HOME - 4096} #"))
+    file.write_text(
+        EDITED.replace("/dev/ttyUSB0", bus.path).replace("home = 1 #", f"home = {HOME - 4096} #")
+    )
     yield bus, file
     bus.unplug()
 
@@ -112,12 +124,14 @@ def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
         c for c in comments(before) if "in the morning" not in c
     ]
     head, made = after.split("[made.homed]")
-    assert head == before.split("[made.homed]")[0].replace(f"home = {HOME - 4096} #", f"home = {HOME} #").replace(
-        f"model = '{MODEL}'\n", f"model = '{MODEL}'\nhome = {HOME}\n"
-    )
+    assert head == before.split("[made.homed]")[0].replace(
+        f"home = {HOME - 4096} #", f"home = {HOME} #"
+    ).replace(f"model = '{MODEL}'\n", f"model = '{MODEL}'\nhome = {HOME}\n")
     assert "  # in the morning\n" in made and made.endswith("# the end\n")
     now = read_rig(file)
-    assert [servo.home for servo in now.servos] == [HOME, HOME] and now.servos[0].current_mA == 210.5
+    assert [servo.home for servo in now.servos] == [HOME, HOME] and now.servos[
+        0
+    ].current_mA == 210.5
     assert now.made["homed"]["firmware"] == [46, 46] and now.ceiling == rig.ceiling
     assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0
     assert file.read_text().split("[made.homed]")[0] == head, "homed where it is, nothing changes"
@@ -125,10 +139,29 @@ def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
 
 def test_setting_up_anew_takes_what_was_found_says_so_and_leaves_what_was_written(hanging, capsys):
     bus, file = hanging
-    assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1", "--rig", str(file)]) == 0
+    assert (
+        main(
+            [
+                "servo",
+                "setup",
+                "--port",
+                bus.path,
+                "--baud",
+                str(BAUD),
+                "--id",
+                "1",
+                "--rig",
+                str(file),
+            ]
+        )
+        == 0
+    )
     text = file.read_text()
     assert "home" not in text.split("[made.homed]")[0] and "current_mA" not in text
-    assert f"{file} held its home and measured current: taken out, to be found again" in capsys.readouterr().out
+    assert (
+        f"{file} held its home and measured current: taken out, to be found again"
+        in capsys.readouterr().out
+    )
     assert "# new in June" in text and "# measured in May" in text and "# ours\n" in text
 
 
@@ -151,7 +184,9 @@ LAYOUTS = {
     "text over lines": f'{SCHEMA}port = """\n[[servo]]\n"""\n[[servo]]\nid = 1\n{MODEL_LINE}home = 3 # x\n',
     "list over lines": f'{SCHEMA}port = "p"\n[[servo]]\nid = 1\n{MODEL_LINE}[made.homed]\nat = [\n1,\n2] # x\n',
     "inline provenance": f'{SCHEMA}port = "p"\nmade = {{homed = {{a = 1}}}} # x\n[[servo]]\nid = 1\n{MODEL_LINE}',
-    "lines of Windows": f'{SCHEMA}port = "p" # x\n[[servo]]\nid = 1 # y\n{MODEL_LINE}'.replace("\n", "\r\n"),
+    "lines of Windows": f'{SCHEMA}port = "p" # x\n[[servo]]\nid = 1 # y\n{MODEL_LINE}'.replace(
+        "\n", "\r\n"
+    ),
 }
 
 
@@ -164,19 +199,25 @@ def test_a_file_of_any_layout_keeps_it_and_its_comments(tmp_path, text):
     after = (tmp_path / "rig.toml").read_bytes().decode()
     assert read_rig(tmp_path / "rig.toml") == changed
     assert comments(after) == comments(text)
-    assert [key for key in tomllib.loads(after) if key in tomllib.loads(text)] == list(tomllib.loads(text))
+    assert [key for key in tomllib.loads(after) if key in tomllib.loads(text)] == list(
+        tomllib.loads(text)
+    )
     assert ("servo = [" in after, "made = {" in after) == ("servo = [" in text, "made = {" in text)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_layouts_that_are_still_a_rig_take_findings(tmp_path, seed):
-    """Lines repeated, moved or taken out: whatever is still read as a rig holds the findings afterwards."""
+    """Lines repeated, moved or taken out: whatever is still read as a rig holds the findings
+    afterwards.
+    """
     rng, file, taken = random.Random(seed), tmp_path / "rig.toml", 0
     for _ in range(300):
         lines = EDITED.splitlines(keepends=True)
         for _ in range(rng.randint(1, 3)):
             k = rng.randrange(len(lines))
-            lines[rng.randrange(len(lines) + 1) : 0] = rng.choice([[lines[k]], [lines.pop(k)], ["[made.x]\n"]])
+            lines[rng.randrange(len(lines) + 1) : 0] = rng.choice(
+                [[lines[k]], [lines.pop(k)], ["[made.x]\n"]]
+            )
         file.write_text("".join(lines))
         try:
             rig = read_rig(file)
@@ -219,7 +260,9 @@ def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
 )
 def test_a_mistyped_key_is_refused_and_none_is_overlooked(tmp_path, wrong, said):
     file = tmp_path / "rig.toml"
-    file.write_text(f'schema = "softmap.rig/1"\nport = "p"\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n{wrong}\n')
+    file.write_text(
+        f'schema = "softmap.rig/1"\nport = "p"\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n{wrong}\n'
+    )
     with pytest.raises(ServoError, match=said):
         read_rig(file)
 

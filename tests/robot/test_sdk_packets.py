@@ -1,9 +1,10 @@
-"""Each instruction on the wire is the official SDK's, byte for byte, drawn ones too; each reads the other's answers.
+"""Each instruction on the wire is the official SDK's, byte for byte, drawn ones too; each reads the
+other's answers.
 
-The SDK speaks to a double of its port, our bus to a pseudo-terminal. What only the loop sends (sync) goes through the
-codec here; rust/servo/bus_tests.rs holds the bus to the same bytes. SDK 4.1.0 works out a packet's stuffing and then
-sends it without, and reads wrongly what follows the first byte that it takes out: its
-`addStuffing` is the oracle there.
+The SDK speaks to a double of its port, our bus to a pseudo-terminal. What only the loop sends
+(sync) goes through the codec here; rust/servo/bus_tests.rs holds the bus to the same bytes. SDK
+4.1.0 works out a packet's stuffing and then sends it without, and reads wrongly what follows the
+first byte that it takes out: its `addStuffing` is the oracle there.
 """
 
 import os
@@ -65,7 +66,9 @@ class Port:
 
 
 def on_our_wire(ask, answer):
-    """Let our bus ask; the bytes that it sent and what it made of `answer` (a fault is its text)."""
+    """Let our bus ask; the bytes that it sent and what it made of `answer` (a fault is its
+    text).
+    """
     master, slave = os.openpty()
     tty.setraw(slave)
     sent = bytearray()
@@ -95,7 +98,9 @@ def on_our_wire(ask, answer):
 
 @dataclass(frozen=True)
 class Instruction:
-    """How both ask for the same, the manual's packet and answer, and what each makes of the answer."""
+    """How both ask for the same, the manual's packet and answer, and what each makes of the
+    answer.
+    """
 
     sdk: Any
     ours: Any
@@ -176,7 +181,11 @@ def test_sync_read_is_the_sdk_s_and_the_manual_s_and_its_answers_are_read_alike(
     )
     port = Port(stream)
     group = sync_read(port)
-    assert port.sent == _core.servo_packet(EVERYBODY, 0x82, bytes([132, 0, 4, 0, 1, 2])) == bytes.fromhex(SYNC_READ)
+    assert (
+        port.sent
+        == _core.servo_packet(EVERYBODY, 0x82, bytes([132, 0, 4, 0, 1, 2]))
+        == bytes.fromhex(SYNC_READ)
+    )
     assert [group.getData(id, 132, 4) for id in (1, 2)] == [166, 2079]
     assert _core.servo_packets(stream) == [(id, STATUS, b"\0" + data) for id, data in answers]
 
@@ -202,7 +211,9 @@ def of_sdk(id, instruction, parameters):
     """Return the packet of the SDK's own stuffing and checksum."""
     length = len(parameters) + 3
     sdk = Protocol2PacketHandler()
-    packet = sdk.addStuffing([0xFF, 0xFF, 0xFD, 0, id, length & 0xFF, length >> 8, instruction, *parameters, 0, 0])
+    packet = sdk.addStuffing(
+        [0xFF, 0xFF, 0xFD, 0, id, length & 0xFF, length >> 8, instruction, *parameters, 0, 0]
+    )
     crc = sdk.updateCRC(0, packet, len(packet) - 2)
     return bytes([*packet[:-2], crc & 0xFF, crc >> 8])
 
@@ -229,7 +240,11 @@ def drawn_write(rng, port, id):
 
 
 def drawn_sync_read(rng, port, id, fast=False):
-    ids, address, size = rng.sample(range(253), rng.randrange(1, 9)), rng.randrange(600), rng.randrange(1, 60)
+    ids, address, size = (
+        rng.sample(range(253), rng.randrange(1, 9)),
+        rng.randrange(600),
+        rng.randrange(1, 60),
+    )
     sync_read(port, ids, address, size, fast)
     return EVERYBODY, 0x8A if fast else 0x82, word(address) + word(size) + bytes(ids)
 
@@ -239,12 +254,20 @@ def drawn_fast_sync_read(rng, port, id):
 
 
 def drawn_sync_write(rng, port, id):
-    ids, address, size = rng.sample(range(253), rng.randrange(1, 9)), rng.randrange(600), rng.randrange(1, 20)
+    ids, address, size = (
+        rng.sample(range(253), rng.randrange(1, 9)),
+        rng.randrange(600),
+        rng.randrange(1, 20),
+    )
     data = {id: nasty(rng, size) for id in ids}
     group = GroupSyncWrite(port, SDK, address, size)
     assert all(group.addParam(id, list(one)) for id, one in data.items())
     group.txPacket()
-    return EVERYBODY, 0x83, word(address) + word(size) + b"".join(bytes([id]) + one for id, one in data.items())
+    return (
+        EVERYBODY,
+        0x83,
+        word(address) + word(size) + b"".join(bytes([id]) + one for id, one in data.items()),
+    )
 
 
 def drawn_ping(rng, port, id):

@@ -1,8 +1,10 @@
-"""Messages about servos whose remedy is a command: provoked at an emulated bus, followed as named, and it works.
+"""Messages about servos whose remedy is a command: provoked at an emulated bus, followed as named,
+and it works.
 
-A case is a row of `CASES`. The runner repeats the failing command and follows the first command that its message names,
-until it works: the names that it followed are those of the case, so that no advice leads in a circle. A followed
-command may fail with a message of its own, which is followed first.
+A case is a row of `CASES`. The runner repeats the failing command and follows the first command
+that its message names, until it works: the names that it followed are those of the case, so that no
+advice leads in a circle. A followed command may fail with a message of its own, which is followed
+first.
 """
 
 import re
@@ -24,11 +26,29 @@ from softmap_edge.robot.servo.rig import read_rig
 
 MOST = 5  # commands that a message may need one after the other
 NAMED = re.compile(r"`softmap ([^`]+)`(?:, (\d+) times)?")
-READ, HOMED = ("servo", "read", "--rig", "rig.toml"), ("servo", "home", "--rig", "rig.toml", "--yes")
-DRIVE = ("servo", "move", "0.2,0.2", "--rig", "rig.toml", "--bundle", "finger", "--hold", "--seconds", "0")
+READ, HOMED = (
+    ("servo", "read", "--rig", "rig.toml"),
+    ("servo", "home", "--rig", "rig.toml", "--yes"),
+)
+DRIVE = (
+    "servo",
+    "move",
+    "0.2,0.2",
+    "--rig",
+    "rig.toml",
+    "--bundle",
+    "finger",
+    "--hold",
+    "--seconds",
+    "0",
+)
 DOCTOR = ("servo", "doctor", "--rig", "rig.toml")
 CALIBRATED = ("--pulley-mm", "2.33", "--signs=+,+", "--ruler", "8192=29.3", "--out", "made")
-MORE = {("servo", "home"): ("--yes",), ("servo", "move"): ("--hold",), ("servo", "pull"): ("--hold",)}
+MORE = {
+    ("servo", "home"): ("--yes",),
+    ("servo", "move"): ("--hold",),
+    ("servo", "pull"): ("--hold",),
+}
 
 
 @dataclass(frozen=True)
@@ -68,18 +88,39 @@ def changed(**values: object) -> Callable:
         rig = read_rig("rig.toml")
         of_servo = {key: value for key, value in values.items() if key in ("home", "low", "high")}
         servos = tuple(replace(one, **of_servo) for one in rig.servos)
-        replace(rig, servos=servos, **{k: v for k, v in values.items() if k not in of_servo}).write("rig.toml")
+        replace(rig, servos=servos, **{k: v for k, v in values.items() if k not in of_servo}).write(
+            "rig.toml"
+        )
 
     return change
 
 
 def at_another_rate(bus: _core.EmulatedBus) -> None:
-    assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1", "--new-baud", "57600"]) == 0
+    assert (
+        main(
+            [
+                "servo",
+                "setup",
+                "--port",
+                bus.path,
+                "--baud",
+                str(BAUD),
+                "--id",
+                "1",
+                "--new-baud",
+                "57600",
+            ]
+        )
+        == 0
+    )
 
 
 def outside(bus: object) -> None:
     for _ in range(4):
-        assert main(["servo", "move", "--servo", "1", "--by", "280", "--rig", "rig.toml", "--hold"]) == 0
+        assert (
+            main(["servo", "move", "--servo", "1", "--by", "280", "--rig", "rig.toml", "--hold"])
+            == 0
+        )
 
 
 def plain_bundle(bus: object) -> None:
@@ -98,36 +139,86 @@ CASES = [
     Case("another rate", at_another_rate, READ, ["servo setup"], code=1),
     Case("another id", lambda bus: bus.rename(0, 9), READ, ["servo setup"], code=1),
     Case("torque that is on", left(torque_enable=1), READ, ["servo off"], code=1),
-    Case("a servo that shut down", lambda bus: bus.fail(0, 0x20), DRIVE, ["servo reboot", "servo home"]),
-    Case("the doctor on it", lambda bus: bus.fail(1, 0x04), DOCTOR, ["servo reboot", "servo home"], code=1),
+    Case(
+        "a servo that shut down",
+        lambda bus: bus.fail(0, 0x20),
+        DRIVE,
+        ["servo reboot", "servo home"],
+    ),
+    Case(
+        "the doctor on it",
+        lambda bus: bus.fail(1, 0x04),
+        DOCTOR,
+        ["servo reboot", "servo home"],
+        code=1,
+    ),
     Case("power that was off", lambda bus: bus.reset(1), DRIVE, ["servo home"]),
     Case("the doctor on that", lambda bus: bus.reset(1), DOCTOR, ["servo home"], code=1),
     Case("no home", changed(home=None), DRIVE, ["servo home"]),
-    Case("no home, limits", changed(home=None), ("servo", "limits", *DRIVE[3:7]), ["servo home"], code=1),
+    Case(
+        "no home, limits",
+        changed(home=None),
+        ("servo", "limits", *DRIVE[3:7]),
+        ["servo home"],
+        code=1,
+    ),
     Case("a finger that is bent", changed(home=HOME - 500), HOMED, ["servo move", "servo move"]),
     Case("a place outside the window", outside, DRIVE, ["servo move"]),
     Case(
-        "a servo that is gone", lambda bus: bus.damage(1, mute=True), READ, ["servo scan"],
-        by_hand=lambda bus: bus.damage(1, mute=False), code=1,
+        "a servo that is gone",
+        lambda bus: bus.damage(1, mute=True),
+        READ,
+        ["servo scan"],
+        by_hand=lambda bus: bus.damage(1, mute=False),
+        code=1,
     ),
     Case(
-        "a servo that is held", lambda bus: bus.damage(0, stuck=True),
+        "a servo that is held",
+        lambda bus: bus.damage(0, stuck=True),
         ("servo", "move", "--servo", "1", "--by", "60", "--rig", "rig.toml", "--hold"),
         ["servo limits", "servo home", "servo move", "servo home"],
-        by_hand=lambda bus: bus.damage(0, stuck=False), works=DRIVE, code=1,
+        by_hand=lambda bus: bus.damage(0, stuck=False),
+        works=DRIVE,
+        code=1,
     ),
-    Case("a bundle without a calibration", plain_bundle, (*DRIVE[:6], "plain", *DRIVE[7:]), ["servo calibrate"],
-         more=CALIBRATED, works=(*DRIVE[:6], "made", *DRIVE[7:])),
-    Case("a command beyond the window", lambda bus: None, ("servo", "move", "9,0", *DRIVE[3:]), ["servo limits"],
-         works=DRIVE, code=1),
-    Case("no rig", no_rig, READ, ["servo setup"], more=("--port", "PORT", "--baud", str(BAUD), "--id", "1")),
-    Case("no key", changed(emergency=Emergency(udp=Beats(5006, "stop.key"))), DOCTOR, ["servo heartbeat"], code=1),
-]  # fmt: skip
+    Case(
+        "a bundle without a calibration",
+        plain_bundle,
+        (*DRIVE[:6], "plain", *DRIVE[7:]),
+        ["servo calibrate"],
+        more=CALIBRATED,
+        works=(*DRIVE[:6], "made", *DRIVE[7:]),
+    ),
+    Case(
+        "a command beyond the window",
+        lambda bus: None,
+        ("servo", "move", "9,0", *DRIVE[3:]),
+        ["servo limits"],
+        works=DRIVE,
+        code=1,
+    ),
+    Case(
+        "no rig",
+        no_rig,
+        READ,
+        ["servo setup"],
+        more=("--port", "PORT", "--baud", str(BAUD), "--id", "1"),
+    ),
+    Case(
+        "no key",
+        changed(emergency=Emergency(udp=Beats(5006, "stop.key"))),
+        DOCTOR,
+        ["servo heartbeat"],
+        code=1,
+    ),
+]
 
 
 @pytest.fixture
 def robot(tmp_path, monkeypatch):
-    """Give the bus of a bench that is well, in the current folder: `rig.toml` and the bundle `finger`."""
+    """Give the bus of a bench that is well, in the current folder: `rig.toml` and the bundle
+    `finger`.
+    """
     monkeypatch.chdir(tmp_path)
     for look in ("processor", "real_time", "ports", "latency", "teleoperation", "cameras"):
         monkeypatch.setattr(host, look, lambda *_: [])
@@ -146,13 +237,20 @@ def said_by(argv, capsys):
 
 
 def followed(message, bus, more, capsys):
-    """Run the first command that a message names, as often as it says; return its words, exit code and message."""
+    """Run the first command that a message names, as often as it says; return its words, exit code
+    and message.
+    """
     message = message.partition(" fault ")[2] or message  # the doctor names what may be better, too
     command, times = NAMED.search(message).groups()
     words = shlex.split(command)
     assert "FILE" not in words, f"the file is known: {message}"
-    known = next((extra for start, extra in MORE.items() if tuple(words[: len(start)]) == start), ())
-    argv = [{"N": "2", "PORT": bus.path, "DIR": "finger"}.get(word, word) for word in (*words, *known, *more)]
+    known = next(
+        (extra for start, extra in MORE.items() if tuple(words[: len(start)]) == start), ()
+    )
+    argv = [
+        {"N": "2", "PORT": bus.path, "DIR": "finger"}.get(word, word)
+        for word in (*words, *known, *more)
+    ]
     for _ in range(int(times or 1)):
         code, said = said_by(argv, capsys)
     return " ".join(words), code, said
@@ -191,7 +289,9 @@ def test_an_unmeasured_current_is_measured_by_the_command_named(tmp_path, monkey
 
 
 def test_each_step_from_new_servos_names_the_next(tmp_path, monkeypatch, capsys):
-    """Set up without a rig: what comes next holds everything, and needs nothing that does not exist."""
+    """Set up without a rig: what comes next holds everything, and needs nothing that does not
+    exist.
+    """
     monkeypatch.chdir(tmp_path)
     bus = _core.EmulatedBus([(1, NUMBER, 57_600, 500.0)], [[]], seed=1)
     code, said = said_by(["servo", "setup", "--port", bus.path, "--baud", "57600"], capsys)
@@ -205,9 +305,19 @@ def test_each_step_from_new_servos_names_the_next(tmp_path, monkeypatch, capsys)
 
 
 def test_every_command_for_servos_that_a_message_names_has_a_case():
-    """A new remedy needs a row above; what is left out here is named as advice to look, not to mend."""
-    messages = [one for one in commands() if one.file.startswith("softmap_edge/") and one.words[0] == "servo"]
+    """A new remedy needs a row above; what is left out here is named as advice to look, not to
+    mend.
+    """
+    messages = [
+        one
+        for one in commands()
+        if one.file.startswith("softmap_edge/") and one.words[0] == "servo"
+    ]
     named = {" ".join(one.words[:2]) for one in messages}
-    covered = {start for case in CASES for start in case.follows} | {"servo pull", "servo read", "servo emulate"}
+    covered = {start for case in CASES for start in case.follows} | {
+        "servo pull",
+        "servo read",
+        "servo emulate",
+    }
     covered |= {"servo doctor", "servo replay"}
     assert named - {"servo"} <= covered

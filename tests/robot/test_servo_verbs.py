@@ -1,4 +1,6 @@
-"""Servos found, set up, read and released from the command line, on an emulated bus; a recording decided again."""
+"""Servos found, set up, read and released from the command line, on an emulated bus; a recording
+decided again.
+"""
 
 import io
 import json
@@ -46,7 +48,9 @@ def said(capsys, *argv):
 def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path):
     code, document = said(capsys, "servo", "scan", "--port", fresh.path)
     assert code == 0 and document["servos"] == [
-        dict(port=fresh.path, baud=57_600, id=1, model="XL330-M288", model_number=XL330, firmware=46)
+        dict(
+            port=fresh.path, baud=57_600, id=1, model="XL330-M288", model_number=XL330, firmware=46
+        )
     ]
     code, document = said(capsys, "servo", "read", "--port", fresh.path, "--baud", "57600")
     (one,) = document["servos"]
@@ -68,9 +72,15 @@ def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path
         str(rig),
     ]
     code, document = said(capsys, *argv)
-    assert code == 0 and document["servos"][0]["id"] == 2 and document["servos"][0]["baud"] == 1_000_000
+    assert (
+        code == 0
+        and document["servos"][0]["id"] == 2
+        and document["servos"][0]["baud"] == 1_000_000
+    )
     assert read_rig(rig).servos == (RigServo(2, "XL330-M288"),)
-    code, document = said(capsys, "servo", "read", "--port", fresh.path, "--id", "2", "--baud", "1000000")
+    code, document = said(
+        capsys, "servo", "read", "--port", fresh.path, "--id", "2", "--baud", "1000000"
+    )
     assert code == 0 and document["servos"][0]["complaints"] == []
     assert main(["servo", "read", "--port", fresh.path, "--baud", "1000000"]) == 0
     assert "  set up\n" in capsys.readouterr().out
@@ -92,8 +102,12 @@ def mends(bus):
 @pytest.mark.parametrize("firmware, runs_on", [(46, False), (42, False), (41, True), (38, True)])
 @pytest.mark.parametrize("number, counts", [(XL330, 5), (XL430, 4)])
 @pytest.mark.parametrize("mode", [3, 4, 5])
-def test_a_homing_offset_is_mended_whatever_mode_and_firmware(number, counts, mode, firmware, runs_on):
-    """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and said."""
+def test_a_homing_offset_is_mended_whatever_mode_and_firmware(
+    number, counts, mode, firmware, runs_on
+):
+    """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and
+    said.
+    """
     bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
     setting(bus, operating_mode=mode, homing_offset=1000)
     (found,) = setup.scan(bus.path, 57_600)
@@ -102,14 +116,24 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(number, counts, mo
         complaints = setup.complaints(found, setup.registers(port, 1))
     wrong = [line for line in complaints if line.startswith("homing offset is 1000")]
     assert len(wrong) == 1 and wrong[0].endswith(f"needed is 0; run {mends(bus)}")
-    assert (f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]) == runs_on
+    assert (
+        f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]
+    ) == runs_on
     done = setup.set_up(found, tell=said.append)
     with opened(bus.path, 57_600) as port:
         now = setup.registers(port, 1)
         assert setup.complaints(done, now) == []
-    assert (now["operating_mode"], now["homing_offset"], now["present_position"]) == (counts, 0, 500)
+    assert (now["operating_mode"], now["homing_offset"], now["present_position"]) == (
+        counts,
+        0,
+        500,
+    )
     mended = [line for line in said if line.startswith("homing offset is 1000")]
-    assert len(mended) == 1 and mended[0].endswith("it becomes 0") and ("lets the motor run on" in mended[0]) == runs_on
+    assert (
+        len(mended) == 1
+        and mended[0].endswith("it becomes 0")
+        and ("lets the motor run on" in mended[0]) == runs_on
+    )
     assert any(line.startswith("operating mode is ") for line in said) == (mode != counts)
     again = []
     setup.set_up(found, tell=again.append)
@@ -121,13 +145,24 @@ def test_firmware_without_a_watchdog_is_refused_and_nothing_is_written(fresh):
     (found,) = setup.scan(fresh.path, 57_600)
     with opened(fresh.path, 57_600) as port:
         before = setup.registers(port, 1)
-    line = "it is left as it is, its firmware 37 has no bus watchdog; update it to 45 with Dynamixel Wizard"
+    line = (
+        "it is left as it is, its firmware 37 has no bus watchdog; update it to 45 with Dynamixel "
+        "Wizard"
+    )
     with pytest.raises(ServoError, match=line):
         setup.set_up(replace(found, firmware=37), 2, 1_000_000)
     with opened(fresh.path, 57_600) as port:
         after = setup.registers(port, 1)
-    moving = ("realtime_tick", "present_position", "present_current", "present_temperature", "present_voltage")
-    assert {k: v for k, v in before.items() if k not in moving} == {k: v for k, v in after.items() if k not in moving}
+    moving = (
+        "realtime_tick",
+        "present_position",
+        "present_current",
+        "present_temperature",
+        "present_voltage",
+    )
+    assert {k: v for k, v in before.items() if k not in moving} == {
+        k: v for k, v in after.items() if k not in moving
+    }
 
 
 def test_what_setup_mends_is_told(fresh, capsys):
@@ -145,21 +180,26 @@ def test_what_setup_mends_is_told(fresh, capsys):
     told = capsys.readouterr().out.splitlines()
     assert len(told) == 2, "the second time there is nothing to mend"
     assert told[0].endswith(": set up") and told[1] == (
-        f"  next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml, and once all are: "
-        "softmap servo home --rig rig.toml"
+        f"  next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml, and "
+        "once all are: softmap servo home --rig rig.toml"
     )
 
 
 def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
     with bench() as (bus, rig, _):
         assert main(["servo", "setup", "--port", bus.path, "--baud", "1000000"]) == 2
-        assert "2 servos answer (ids 1, 2); connect one at a time, or say which with --id" in capsys.readouterr().err
+        assert (
+            "2 servos answer (ids 1, 2); connect one at a time, or say which with --id"
+            in capsys.readouterr().err
+        )
         argv = ["servo", "setup", "--port", bus.path, "--baud", "1000000", "--id"]
         assert main([*argv, "1", "--new-id", "2"]) == 2
         assert "id 2 is taken by another servo" in capsys.readouterr().err
         file = str(tmp_path / "rig.toml")
         assert main([*argv, "1", "--rig", file]) == 0 and main([*argv, "2", "--rig", file]) == 0
-        assert [servo.id for servo in read_rig(file).servos] == [1, 2] and read_rig(file).port == rig.port
+        assert [servo.id for servo in read_rig(file).servos] == [1, 2] and read_rig(
+            file
+        ).port == rig.port
         assert main([*argv, "1", "--new-baud", "9600", "--rig", file]) == 2
         assert "the bench runs at 1000000 baud" in capsys.readouterr().err
         assert main([*argv, "9"]) == 2
@@ -192,7 +232,10 @@ def test_torque_goes_off_whoever_left_it_on(capsys, tmp_path):
 def test_bad_ports_have_their_line(capsys, tmp_path):
     for argv, line in (
         (["servo", "scan", "--port", str(tmp_path / "none")], "no such port"),
-        (["servo", "off", "--rig", str(tmp_path / "rig.toml")], "make it with `softmap servo setup --rig"),
+        (
+            ["servo", "off", "--rig", str(tmp_path / "rig.toml")],
+            "make it with `softmap servo setup --rig",
+        ),
         (["servo", "emulate", "--model", "XL1"], "no servo 'XL1' is known"),
         (["servo", "emulate", "--servos", "99"], "99 servos; allowed are 1 to 16"),
     ):
@@ -228,7 +271,9 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
             assert bus.ping(2) is None
             process.stdin.write("mend 1\nburden 0 2\njammed 0\nlose_turn 0\nswap 0 1\n")
             process.stdin.flush()
-            while (there := bus.ping(2) and setup.registers(bus, 2)["present_position"]) != HOME - 4096:
+            while (
+                there := bus.ping(2) and setup.registers(bus, 2)["present_position"]
+            ) != HOME - 4096:
                 assert time.monotonic() - begin < 10.0, there
         _, _ = process.communicate()
         assert process.returncode == 0
@@ -243,8 +288,14 @@ def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     assert Run.load(out).hash() == read_recording(file).run().hash()
     before = out.read_bytes()
     assert main(["servo", "replay", str(file), "--run", str(out)]) == 2
-    assert "a run stands there and would be lost; give another name or --force" in capsys.readouterr().err
-    assert main(["servo", "replay", str(file), "--run", str(out), "--force"]) == 0 and out.read_bytes() == before
+    assert (
+        "a run stands there and would be lost; give another name or --force"
+        in capsys.readouterr().err
+    )
+    assert (
+        main(["servo", "replay", str(file), "--run", str(out), "--force"]) == 0
+        and out.read_bytes() == before
+    )
     capsys.readouterr()
     assert main(["servo", "replay", str(file)]) == 0
     assert "every one decided alike" in capsys.readouterr().out
@@ -257,10 +308,27 @@ def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsy
     with bench() as (bus, there, _):
         there.write(rig)
         before = rig.read_text()
-        argv = ["servo", "setup", "--port", bus.path, "--baud", "1000000", "--id", "2", "--rig", str(rig)]
+        argv = [
+            "servo",
+            "setup",
+            "--port",
+            bus.path,
+            "--baud",
+            "1000000",
+            "--id",
+            "2",
+            "--rig",
+            str(rig),
+        ]
         assert main([*argv, "--new-baud", "57600"]) == 2
-        assert "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000" in capsys.readouterr().err
-        assert [one.id for one in setup.scan(bus.path, 1_000_000)] == [1, 2] and rig.read_text() == before
+        assert (
+            "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000"
+            in capsys.readouterr().err
+        )
+        assert [one.id for one in setup.scan(bus.path, 1_000_000)] == [
+            1,
+            2,
+        ] and rig.read_text() == before
 
 
 def test_a_rate_that_no_port_has_is_refused(fresh, capsys):
@@ -278,11 +346,15 @@ def test_an_emulator_replaces_no_bench_but_its_own(tmp_path, monkeypatch, capsys
     argv = ["servo", "emulate", "--servos", "1", "--rig", str(rig)]
     assert main(argv) == 0 and main(argv) == 0, "its own is replaced"
     assert read_rig(rig).made["emulated"] == {"by": "softmap servo emulate"}
-    real = 'schema = "softmap.rig/1"\nport = "/dev/ttyUSB0"\n[[servo]]\nid = 1\nmodel = "XL330-M288"\n'
+    real = (
+        'schema = "softmap.rig/1"\nport = "/dev/ttyUSB0"\n[[servo]]\nid = 1\nmodel = "XL330-M288"\n'
+    )
     for text in (real, "no TOML"):
         rig.write_text(text)
         for more in ([], ["--fresh"]):
-            assert main([*(argv if not more else ["servo", "emulate", "--rig", str(rig)]), *more]) == 2
+            assert (
+                main([*(argv if not more else ["servo", "emulate", "--rig", str(rig)]), *more]) == 2
+            )
             assert "a file that no emulator wrote stands there" in capsys.readouterr().err
         assert rig.read_text() == text
     assert main([*argv, "--force"]) == 0 and read_rig(rig).port != "/dev/ttyUSB0"
@@ -295,7 +367,10 @@ def test_an_emulator_replaces_a_bundle_only_where_it_is_asked_to(tmp_path, monke
     before = (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns
     capsys.readouterr()
     assert main(argv) == 2
-    assert f"--calibrated {tmp_path / 'robot'}: a bundle stands there already" in capsys.readouterr().err
+    assert (
+        f"--calibrated {tmp_path / 'robot'}: a bundle stands there already"
+        in capsys.readouterr().err
+    )
     assert (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns == before
     assert main([*argv, "--force"]) == 0
     assert (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns > before
@@ -312,7 +387,9 @@ def test_each_line_of_faults_on_the_page_is_understood():
     rows = page.split("| what is typed | what breaks |")[1].split("\n\n")[0].splitlines()[2:]
     typed = [line for row in rows for line in re.findall(r"`([^`]+)`", row.split("|")[1])]
     named = {line.split()[0] for line in typed}
-    known = set(re.findall(r"[a-z_]+", servo_emulate.FAULTS.split("faults, one a line: ")[1].split("(")[0]))
+    known = set(
+        re.findall(r"[a-z_]+", servo_emulate.FAULTS.split("faults, one a line: ")[1].split("(")[0])
+    )
     assert named == known | {"blind"}, "all that there are"
     finger = SimpleNamespace(blind=lambda is_so: None)
     bus = _core.EmulatedBus([(id, XL330, 57_600, 500.0) for id in (1, 2)], [[], []], seed=1)

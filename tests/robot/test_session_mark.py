@@ -58,8 +58,12 @@ def test_the_start_after_a_killed_program_says_so(marks, tmp_path):
     with bench(200.0) as (bus, rig, limits):
         record = tmp_path / "killed.mcap"
         words = [sys.executable, "-c", PROGRAM, rig.port, str(record)]
-        path = os.pathsep.join([str(Path(__file__).parents[1] / "support"), os.environ.get("PYTHONPATH", "")])
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
+        path = os.pathsep.join(
+            [str(Path(__file__).parents[1] / "support"), os.environ.get("PYTHONPATH", "")]
+        )
+        process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
+        )
         assert process.stdout.readline() == "driving\n"
         process.kill()
         process.wait()
@@ -114,7 +118,9 @@ def test_a_session_that_runs_or_ended_in_order_says_nothing(marks):
     session_mark.report_last("/dev/ttyTEST")
 
 
-@pytest.mark.parametrize("text", ["", "x", "[]", "{}", "7\n8", '{"pid": "a"}', "\x00" * 100, "[" * 100_000])
+@pytest.mark.parametrize(
+    "text", ["", "x", "[]", "{}", "7\n8", '{"pid": "a"}', "\x00" * 100, "[" * 100_000]
+)
 def test_a_mark_that_is_damaged_stops_no_start(marks, text):
     file = left(marks)
     file.write_text(text)
@@ -144,7 +150,9 @@ def test_another_process_that_got_the_old_id_is_not_taken_for_the_session(marks,
         said = session_mark.last_session(file)
         assert said is None if field == "pid" else "still runs" in said
         file = left(marks, **{field: other.pid, name: None})
-        assert session_mark.last_session(file) == said, "a mark of an older version counts by its id"
+        assert session_mark.last_session(file) == said, (
+            "a mark of an older version counts by its id"
+        )
         other.communicate(b"")
 
 

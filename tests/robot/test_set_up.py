@@ -1,4 +1,6 @@
-"""A servo that gets another id keeps its place in the rig; one as it is delivered is another servo."""
+"""A servo that gets another id keeps its place in the rig; one as it is delivered is another
+servo.
+"""
 
 import pytest
 from other_program import leave
@@ -18,7 +20,9 @@ def fresh(baud=BAUD, ids=(1, 2)):
 
 
 def set_up(bus, file, *more, baud=BAUD):
-    return main(["servo", "setup", "--port", bus.path, "--baud", str(baud), "--rig", str(file), *more])
+    return main(
+        ["servo", "setup", "--port", bus.path, "--baud", str(baud), "--rig", str(file), *more]
+    )
 
 
 def ids(file):
@@ -33,7 +37,9 @@ def test_the_entry_follows_the_servo_and_keeps_its_place(tmp_path, capsys):
     capsys.readouterr()
     assert set_up(bus, file, "--id", "1", "--new-id", "3") == 0
     assert ids(file) == [3, 2], "the order of the commands"
-    assert f"{file}: servo 1 is servo 3 now and keeps its place, command 1" in capsys.readouterr().out
+    assert (
+        f"{file}: servo 1 is servo 3 now and keeps its place, command 1" in capsys.readouterr().out
+    )
     assert "# the left one" in file.read_text() and read_rig(file).servos[0].low == -800
     assert sorted(read_rig(file).made["set_up"]) == ["servo_2", "servo_3"]
     assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0, "what is named next leads on"
@@ -57,17 +63,25 @@ def test_a_new_servo_takes_the_place_of_one_that_is_gone(tmp_path):
     Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME, low=-5) for id in (1, 2, 3))).write(file)
     bus = fresh(57_600, (1,))
     assert set_up(bus, file, "--new-id", "2", "--new-baud", str(BAUD), baud=57_600) == 0
-    assert ids(file) == [1, 2, 3] and [servo.home for servo in read_rig(file).servos] == [HOME, None, HOME]
+    assert ids(file) == [1, 2, 3] and [servo.home for servo in read_rig(file).servos] == [
+        HOME,
+        None,
+        HOME,
+    ]
     bus.unplug()
 
 
-def test_an_id_that_the_rig_lists_for_another_servo_is_refused_before_anything_changes(tmp_path, capsys):
+def test_an_id_that_the_rig_lists_for_another_servo_is_refused_before_anything_changes(
+    tmp_path, capsys
+):
     file, bus = tmp_path / "rig.toml", fresh()
     assert set_up(bus, file, "--id", "1") == set_up(bus, file, "--id", "2") == 0
     bus.damage(1, mute=True)
     before = file.read_text()
     assert set_up(bus, file, "--id", "1", "--new-id", "2") == 2
-    assert "give an id that it does not list" in capsys.readouterr().err and file.read_text() == before
+    assert (
+        "give an id that it does not list" in capsys.readouterr().err and file.read_text() == before
+    )
     assert [one.id for one in setup.scan(bus.path, BAUD)] == [1]
     assert set_up(bus, file, "--id", "1", "--new-id", "4") == 0 and ids(file) == [4, 2]
     bus.unplug()
@@ -79,7 +93,9 @@ def test_a_servo_that_obeys_the_old_id_too_is_found_before_both_are_renamed(caps
         argv = ["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id"]
         assert main([*argv, "1", "--new-id", "7"]) == 2
         line = capsys.readouterr().err
-        assert "servo 2 obeys id 1 too (its secondary id)" in line and f"{BAUD} --id 2` first" in line
+        assert (
+            "servo 2 obeys id 1 too (its secondary id)" in line and f"{BAUD} --id 2` first" in line
+        )
         assert [one.id for one in setup.scan(bus.path, BAUD)] == [1, 2]
         assert main([*argv, "2"]) == 0 and main([*argv, "1", "--new-id", "7"]) == 0
         assert [one.id for one in setup.scan(bus.path, BAUD)] == [2, 7]
@@ -100,13 +116,28 @@ def test_a_servo_that_answers_too_little_is_set_up(level, number):
 
 def test_limits_that_another_program_left_are_raised_and_told():
     bus, said = fresh(57_600, (1,)), []
-    leave(bus.path, 57_600, current_limit=20, pwm_limit=100, velocity_limit=1, profile_velocity=4, goal_pwm=50)
+    leave(
+        bus.path,
+        57_600,
+        current_limit=20,
+        pwm_limit=100,
+        velocity_limit=1,
+        profile_velocity=4,
+        goal_pwm=50,
+    )
     (found,) = setup.scan(bus.path, 57_600)
     setup.set_up(found, tell=said.append)
     with opened(bus.path, 57_600) as port:
         now = setup.registers(port, 1)
-    assert [now[name] for name in ("current_limit", "pwm_limit", "velocity_limit", "goal_pwm")] == [1750, 885, 445, 885]
-    assert now["profile_velocity"] == 0 and len([line for line in said if "it becomes" in line]) >= 6
+    assert [now[name] for name in ("current_limit", "pwm_limit", "velocity_limit", "goal_pwm")] == [
+        1750,
+        885,
+        445,
+        885,
+    ]
+    assert (
+        now["profile_velocity"] == 0 and len([line for line in said if "it becomes" in line]) >= 6
+    )
     bus.unplug()
 
 
@@ -122,9 +153,13 @@ def test_a_servo_that_does_not_answer_is_not_set_up():
 def test_the_command_that_is_named_leads_out_whatever_the_rig_allows():
     """A rig that allows more than usual finds a limit too low that the usual cap would pass."""
     with bench() as (bus, rig, _):
-        strong = Rig(rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=1500.0), rig.servos[1]))
+        strong = Rig(
+            rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=1500.0), rig.servos[1])
+        )
         leave(bus.path, BAUD, current_limit=700)
-        with pytest.raises(ServoError, match="its current limit .700 mA. is below the cap .1500 mA."):
+        with pytest.raises(
+            ServoError, match="its current limit .700 mA. is below the cap .1500 mA."
+        ):
             started(rig.port, rig.baud, members(strong))
         assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
         assert started(rig.port, rig.baud, members(strong)) == []

@@ -1,4 +1,6 @@
-"""A busy computer is no broken robot: simulated servos wait for it, and what they do does not depend on load."""
+"""A busy computer is no broken robot: simulated servos wait for it, and what they do does not
+depend on load.
+"""
 
 import contextlib
 import json
@@ -31,8 +33,22 @@ from softmap_edge.robot.teleop.hand_source import NullHandSource
 from softmap_edge.robot.teleop.mapping import DirectMapping
 from softmap_edge.run.protocol import Protocol
 
-BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home the robot|servo home|watchdog|FAULT|Fault,")
-TRACK = ["track", "S", "--amplitude", "4", "--duration", "3", "--rate", "20", "--hide", "backlash", "--json"]
+BROKEN = re.compile(
+    r"servo \d|silent|unplugged|without power|home the robot|servo home|watchdog|FAULT|Fault,"
+)
+TRACK = [
+    "track",
+    "S",
+    "--amplitude",
+    "4",
+    "--duration",
+    "3",
+    "--rate",
+    "20",
+    "--hide",
+    "backlash",
+    "--json",
+]
 
 
 @contextlib.contextmanager
@@ -53,13 +69,17 @@ def driven(time="stepped", record=None):
     """Give a simulated robot that is entered."""
     with (
         emulated_bench(MODEL, calibration(), rate=100.0, time=time) as (bus, rig, limits, finger),
-        Controller(rig, calibration(), limits, kinematics=Kinematics(MODEL), record=record) as robot,
+        Controller(
+            rig, calibration(), limits, kinematics=Kinematics(MODEL), record=record
+        ) as robot,
     ):
         yield bus, robot, finger
 
 
 def waved(folder, name, disturb=lambda robot, k: None):
-    """Wave a simulated finger for 2 s; returns all that the loop recorded, what was seen, and the last report."""
+    """Wave a simulated finger for 2 s; returns all that the loop recorded, what was seen, and the
+    last report.
+    """
     file = folder / f"{name}.mcap"
     with driven(record=file) as (_, robot, finger):
         robot.engage()
@@ -86,7 +106,11 @@ def test_the_same_program_gives_the_same_to_the_last_bit_however_it_is_held_up(t
     assert all(one == other for one, other in zip(periods, again)) and report == reported
     assert len(seen) > 50 and len(seen) == len(saw)
     for one, other in zip(seen, saw):
-        assert one.stamp == other.stamp and one.arrived == other.arrived and (one.points == other.points).all()
+        assert (
+            one.stamp == other.stamp
+            and one.arrived == other.arrived
+            and (one.points == other.points).all()
+        )
 
 
 def test_stepped_time_is_no_slower_than_it_must_be(tmp_path):
@@ -124,7 +148,10 @@ def test_a_servo_that_is_broken_is_named_in_simulated_time_too():
 
 
 def test_a_loop_that_is_killed_is_reported_in_stepped_time():
-    with pytest.raises(ServoError, match="the control loop died or froze"), driven() as (_, robot, _):
+    with (
+        pytest.raises(ServoError, match="the control loop died or froze"),
+        driven() as (_, robot, _),
+    ):
         robot.engage()
         robot._process.kill()
         robot._process.wait()
@@ -145,7 +172,9 @@ def test_a_loop_that_hangs_ends_with_one_clear_error(monkeypatch):
 
 
 def test_a_person_who_drives_goes_on_after_the_computer_was_busy():
-    """The loop stands, then the program: in either case the robot stands, says so, and goes on by itself."""
+    """The loop stands, then the program: in either case the robot stands, says so, and goes on by
+    itself.
+    """
     fingers, lines, moments, hold = Fingers("knob"), [], [], []
 
     def show(moment):
@@ -161,7 +190,15 @@ def test_a_person_who_drives_goes_on_after_the_computer_was_busy():
 
     with driven("paced") as (bus, robot, _), NullHandSource() as eyes:
         kinematics = Kinematics(MODEL)
-        drive = Drive(robot, kinematics, DirectMapping(kinematics), eyes, [fingers], say=lines.append, show=show)
+        drive = Drive(
+            robot,
+            kinematics,
+            DirectMapping(kinematics),
+            eyes,
+            [fingers],
+            say=lines.append,
+            show=show,
+        )
         thread = threading.Thread(target=drive.run, daemon=True)
         thread.start()
         until(lambda: moments)
@@ -199,12 +236,16 @@ def test_what_a_busy_computer_took_is_told_now_and_then_and_excused():
     for k in range(10):
         busy.round(0.01 * k)
     busy.round(1.09)  # one second later than it should be
-    assert busy.age(0.05, 1.10) == pytest.approx(0.05) and busy.age(1.05, 1.10) == pytest.approx(0.01, abs=0.01)
+    assert busy.age(0.05, 1.10) == pytest.approx(0.05) and busy.age(1.05, 1.10) == pytest.approx(
+        0.01, abs=0.01
+    )
     for k, lost in enumerate((0.1, 0.4, 0.9, 0.9, 2.0)):
         time_.lost = lost
         busy.round(2.0 + 2 * k)
         assert busy.line(2.5 + 2 * k) == ("" if k == 3 else BUSY) and not busy.line(3.5 + 2 * k)
-    assert said == [f"{BUSY}: the simulated robot stood still for {s} s, and goes on" for s in ("0.4", "1.6")]
+    assert said == [
+        f"{BUSY}: the simulated robot stood still for {s} s, and goes on" for s in ("0.4", "1.6")
+    ]
     Clocked.simulated = False
     real = Busy(Clocked(), said.append)
     real.round(0.0)
@@ -214,7 +255,8 @@ def test_what_a_busy_computer_took_is_told_now_and_then_and_excused():
 
 
 def session(argv):
-    """Run a session at a terminal whose Space is held from its third second on; returns its document.
+    """Run a session at a terminal whose Space is held from its third second on; returns its
+    document.
 
     It has named no broken servo.
     """
@@ -225,7 +267,9 @@ def session(argv):
         while not done.wait(0.03):
             os.write(here, b" ")
 
-    process = subprocess.Popen([SOFTMAP, *argv], stdin=there, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [SOFTMAP, *argv], stdin=there, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     holding = threading.Timer(3.0, hold)
     holding.start()
     try:
@@ -254,9 +298,19 @@ def test_a_run_that_is_recorded_on_a_busy_computer_is_the_same_run(tmp_path):
     t = np.arange(0.0, 2.0, 0.02)
     u = np.stack([1.5 * np.sin(2.0 * t), 0.5 * t], axis=1)
     looks = t[10:-10:8]
-    made = Protocol("short", t, u, np.tile([0.0, 0.0, 1.0], (len(t), 1)), looks, np.full(len(looks), "move"))
+    made = Protocol(
+        "short", t, u, np.tile([0.0, 0.0, 1.0], (len(t), 1)), looks, np.full(len(looks), "move")
+    )
     write_commands(tmp_path / "short.csv", made, MODEL.robot)
-    argv = ["record", str(tmp_path / "short.csv"), "--emulated", "--hide", "creep", "--json", "--out"]
+    argv = [
+        "record",
+        str(tmp_path / "short.csv"),
+        "--emulated",
+        "--hide",
+        "creep",
+        "--json",
+        "--out",
+    ]
     free = session([*argv, str(tmp_path / "free.npz")])
     with load():
         busy = session([*argv, str(tmp_path / "busy.npz")])

@@ -1,4 +1,6 @@
-"""A hand drives emulated servos through the real loop: whatever goes holds, slackens, and asks for a new press."""
+"""A hand drives emulated servos through the real loop: whatever goes holds, slackens, and asks for
+a new press.
+"""
 
 import os
 import signal
@@ -28,7 +30,11 @@ def test_the_hand_drives_from_its_pose_at_the_press_and_letting_go_slackens():
         s.until(lambda: s.robot.state == "ready" and not torque(s.bus))
     account = s.drive.account
     assert account.presses == 1 and account.ended == "ended at the test" and not account.lost
-    assert len(account.latency) > 10 and account.states["engaged"] > 0 and account.states["safe_stop"] > 0
+    assert (
+        len(account.latency) > 10
+        and account.states["engaged"] > 0
+        and account.states["safe_stop"] > 0
+    )
 
 
 def test_pressed_again_while_it_holds_it_goes_on_from_where_it_is():

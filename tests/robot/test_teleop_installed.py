@@ -1,4 +1,6 @@
-"""What teleoperation needs and how to mend it: two OpenCVs in one folder, libraries, processor, model."""
+"""What teleoperation needs and how to mend it: two OpenCVs in one folder, libraries, processor,
+model.
+"""
 
 from importlib.metadata import distributions
 
@@ -50,8 +52,14 @@ def test_two_opencvs_clash(site):
     site("opencv-contrib-python", "5.1", CV2)
     found = opencv(site.found())
     assert found.state == "fault"
-    assert "opencv-contrib-python 5.1 and opencv-python-headless 5.0 are installed into one folder cv2/" in found.found
-    assert f"run uv pip uninstall opencv-contrib-python opencv-python-headless, then {INSTALL}" in found.do
+    assert (
+        "opencv-contrib-python 5.1 and opencv-python-headless 5.0 are installed into one folder "
+        "cv2/" in found.found
+    )
+    assert (
+        f"run uv pip uninstall opencv-contrib-python opencv-python-headless, then {INSTALL}"
+        in found.do
+    )
 
 
 def test_what_another_opencv_took_away_is_told(site):
@@ -68,7 +76,8 @@ def test_nothing_installed(site):
 
 
 @pytest.mark.parametrize(
-    ("version", "tells"), [("0.10.18", False), ("0.10.21", False), ("0.10.35", True), ("1.2.3", True)]
+    ("version", "tells"),
+    [("0.10.18", False), ("0.10.21", False), ("0.10.35", True), ("1.2.3", True)],
 )
 def test_a_mediapipe_that_reports_its_use_says_so(site, version, tells):
     site("mediapipe", version)
@@ -79,14 +88,20 @@ def test_a_mediapipe_that_reports_its_use_says_so(site, version, tells):
 def test_libraries_that_cannot_be_loaded():
     assert libraries(("libc.so.6",)).fine
     found = libraries(("libc.so.6", "libNoSuchEGL.so.1"))
-    assert not found.fine and found.found == "libNoSuchEGL.so.1 cannot be loaded" and "apt install libegl1" in found.do
+    assert (
+        not found.fine
+        and found.found == "libNoSuchEGL.so.1 cannot be loaded"
+        and "apt install libegl1" in found.do
+    )
 
 
 def test_a_processor_without_lse(tmp_path):
     cpu = tmp_path / "cpuinfo"
     cpu.write_text("processor\t: 0\nFeatures\t: fp asimd evtstrm crc32 cpuid\n")  # a Raspberry Pi 4
     found = processor("aarch64", cpu)
-    assert not found.fine and "without LSE atomics" in found.found and "mediapipe==0.10.18" in found.do
+    assert (
+        not found.fine and "without LSE atomics" in found.found and "mediapipe==0.10.18" in found.do
+    )
     cpu.write_text("Features\t: fp asimd atomics crc32\n")
     assert processor("aarch64", cpu).fine
     cpu.write_text("Features\t: fp asimd atomics\nFeatures\t: fp asimd\n")  # of two kinds of cores

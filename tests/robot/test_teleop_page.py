@@ -1,4 +1,6 @@
-"""The page: who may connect, one driver, a key that lapses; by a plain client, and in a browser where there is one."""
+"""The page: who may connect, one driver, a key that lapses; by a plain client, and in a browser
+where there is one.
+"""
 
 import json
 import re
@@ -24,7 +26,9 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.teleop import page as pages
 from softmap_edge.robot.teleop.page import Page
 
-CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None
+)
 
 
 def test_everything_is_served_from_the_package_under_a_strict_policy():
@@ -39,11 +43,22 @@ def test_everything_is_served_from_the_package_under_a_strict_policy():
             answer, body = get(page, path)
             assert answer.status == 200 and answer.headers["Content-Type"].startswith(kind)
             policy = answer.headers["Content-Security-Policy"]
-            assert "default-src 'none'" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
-            assert answer.headers["X-Frame-Options"] == "DENY" and answer.headers["Referrer-Policy"] == "no-referrer"
-            assert not re.search(rb"(src|href|from|import|url\()\W*https?:", body), "nothing comes from elsewhere"
+            assert (
+                "default-src 'none'" in policy
+                and "unsafe" not in policy
+                and "frame-ancestors 'none'" in policy
+            )
+            assert (
+                answer.headers["X-Frame-Options"] == "DENY"
+                and answer.headers["Referrer-Policy"] == "no-referrer"
+            )
+            assert not re.search(rb"(src|href|from|import|url\()\W*https?:", body), (
+                "nothing comes from elsewhere"
+            )
             assert page.url.partition("#")[2].encode() not in body, "the token is in the link alone"
-        assert get(page, "/../page.py")[0].status == 404 and get(page, "/page.js?x")[0].status == 404
+        assert (
+            get(page, "/../page.py")[0].status == 404 and get(page, "/page.js?x")[0].status == 404
+        )
         assert get(page, "//[x")[0].status == 404
 
 
@@ -139,7 +154,10 @@ def test_an_old_message_tells_nothing_of_now():
 
 @pytest.mark.parametrize("there, back", [(0.6, 0.0), (0.6, 0.6), (0.3, 0.3)])
 def test_a_delay_that_is_always_the_same_is_seen_and_holds_no_key(there, back):
-    with served() as page, connect(**link(page), sock=delayed(page.port, there, back)) as connection:
+    with (
+        served() as page,
+        connect(**link(page), sock=delayed(page.port, there, back)) as connection,
+    ):
         client = Client(connection)
         client.until(lambda state: state.get("seat") == "mine")
         ever, end = [], time.monotonic() + 2.5
@@ -162,10 +180,14 @@ def test_a_small_delay_drives():
 
 
 def test_the_age_of_a_word_is_never_told_too_small():
-    """Clocks apart, delays that change: what is told is at least the true age, and exact where a state came at once."""
+    """Clocks apart, delays that change: what is told is at least the true age, and exact where a
+    state came at once.
+    """
     link, apart = pages._Link(), 1000.0  # s that the page's clock is behind
     assert link.heard(0, 5.0 - apart, 5.1) and link.age == float("inf"), "nothing came back yet"
-    for number, (there, back) in enumerate([(0.2, 0.1), (0.0, 0.05), (0.2, 0.02), (3.0, 3.0), (0.01, 0.01)], 1):
+    for number, (there, back) in enumerate(
+        [(0.2, 0.1), (0.0, 0.05), (0.2, 0.02), (3.0, 3.0), (0.01, 0.01)], 1
+    ):
         begin = 10.0 * number
         link.sends(begin)
         assert link.heard(number, begin + there - apart, begin + there + back)
@@ -232,7 +254,9 @@ def test_too_many_pages_and_a_busy_port_are_refused():
         with pytest.raises(InvalidStatus) as refused:
             stack.enter_context(connect(**link(page)))
         assert refused.value.response.status_code == 503
-        with pytest.raises(TeleopError, match=r"page: 127\.0\.0\.1:\d+ cannot be used .*; give another --page"):
+        with pytest.raises(
+            TeleopError, match=r"page: 127\.0\.0\.1:\d+ cannot be used .*; give another --page"
+        ):
             Page(page.port)
     with pytest.raises(TeleopError, match="port 70000"):
         Page(70_000)
@@ -260,7 +284,9 @@ class Late:
 
 def test_without_websockets_the_install_line_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
-    with pytest.raises(TeleopError, match="not installed; run pip install websockets, or give --page none"):
+    with pytest.raises(
+        TeleopError, match="not installed; run pip install websockets, or give --page none"
+    ):
         Page(0)
 
 
@@ -295,7 +321,9 @@ def test_the_verb_is_driven_by_its_page():
     with verb() as (program, url):
         port, token = re.match(r"http://127\.0\.0\.1:(\d+)/#(.*)", url).groups()
         here = f"127.0.0.1:{port}"
-        with connect(f"ws://{here}/drive?token={token}", additional_headers={"Origin": f"http://{here}"}) as connection:
+        with connect(
+            f"ws://{here}/drive?token={token}", additional_headers={"Origin": f"http://{here}"}
+        ) as connection:
             client = Client(connection)
             client.until(lambda state: state.get("state") == "ready")
             client.until(lambda state: state.get("stage") == "driving", held=True)
@@ -303,13 +331,19 @@ def test_the_verb_is_driven_by_its_page():
             client.until(lambda state: state["state"] == "hold")
             client.until(lambda state: state["state"] == "ready")
             told = ended(program)
-    assert told["schema"] == "softmap.teleop/1" and told["presses"] >= 1 and told["ended"] == "interrupted"
+    assert (
+        told["schema"] == "softmap.teleop/1"
+        and told["presses"] >= 1
+        and told["ended"] == "interrupted"
+    )
     assert told["driving_s"] > 0 and told["states_s"]["engaged"] > 0 and told["pictures"] == 0
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
 def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
-    browser = pytest.importorskip("playwright.sync_api", reason="not run: playwright is not installed")
+    browser = pytest.importorskip(
+        "playwright.sync_api", reason="not run: playwright is not installed"
+    )
     for left in reversed(range(4)):
         try:
             in_a_browser(browser)
@@ -319,7 +353,9 @@ def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
 
 
 class Starved(Exception):
-    """The machine was so busy with the browser that the emulated servos did not answer: begin again."""
+    """The machine was so busy with the browser that the emulated servos did not answer: begin
+    again.
+    """
 
 
 def in_a_browser(browser):
@@ -352,7 +388,9 @@ def in_a_browser(browser):
             let_go()
             until(lambda: said.text_content() != words.NAMES["engaged"].capitalize())
             page.keyboard.up("Space")
-        assert said.is_visible() and page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert said.is_visible() and page.evaluate(
+            "document.documentElement.scrollWidth <= innerWidth"
+        )
         page.set_viewport_size({"width": 390, "height": 844})
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert page.locator("#hold").bounding_box()["y"] < 844, "the button is in sight on a phone"

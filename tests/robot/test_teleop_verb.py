@@ -1,4 +1,6 @@
-"""The verb: what it refuses, model and key, landmarks between two programs; the commands of docs/do/teleop.md."""
+"""The verb: what it refuses, model and key, landmarks between two programs; the commands of
+docs/do/teleop.md.
+"""
 
 import argparse
 import json
@@ -38,7 +40,10 @@ PATIENT = 20.0
         (["--sim", "--page", "none"], "nothing can drive"),
         (["--sim", "--camera", "udp://:9000"], "needs --key FILE"),
         (["--sim", "--camera", "http://x"], "give the number or path of a camera"),
-        (["--sim", "--camera", "none.mp4", "--model", "none.task"], "no model of hands; get the wheel"),
+        (
+            ["--sim", "--camera", "none.mp4", "--model", "none.task"],
+            "no model of hands; get the wheel",
+        ),
         (["--sim", "--flip", "z"], "there are x and y"),
         (["--sim", "--seconds", "0"], "--seconds 0"),
         (["--sim", "--reach", "1"], "give two numbers, SIDE,FORWARD"),
@@ -76,7 +81,10 @@ def test_a_model_is_copied_with_its_checksum(capsys, tmp_path):
     to = tmp_path / "copy.task"
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["known_as"] == "mediapipe 0.10.18" and told["sha256"] in to.with_name("copy.task.sha256").read_text()
+    assert (
+        told["known_as"] == "mediapipe 0.10.18"
+        and told["sha256"] in to.with_name("copy.task.sha256").read_text()
+    )
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to)]) == 2
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to), "--force"]) == 0
 
@@ -86,7 +94,16 @@ def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
     if folder is None:
         pytest.skip("not run: there is no hand.mp4")
     model = str(hand_model(tmp_path))
-    words = ["teleop", "--sim", "--page", "none", "--camera", str(folder / "hand.mp4"), "--model", model]
+    words = [
+        "teleop",
+        "--sim",
+        "--page",
+        "none",
+        "--camera",
+        str(folder / "hand.mp4"),
+        "--model",
+        model,
+    ]
     assert main([*words, "--seconds", "3", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["pictures"] > 5 and told["hands"] == told["pictures"] and told["presses"] == 0
@@ -94,7 +111,9 @@ def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
 
 
 def test_landmarks_and_key_reach_the_other_computer():
-    """What the sender's loop sends is what the robot's eyes see; the key lapses with the connection."""
+    """What the sender's loop sends is what the robot's eyes see; the key lapses with the
+    connection.
+    """
     key = bytes(range(32))
     with Receiver("127.0.0.1", 0, key) as receiver:
         port = receiver.port
@@ -106,7 +125,9 @@ def test_landmarks_and_key_reach_the_other_computer():
             Sender("127.0.0.1", port, key) as sender,
         ):
             done = []
-            thread = threading.Thread(target=lambda: done.append(send(near, sender, fingers, None, lines.append)))
+            thread = threading.Thread(
+                target=lambda: done.append(send(near, sender, fingers, None, lines.append))
+            )
             thread.start()
             until(lambda: far.hands > 3)
             np.testing.assert_allclose(far.newest().hand.points, hand().points, atol=0.01)
@@ -146,7 +167,15 @@ def test_who_has_another_key_is_told_on_both_sides(tmp_path, capsys):
     with CameraHandSource("camera 0", Camera(), Finder(), View()) as near, Sender(*far) as sender:
         thread = threading.Thread(target=send, args=(near, sender, None, 3.0, lines.append))
         thread.start()
-        words = ["teleop", "--sim", "--camera", f"udp://127.0.0.1:{port}", "--key", str(tmp_path / "ours"), "--page"]
+        words = [
+            "teleop",
+            "--sim",
+            "--camera",
+            f"udp://127.0.0.1:{port}",
+            "--key",
+            str(tmp_path / "ours"),
+            "--page",
+        ]
         assert main([*words, "none", "--seconds", "3"]) == 0
         thread.join(PATIENT)
     assert re.search(r"datagrams dropped: \d+ for signature", capsys.readouterr().out)
@@ -169,7 +198,9 @@ def commands():
 
 
 def test_every_command_of_the_page_is_one():
-    """Those that need neither a camera nor another computer run; of all the words are understood."""
+    """Those that need neither a camera nor another computer run; of all the words are
+    understood.
+    """
     ours = [line.split() for line in commands() if line.startswith("softmap ")]
     assert len(ours) == 6
     for words in ours:

@@ -1,4 +1,6 @@
-"""Figures tracked on an emulated robot: with what it hides and without, through what was found, with feedback."""
+"""Figures tracked on an emulated robot: with what it hides and without, through what was found,
+with feedback.
+"""
 
 import argparse
 import json
@@ -66,7 +68,10 @@ def test_a_course_goes_from_rest_through_the_figure_within_the_limits(model):
     speed = np.abs(np.diff(MAP.ticks(plan.commands), axis=0)) * 50.0
     assert speed.max() < SLEW
     hasty = course(kinematics, "H", amplitude=10.0, duration=0.5, rate=50.0, **LIMITS)
-    assert hasty.quickest > 0.5 and hasty.plan.t[-1] - hasty.plan.t[hasty.counts][0] >= hasty.quickest - 0.03
+    assert (
+        hasty.quickest > 0.5
+        and hasty.plan.t[-1] - hasty.plan.t[hasty.counts][0] >= hasty.quickest - 0.03
+    )
 
 
 def found(model, laws):
@@ -84,7 +89,9 @@ def found(model, laws):
 
 
 def tracked(model, laws, folder, name, observe=False):
-    """Track an S on an emulated finger; returns the mean error, mm, and what was measured of the servos."""
+    """Track an S on an emulated finger; returns the mean error, mm, and what was measured of the
+    servos.
+    """
     kinematics = Kinematics(model, axes="xy")
     made = course(kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, **LIMITS)
     record = folder / f"{name}.mcap"
@@ -117,9 +124,15 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     options = ["--amplitude", "5", "--duration", "4", "--rate", "20", "--json"]
     assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["schema"] == "softmap.track/1" and told["waypoints"] == 81 and told["seen_mm"]["mean"] < 0.3
+    assert (
+        told["schema"] == "softmap.track/1"
+        and told["waypoints"] == 81
+        and told["seen_mm"]["mean"] < 0.3
+    )
     assert told["hidden"] == [] and told["effects"] == []
-    assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(files[1]).periods
+    assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(
+        files[1]
+    ).periods
     assert (tmp_path / "o.svg").stat().st_size < 500_000
 
 
@@ -132,7 +145,9 @@ BLOCK = "next --standard --out next.csv"
      ("5", ["o.seen: written", "next: softmap diagnose o.mcap"])],
 )  # fmt: skip
 def test_the_last_line_is_a_command_that_can_succeed(duration, said, tmp_path, monkeypatch, capsys):
-    """A record of too few frames leads to the block to record, not to a diagnosis that must fail."""
+    """A record of too few frames leads to the block to record, not to a diagnosis that must
+    fail.
+    """
     monkeypatch.chdir(tmp_path)
     options = ["--amplitude", "5", "--duration", duration, "--rate", "20", "--record", "o.mcap"]
     assert main(["track", "O", "--sim", *options]) == 0
@@ -143,9 +158,14 @@ def test_the_last_line_is_a_command_that_can_succeed(duration, said, tmp_path, m
 
 def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path, capsys):
     plan, reach = tmp_path / "plan.svg", tmp_path / "reach.svg"
-    assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)]) == 0
+    assert (
+        main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)])
+        == 0
+    )
     assert "were asked for" not in capsys.readouterr().out
-    assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--duration", "0.2"]) == 0
+    assert (
+        main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--duration", "0.2"]) == 0
+    )
     assert "0.2 s were asked for: slew and acceleration" in capsys.readouterr().out
     assert "command, mm" in plan.read_text() and "edge of reach" not in plan.read_text()
     assert main(["track", "--workspace", "--reach", "60", "0", "60", "--picture", str(reach)]) == 0
@@ -153,11 +173,25 @@ def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_pat
     assert max(file.stat().st_size for file in (plan, reach)) < 500_000
 
 
-def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_are_undone(model, tmp_path, capsys):
+def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_are_undone(
+    model, tmp_path, capsys
+):
     bundle = save_bundle(model.with_effects(["backlash"], {"backlash.gap": 1.0}), tmp_path / "play")
-    options = ["--bundle", str(bundle), "--sim", "--amplitude", "3", "--duration", "3", "--rate", "20"]
+    options = [
+        "--bundle",
+        str(bundle),
+        "--sim",
+        "--amplitude",
+        "3",
+        "--duration",
+        "3",
+        "--rate",
+        "20",
+    ]
     assert main(["track", "O", *options]) == 0
-    assert "no hidden effect, so compensating backlash makes tracking worse" in capsys.readouterr().out
+    assert (
+        "no hidden effect, so compensating backlash makes tracking worse" in capsys.readouterr().out
+    )
 
 
 def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
@@ -197,7 +231,9 @@ def test_what_cannot_be_tracked_is_refused(options, said, capsys):
     assert said in capsys.readouterr().err
 
 
-def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_on(model, tmp_path, monkeypatch):
+def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_on(
+    model, tmp_path, monkeypatch
+):
     """Nothing that is computed while torque is on keeps the program from sending."""
 
     def slowly(periods):
@@ -221,10 +257,14 @@ def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_
 def test_ctrl_c_says_that_torque_is_off_and_what_was_kept(tmp_path):
     record = tmp_path / "r.mcap"
     process = interruptible("track", "O", "--sim", "--record", str(record), "--duration", "60")
-    until(lambda: process.poll() is not None or (record.exists() and record.stat().st_size > 50_000))
+    until(
+        lambda: process.poll() is not None or (record.exists() and record.stat().st_size > 50_000)
+    )
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=PATIENT)[1]
-    assert process.returncode == 130 and f"torque is off; {record} keeps what was driven" in said, said
+    assert process.returncode == 130 and f"torque is off; {record} keeps what was driven" in said, (
+        said
+    )
     assert read_recording(record).replay() == []
 
 
@@ -242,7 +282,9 @@ def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypat
     assert "previewed" not in done.stdout and "written" not in done.stdout
 
 
-@pytest.mark.parametrize("option", [["--record", "x.mcap"], ["--seed", "3"], ["--key", "f"], ["--late", "0.1"]])
+@pytest.mark.parametrize(
+    "option", [["--record", "x.mcap"], ["--seed", "3"], ["--key", "f"], ["--late", "0.1"]]
+)
 def test_a_plan_that_drives_nothing_takes_no_option_of_what_is_driven(option, capsys):
     assert main(["track", "S", "--plan", *option]) == 2
     assert f"{option[0]} is of what is driven" in capsys.readouterr().err
@@ -283,7 +325,9 @@ def test_feedback_fades_while_the_tip_is_not_seen(model):
     blank = [Frame(one.stamp, one.arrived, np.full(rest.shape, np.nan)) for one in frames]
     size = {}
     for t in np.arange(0.0, 6.0, 0.01):
-        size[round(t, 2)] = np.linalg.norm(seen(u, t, 0.0, [one for one in frames if one.arrived <= t]))
+        size[round(t, 2)] = np.linalg.norm(
+            seen(u, t, 0.0, [one for one in frames if one.arrived <= t])
+        )
         assert np.linalg.norm(unseen(u, t, 0.0, [one for one in blank if one.arrived <= t])) == 0.0
     assert size[1.0] > 0.1 and size[1.4] == pytest.approx(size[1.0], rel=1e-6)
     assert size[2.5] < 0.5 * size[1.0] and size[5.9] < 0.02 * size[1.0]
@@ -294,7 +338,15 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
     save_bundle(replace(model, calibration=calibration()), tmp_path / "bundle")
     with PointReceiver("", 0) as free:
         port = free.port
-    argv = ["track", "S", "--bundle", str(tmp_path / "bundle"), "--rig", str(tmp_path / "rig.toml"), "--observe"]
+    argv = [
+        "track",
+        "S",
+        "--bundle",
+        str(tmp_path / "bundle"),
+        "--rig",
+        str(tmp_path / "rig.toml"),
+        "--observe",
+    ]
     argv += ["--camera", f"udp://:{port}", "--duration", "12", "--amplitude", "3", "--json"]
     with (
         emulated_bench(model, calibration(), rate=100.0) as (bus, rig, _, finger),
@@ -302,7 +354,10 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
         streaming(finger, [sender]),
     ):
         rig.write(tmp_path / "rig.toml")
-        timers = [threading.Timer(13.0, finger.blind, [True]), threading.Timer(17.0, finger.blind, [False])]
+        timers = [
+            threading.Timer(13.0, finger.blind, [True]),
+            threading.Timer(17.0, finger.blind, [False]),
+        ]
         for timer in timers:
             timer.start()
         assert main(argv) == 0

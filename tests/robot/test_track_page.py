@@ -1,4 +1,6 @@
-"""docs/do/track.md as its reader types it: its commands in order; figures, options and the paper's columns are true."""
+"""docs/do/track.md as its reader types it: its commands in order; figures, options and the paper's
+columns are true.
+"""
 
 import argparse
 import re
@@ -30,7 +32,10 @@ def page(tmp_path_factory):
     there, printed = tmp_path_factory.mktemp("page"), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
-        patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(said, []).append(" ".join(map(str, a))))
+        patch.setattr(
+            "builtins.print",
+            lambda *a, **k: printed.setdefault(said, []).append(" ".join(map(str, a))),
+        )
         for language, text in blocks(PAGE):
             for words in lines(text) if language == "" else ():
                 assert words[0] == "softmap"
@@ -40,10 +45,16 @@ def page(tmp_path_factory):
 
 
 def curves(file):
-    """Return colour and width of the long lines of a picture, in the order in which they are drawn."""
-    lines = [path for path in ElementTree.parse(file).iter(PATH) if path.get("d", "").count("L") > 30]
+    """Return colour and width of the long lines of a picture, in the order in which they are
+    drawn.
+    """
+    lines = [
+        path for path in ElementTree.parse(file).iter(PATH) if path.get("d", "").count("L") > 30
+    ]
     told = [dict(re.findall(r"([a-z-]+): ([^;]+)", path.get("style", ""))) for path in lines]
-    return [(one.get("stroke"), one.get("stroke-width")) for one in told if one.get("fill") == "none"]
+    return [
+        (one.get("stroke"), one.get("stroke-width")) for one in told if one.get("fill") == "none"
+    ]
 
 
 def test_each_command_says_and_writes_what_the_page_says(page):
@@ -56,10 +67,14 @@ def test_each_command_says_and_writes_what_the_page_says(page):
     assert "the camera saw it off by" in sim and "s.mcap: written\ns.seen: written" in sim
     assert sim.endswith("next: softmap diagnose s.mcap")
     assert 2.0 < float(re.search(r"saw it off by (\S+) ±", sim)[1]) < 4.0
-    assert "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
+    assert (
+        "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
+    )
     assert curves(there / "reach.svg")
-    assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and expected over it
-    assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and seen over it
+    # wanted, and expected over it
+    assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]
+    # wanted, and seen over it
+    assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]
     recording = read_recording(there / "s.mcap")
     assert recording.replay() == [] and np.ptp(recording.run().ticks, axis=0).min() > 300
 
@@ -77,17 +92,27 @@ def test_the_pages_figures_methods_and_options_are_those_of_the_verb():
 
 
 def test_table_ii_stands_whole_with_the_papers_own_figures_as_other_data():
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.splitlines() if line.startswith("| ")]
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in PAGE.splitlines()
+        if line.startswith("| ")
+    ]
     head, *rows = rows
     assert head[2:] == ["simulator", "stand-in", "the paper: simulation", "the paper: hardware"]
     names = {"DeepSoRo-style": RIVAL}
     told = {(letter, names.get(name, name)): cells for letter, name, *cells in rows}
-    assert list(told) == [(letter, name) for letter in "SHOE" for name in (OURS, COMPENSATED, RIVAL)]
+    assert list(told) == [
+        (letter, name) for letter in "SHOE" for name in (OURS, COMPENSATED, RIVAL)
+    ]
     for key, cells in told.items():
-        paper = ["{:.2f} ± {:.2f}, {:.2f}".format(*numbers) for numbers in PUBLISHED_ERRORS.get(key, ())] or ["", ""]
+        paper = [
+            "{:.2f} ± {:.2f}, {:.2f}".format(*numbers) for numbers in PUBLISHED_ERRORS.get(key, ())
+        ] or ["", ""]
         assert cells[2:] == paper, key
         for cell in cells[:2]:
-            mean, _, most = map(float, re.fullmatch(r"(\d\.\d\d) ± (\d\.\d\d), (\d\.\d\d)", cell).groups())
+            mean, _, most = map(
+                float, re.fullmatch(r"(\d\.\d\d) ± (\d\.\d\d), (\d\.\d\d)", cell).groups()
+            )
             assert 0 < mean < most
     assert "The paper's columns are of **other data**" in PAGE
 
@@ -104,7 +129,9 @@ def test_the_commands_that_lead_from_a_recording_to_the_figure_are_commands(caps
 
 
 def test_the_commands_of_table_ii_are_commands():
-    """Training takes minutes: here the lines only fit together. The table runs in tests/synthetic/test_table_two.py."""
+    """Training takes minutes: here the lines only fit together. The table runs in
+    tests/synthetic/test_table_two.py.
+    """
     _, text = (text for language, text in blocks(PAGE) if language == "text")
     words = list(lines(text))
     assert [line[1] for line in words] == ["train", "train", "model", "track"]

@@ -1,4 +1,6 @@
-"""A real robot's day through the guard: the 15 001 commands of the trunk, no unsafe tick, and what was limited."""
+"""A real robot's day through the guard: the 15 001 commands of the trunk, no unsafe tick, and what
+was limited.
+"""
 
 import csv
 from pathlib import Path
@@ -13,7 +15,9 @@ DATA = Path(__file__).parents[3] / "shared/data/trunk/control_inputs_controlled_
 TICKS_PER_DEGREE, HOME, RATE, STRIDE = 4096 / 360.0, 2048, 100.0, 5
 FAR = 12  # ticks, one degree: what counts as limited
 
-pytestmark = pytest.mark.skipif(not DATA.is_file(), reason="the trunk's recording (../shared/data) is not here")
+pytestmark = pytest.mark.skipif(
+    not DATA.is_file(), reason="the trunk's recording (../shared/data) is not here"
+)
 
 
 def recorded():
@@ -24,7 +28,9 @@ def recorded():
 
 
 def decided(targets, limits, sensed):
-    """Let the guard decide: connect, home, arm, engage, then a target a period; positions (T, S) are what is sensed."""
+    """Let the guard decide: connect, home, arm, engage, then a target a period; positions (T, S)
+    are what is sensed.
+    """
     asked = ["connect", "home", "arm", "engage"]
     periods = []
     for k in range(len(targets) + len(asked)):
@@ -34,7 +40,9 @@ def decided(targets, limits, sensed):
         clock = (10 * k) % 32768
         one = [(int(p), clock, 0.0, 12.0, 30.0, health) for p in sensed[k]]
         request = asked[k] if k < len(asked) else None
-        periods.append((round(k * 1e9 / RATE) + 1, one, k >= len(asked) - 1, target, True, request, False))
+        periods.append(
+            (round(k * 1e9 / RATE) + 1, one, k >= len(asked) - 1, target, True, request, False)
+        )
     return _core.replay(limits, periods)[len(asked) :]
 
 
@@ -51,13 +59,17 @@ def judged(slew, acceleration, window):
     # Servos that follow: what is sensed is where they were sent a period ago.
     sensed = np.concatenate([still[:5], goals])[: len(still)]
     told = decided(targets, limits, sensed)
-    assert all(state == "engaged" and torque for state, _, torque, _ in told[1:]), {t[:2] for t in told}
+    assert all(state == "engaged" and torque for state, _, torque, _ in told[1:]), {
+        t[:2] for t in told
+    }
     assert (np.array([goal for *_, goal in told]) == goals).all()
     return targets, goals, servo, limits
 
 
 def unsafe(goals, servo):
-    """Return how many goals lie outside the window or pass slew or acceleration, with a tick for rounding."""
+    """Return how many goals lie outside the window or pass slew or acceleration, with a tick for
+    rounding.
+    """
     moves = np.diff(goals, axis=0, prepend=np.full((1, 6), HOME))
     # Over five periods to both sides, where rounding counts little.
     turns = goals[2 * STRIDE :] - 2 * goals[STRIDE:-STRIDE] + goals[: -2 * STRIDE]
@@ -74,10 +86,14 @@ def test_the_day_passes_with_no_unsafe_tick_and_what_is_limited_is_counted(capsy
     late = np.abs(goals - clipped) > FAR
     with capsys.disabled():
         print(
-            f"\nthe trunk's commands: {late.any(axis=1).sum()} of {len(goals)} periods limited by more than a degree",
+            f"\nthe trunk's commands: {late.any(axis=1).sum()} of {len(goals)} periods limited by "
+            "more than a degree",
             end=" ",
         )
-        print(f"(servos {late.sum(axis=0).tolist()}), never more than {np.abs(goals - clipped).max():.0f} ticks behind")
+        print(
+            f"(servos {late.sum(axis=0).tolist()}), never more than "
+            f"{np.abs(goals - clipped).max():.0f} ticks behind"
+        )
     # After the ramp at engaging, goals are never far behind for long.
     assert np.abs(goals - clipped)[200:].max() < 400
 
@@ -86,4 +102,6 @@ def test_tighter_limits_are_kept_too_and_without_them_the_day_breaks_them():
     targets, goals, servo, _ = judged(slew=1500.0, acceleration=3000.0, window=0.7)
     assert unsafe(goals, servo) == (0, 0, 0)
     raw = np.rint(targets).astype(int)
-    assert min(unsafe(raw, servo)) > 100, "the commands themselves keep within the limits: the test proves nothing"
+    assert min(unsafe(raw, servo)) > 100, (
+        "the commands themselves keep within the limits: the test proves nothing"
+    )

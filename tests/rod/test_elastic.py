@@ -1,4 +1,6 @@
-"""A robot whose tendons are known: its elastic rod is fitted from a run, and says what the run does not tell."""
+"""A robot whose tendons are known: its elastic rod is fitted from a run, and says what the run does
+not tell.
+"""
 
 import json
 from dataclasses import replace
@@ -22,11 +24,17 @@ learned = pytest.fixture(scope="module")(learned_from_rough)
 
 def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
     truth = arm()
-    # What is left is where the descent stops (1e-7 of the sum of squares), far below any camera's noise.
+    # What is left is where the descent stops (1e-7 of the sum of squares), far below any camera's
+    # noise.
     assert learned.error_mm < 1e-3
     np.testing.assert_allclose(learned.rod.numbers, truth.start, atol=1e-3, rtol=1e-3)
     u = np.random.default_rng(1).uniform(-6, 6, (50, 6))
-    assert np.abs(learned.rod.compiled().evaluate(u) - truth.layout.compiled(truth.start).evaluate(u)).max() < 1e-2
+    assert (
+        np.abs(
+            learned.rod.compiled().evaluate(u) - truth.layout.compiled(truth.start).evaluate(u)
+        ).max()
+        < 1e-2
+    )
     assert all(not number.note and not number.at_bound for number in learned.numbers)
     assert learned.made_from["starts_that_agree"] > 1 and learned.notes == ()
 
@@ -34,7 +42,9 @@ def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
 def test_without_freedom_the_same_rod_fails(run, learned):
     """What the recovery is worth: the rough numbers as they are miss by far more."""
     rough = arm(**ROUGH)
-    off = rough.layout.compiled(rough.start).evaluate(run.command) - run.markers.reshape(len(run.t), -1)
+    off = rough.layout.compiled(rough.start).evaluate(run.command) - run.markers.reshape(
+        len(run.t), -1
+    )
     assert np.sqrt((off**2).mean()) > 1000 * learned.error_mm
 
 
@@ -51,14 +61,20 @@ def test_angles_that_nobody_knows_are_found_from_the_run(run):
 def test_two_sided_tendons_have_the_linear_closed_form():
     robot = arm(**{"slack = 0.0": "slack = 1.0"})
     rod, places = robot.layout.compiled(robot.start), robot.layout.places()
-    angle, radius, drawn, stiffness = (robot.start[places[k]] for k in ("angle", "radius", "pretension", "stiffness"))
+    angle, radius, drawn, stiffness = (
+        robot.start[places[k]] for k in ("angle", "radius", "pretension", "stiffness")
+    )
     reach = np.zeros((6, 4))  # an outer tendon bends both segments
     for j, end in enumerate(robot.layout.ends):
-        reach[j, : 2 * end + 2] = np.tile(radius[j] * np.array([np.cos(angle[j]), np.sin(angle[j])]), end + 1)
+        reach[j, : 2 * end + 2] = np.tile(
+            radius[j] * np.array([np.cos(angle[j]), np.sin(angle[j])]), end + 1
+        )
     u = np.random.default_rng(2).uniform(-6, 6, (20, 6))
     system = np.diag(np.repeat(stiffness, 2)) + reach.T @ reach
     bends, stretch = rod.state(u)
-    np.testing.assert_allclose(bends, np.linalg.solve(system, reach.T @ (u + drawn).T).T, atol=1e-12)
+    np.testing.assert_allclose(
+        bends, np.linalg.solve(system, reach.T @ (u + drawn).T).T, atol=1e-12
+    )
     np.testing.assert_allclose(stretch, u + drawn - bends @ reach.T, atol=1e-12)
 
 
@@ -86,7 +102,9 @@ def test_a_wrong_law_of_the_tendons_is_seen_in_the_held_out_error(run, learned):
 
 
 def test_what_a_run_does_not_tell_is_named():
-    """A pair of two-sided tendons on one segment shows r/(κ + 2r²) alone: neither radius nor stiffness."""
+    """A pair of two-sided tendons on one segment shows r/(κ + 2r²) alone: neither radius nor
+    stiffness.
+    """
     text = """
 schema = "softmap.robot/1"
 [body]
@@ -108,9 +126,12 @@ length = "shared"
     assert "radius" in notes["stiffness[0]"] or "not told" in notes["stiffness[0]"]
     assert notes["radius"] and notes["length"] == ""
     assert any("stiffness[0]" in note and "radius" in note for note in found.notes)
-    assert found.error_mm == pytest.approx(0.3 * np.sqrt(3), rel=0.1)  # the prediction does not suffer
+    # the prediction does not suffer
+    assert found.error_mm == pytest.approx(0.3 * np.sqrt(3), rel=0.1)
     cable = text.replace("slack = 1", "slack = 0")  # a cable's slack tells them apart
-    found = learn(recorded(Robot.from_toml(cable), rate=5.0, noise=0.3), robot=Robot.from_toml(cable))
+    found = learn(
+        recorded(Robot.from_toml(cable), rate=5.0, noise=0.3), robot=Robot.from_toml(cable)
+    )
     assert all(number.note == "" for number in found.numbers) or found.numbers[0].sigma < 1.0
 
 
@@ -123,8 +144,13 @@ def test_long_runs_are_thinned_evenly():
 
 
 def test_a_start_too_far_off_is_told():
-    far = arm(**ROUGH | {"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 240, 240, 60, 180, 300]"})
-    truth = arm(**{"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 110, 240, 60, 180, 300]"})
+    far = arm(
+        **ROUGH
+        | {"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 240, 240, 60, 180, 300]"}
+    )
+    truth = arm(
+        **{"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 110, 240, 60, 180, 300]"}
+    )
     found = learn(recorded(truth, rate=5.0), robot=far)
     assert [number.label for number in found.numbers if number.at_bound] == ["angle[1]"]
     assert any("angle[1]" in note and "robot.toml" in note for note in found.notes)
@@ -152,7 +178,8 @@ def test_delay_and_lag_of_the_drive_are_found_where_the_log_is_fast_enough(run):
         return np.stack([np.interp(t - 0.12, fine, lagged[:, c]) for c in range(channels)], axis=1)
 
     found = learn(recorded(arm(), drive=late, seconds=40.0), robot=arm(**ROUGH))
-    # A slow drive shows its delay and lag mostly as their sum; the last steps of the search are 0.02 s / 2⁴.
+    # A slow drive shows its delay and lag mostly as their sum; the last steps of the search are
+    # 0.02 s / 2⁴.
     assert sum(found.chain_params.values()) == pytest.approx(0.22, abs=0.02)
     assert found.error_mm < 0.3
     assert learn(run, robot=arm(**ROUGH)).chain_names == ()
@@ -162,9 +189,13 @@ def test_delay_and_lag_of_the_drive_are_found_where_the_log_is_fast_enough(run):
 
 def test_motors_that_move_several_tendons_and_commands_in_degrees():
     pairs = {
-        "segment = [1, 1, 1, 2, 2, 2]": "segment = [1, 1, 1, 1, 2, 2, 2, 2]\ncommand = [1, 1, 2, 2, 3, 3, 4, 4]\n"
-        "pull = [0.2, -0.2, 0.2, -0.2, 0.2, -0.2, 0.2, -0.2]",
-        "angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 180, 90, 270, 45, 225, 135, 315]",
+        "segment = [1, 1, 1, 2, 2, 2]": (
+            "segment = [1, 1, 1, 1, 2, 2, 2, 2]\ncommand = [1, 1, 2, 2, 3, 3, 4, 4]\n"
+            "pull = [0.2, -0.2, 0.2, -0.2, 0.2, -0.2, 0.2, -0.2]"
+        ),
+        "angle_deg = [0, 120, 240, 60, 180, 300]": (
+            "angle_deg = [0, 180, 90, 270, 45, 225, 135, 315]"
+        ),
     }
     truth = arm(**pairs)
     run = recorded(truth, drive=lambda t, c: 5 * moves(t, c), rate=5.0)
@@ -186,7 +217,8 @@ def test_folds_by_label_deal_out_whole_labels():
     for train, test in parts:
         assert not set(labels[test]) & set(labels[train])
         assert np.abs(t[train][:, None] - t[test]).min() > 1.0
-    assert set(labels[parts[0][1]]) == {"move 0", "move 10"}  # far apart in time, so are kinds of moves
+    # far apart in time, so are kinds of moves
+    assert set(labels[parts[0][1]]) == {"move 0", "move 10"}
     with pytest.raises(RunError, match="blocks"):
         folds(t, 5, 1.0, np.zeros(len(t)))
 
@@ -231,7 +263,9 @@ def test_a_run_of_another_robot_is_refused(run):
 def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length(learned):
     fields = learned.rod.fields()
     assert set(fields) == {*_core.LOADS, "curve_x", "curve_y", *(f"stiff_{k}" for k in range(7))}
-    moved = [np.linalg.norm(fields[f"tip_force_{a}"].evaluate(np.zeros((1, 6)))[0, -3:]) for a in "xy"]
+    moved = [
+        np.linalg.norm(fields[f"tip_force_{a}"].evaluate(np.zeros((1, 6)))[0, -3:]) for a in "xy"
+    ]
     assert np.mean(moved) == pytest.approx(12.0, rel=1e-6)
 
 
@@ -242,9 +276,15 @@ def test_a_bundle_is_a_rod_like_any_other(run, learned, tmp_path):
     assert compare(model, run).error["rms_mm"] < 1e-2
     arrays = learned.rod.to_arrays()
     again = ElasticParameters.from_arrays(arrays)
-    np.testing.assert_array_equal(again.compiled().evaluate(run.command), learned.rod.compiled().evaluate(run.command))
+    np.testing.assert_array_equal(
+        again.compiled().evaluate(run.command), learned.rod.compiled().evaluate(run.command)
+    )
     for name in arrays:
-        for wrong in (np.zeros((2, 2)), np.full(len(arrays[name]), np.inf), np.full(len(arrays[name]) + 1, -0.5)):
+        for wrong in (
+            np.zeros((2, 2)),
+            np.full(len(arrays[name]), np.inf),
+            np.full(len(arrays[name]) + 1, -0.5),
+        ):
             with pytest.raises(SoftmapError):
                 spoiled = ElasticParameters.from_arrays({**arrays, name: wrong})
                 spoiled.fields()
@@ -254,16 +294,29 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
     model = learn_model(run, robot=arm(**ROUGH))
     played = model.with_effects(("backlash",), {"backlash.gap": 2.0})
     fast = recorded(arm(), seconds=60.0)
-    worn = replace(fast, markers=played.predict(fast) + 0.2 * np.random.default_rng(1).normal(size=fast.markers.shape))
+    worn = replace(
+        fast,
+        markers=played.predict(fast)
+        + 0.2 * np.random.default_rng(1).normal(size=fast.markers.shape),
+    )
     worn.save(tmp_path / "worn.npz")
     save(model, tmp_path / "arm")
     found = diagnose(model, worn)
     assert "backlash" in [effect.name for effect in found.effects], found.sentence
-    arguments = ["diagnose", str(tmp_path / "worn.npz"), "--bundle", str(tmp_path / "arm"), "--effects", "backlash,lag"]
+    arguments = [
+        "diagnose",
+        str(tmp_path / "worn.npz"),
+        "--bundle",
+        str(tmp_path / "arm"),
+        "--effects",
+        "backlash,lag",
+    ]
     assert main([*arguments, "--out", str(tmp_path / "d.json")]) == 0
     add = ["add", "backlash", "--from", str(tmp_path / "d.json"), "--bundle", str(tmp_path / "arm")]
     assert main([*add, "--out", str(tmp_path / "arm2")]) == 0
-    before, after = (compare(load_bundle(tmp_path / name), worn).error["rms_mm"] for name in ("arm", "arm2"))
+    before, after = (
+        compare(load_bundle(tmp_path / name), worn).error["rms_mm"] for name in ("arm", "arm2")
+    )
     assert after < 0.5 * before
     capsys.readouterr()
 
@@ -271,7 +324,14 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
 def test_a_bundle_is_replaced_only_by_force(run, tmp_path, capsys):
     (tmp_path / "robot.toml").write_text(ARM)
     run.save(tmp_path / "run.npz")
-    verb = ["learn", str(tmp_path / "run.npz"), "--robot", str(tmp_path / "robot.toml"), "--out", str(tmp_path / "arm")]
+    verb = [
+        "learn",
+        str(tmp_path / "run.npz"),
+        "--robot",
+        str(tmp_path / "robot.toml"),
+        "--out",
+        str(tmp_path / "arm"),
+    ]
     assert main([*verb, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert {"label", "value", "sigma", "unit", "at_bound", "note"} == set(document["numbers"][0])

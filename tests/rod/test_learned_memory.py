@@ -1,6 +1,8 @@
-"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or omits it on request.
+"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or omits
+it on request.
 
-The truth is simulated apart from the effect library, or was recorded by others (`../shared/data/memory`).
+The truth is simulated apart from the effect library, or was recorded by others
+(`../shared/data/memory`).
 """
 
 import json
@@ -26,7 +28,7 @@ from softmap_edge.rod.static_map import StaticMap
 DEGREE_MM = np.pi * 100.0 / 180.0  # of the 100 mm circle of the ViO-Com files
 
 
-# --- a finger of two servos, apart from the library ------------------------------------------------
+# --- a finger of two servos, apart from the library -----------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,8 @@ def test_play_that_was_always_there_is_named_with_its_numbers(found):
     (one,) = found.learned_in
     assert (one.name, one.family, one.law) == ("backlash", "memory", "identified")
     assert found.chain_names == ("backlash",)
-    assert {other.name for other in one.alternatives} <= {"hysteresis"}  # which needs three numbers for the same share
+    # which needs three numbers for the same share
+    assert {other.name for other in one.alternatives} <= {"hysteresis"}
     (gap,) = one.params
     assert gap.value == pytest.approx(1.4, rel=0.03) and abs(gap.value - 1.4) < 4 * gap.sigma
     assert gap.unit == "mm" and not gap.at_bound
@@ -52,7 +55,11 @@ def test_play_that_was_always_there_is_named_with_its_numbers(found):
 
 def test_without_looking_for_memory_the_same_map_fails(loose, found):
     static = learn(loose, static=True)
-    assert static.chain_names == () and static.learned_in == () and static.error_mm > 3 * found.error_mm
+    assert (
+        static.chain_names == ()
+        and static.learned_in == ()
+        and static.error_mm > 3 * found.error_mm
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -72,24 +79,34 @@ def test_a_static_law_that_no_polynomial_holds_is_no_memory():
 
 def test_a_frame_that_drifts_is_reported_and_no_effect_stands_in_for_it():
     run = recorded(noise=0.02)
-    wandered = np.cumsum(np.random.default_rng(8).normal(0.0, 0.02, (len(run.t_seen), 1, 3)), axis=0)
+    wandered = np.cumsum(
+        np.random.default_rng(8).normal(0.0, 0.02, (len(run.t_seen), 1, 3)), axis=0
+    )
     drifting = learn(replace(run, markers=run.markers + wandered))
     assert drifting.chain_names == () and drifting.learned_in == ()
-    assert any("the run shows" in note and "time" in note and "not in the model" in note for note in drifting.notes)
+    assert any(
+        "the run shows" in note and "time" in note and "not in the model" in note
+        for note in drifting.notes
+    )
 
 
 @pytest.mark.parametrize("gaps", [(1.4, 0.8)])
 def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps, tmp_path, capsys):
-    """From the logs of a motion capture whose frame is turned and shifted, of a robot with play in both servos."""
+    """From the logs of a motion capture whose frame is turned and shifted, of a robot with play in
+    both servos.
+    """
     run = recorded(gaps, seconds=120.0, seed=5)
-    turn = np.array([[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]])  # the arm lies along the capture's x
+    # the arm lies along the capture's x
+    turn = np.array([[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]])
     assert np.linalg.det(turn) == pytest.approx(1.0)
     markers = run.markers @ turn + [820.0, -340.0, 1210.0]
     names = [f"m{k + 1}_{axis}" for k in range(3) for axis in "xyz"]
     rows = np.column_stack([run.t_seen, run.command[::3], markers.reshape(len(markers), -1)])
     header = ",".join(["time", "motor_1", "motor_2", *names])
     np.savetxt(tmp_path / "log.csv", rows, "%.4f", ",", header=header, comments="")
-    log, mapping, npz, bundle = (str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "finger"))
+    log, mapping, npz, bundle = (
+        str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "finger")
+    )
     assert main(["import", log, "--guess", "--out", mapping]) == 0
     assert main(["import", log, "--map", mapping, "--out", npz]) == 0
     capsys.readouterr()
@@ -98,7 +115,9 @@ def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps,
     (one,) = document["learned_in"]
     assert one["name"] == "backlash"
     values = {number["label"]: number["value"] for number in one["params"]}
-    assert values == {f"backlash.gap[{c}]": pytest.approx(gap, rel=0.1) for c, gap in enumerate(gaps)}
+    assert values == {
+        f"backlash.gap[{c}]": pytest.approx(gap, rel=0.1) for c, gap in enumerate(gaps)
+    }
     model = load_bundle(bundle)
     assert model.learned_in[0].name == "backlash" and model.taught_by(Run.load(npz))
     assert not model.taught_by(run)
@@ -118,10 +137,14 @@ def swing(period, seed, late=0.2, seconds=60.0):
 
 
 def test_a_second_run_of_another_speed_judges_between_families():
-    """Delay, creep and memory all draw an ellipse for a sine of one speed; for a second speed only one of them does."""
+    """Delay, creep and memory all draw an ellipse for a sine of one speed; for a second speed only
+    one of them does.
+    """
     one, other = swing(12.0, 1), swing(3.0, 2)
     (alone,), both = learn(one).learned_in, learn([one, other])
-    assert alone.law == "ambiguous" and {"creep", "rate"} <= {rival.family for rival in alone.alternatives}
+    assert alone.law == "ambiguous" and {"creep", "rate"} <= {
+        rival.family for rival in alone.alternatives
+    }
     (told,) = both.learned_in
     assert (told.name, told.law) == ("latency", "identified")
     assert told.params[0].value == pytest.approx(0.2, abs=0.005)
@@ -137,22 +160,30 @@ def test_memory_begins_anew_in_each_run():
     )
     both = learn([first, second])
     assert (
-        both.error_mm < 0.3 and both.chain_params["backlash.gap" if len(both.chain_params) == 1 else "backlash.gap[0]"]
+        both.error_mm < 0.3
+        and both.chain_params["backlash.gap" if len(both.chain_params) == 1 else "backlash.gap[0]"]
     )
     model = learned_model([first, second], both)
     for run in (first, second):
         assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.35
 
 
-# --- the parts -------------------------------------------------------------------------------------
+# --- the parts ------------------------------------------------------------------------------------
 
 
 def test_the_map_is_solved_again_for_every_law():
-    """With the true play the map is exact; at any other gap it is not: the projected loss has its minimum there."""
+    """With the true play the map is exact; at any other gap it is not: the projected loss has its
+    minimum there.
+    """
     run = recorded((1.4, 1.4), noise=0.0)
     seen = observe([run], None, (), 20.0)
-    static = StaticMap(seen.markers.reshape(len(seen.markers), -1), search_folds(seen, Basis(3)), Basis(3))
-    at = {gap: float((static.residual(play_at(run, gap, seen)) ** 2).sum()) for gap in (1.0, 1.3, 1.4, 1.5, 1.8)}
+    static = StaticMap(
+        seen.markers.reshape(len(seen.markers), -1), search_folds(seen, Basis(3)), Basis(3)
+    )
+    at = {
+        gap: float((static.residual(play_at(run, gap, seen)) ** 2).sum())
+        for gap in (1.0, 1.3, 1.4, 1.5, 1.8)
+    }
     assert min(at, key=at.get) == 1.4 and at[1.3] > 1.5 * at[1.4] < at[1.5]
 
 
@@ -171,7 +202,8 @@ def test_held_out_losses_are_those_of_a_plain_refit():
     for train, test in static.parts:
         weights = np.linalg.lstsq(columns[train], static.targets[train], rcond=None)[0]
         plain.append(((columns[test] @ weights - static.targets[test]) ** 2).sum())
-    np.testing.assert_allclose(static.losses(u), plain, rtol=2e-3)  # its ridge is small but not zero
+    # its ridge is small but not zero
+    np.testing.assert_allclose(static.losses(u), plain, rtol=2e-3)
 
 
 def test_families_bring_only_effects_that_act_on_commands():
@@ -190,17 +222,26 @@ def test_runs_of_different_robots_are_not_learned_together():
             learn([run, other])
 
 
-# --- the command line --------------------------------------------------------------------------------
+# --- the command line -----------------------------------------------------------------------------
 
 
 def test_learn_prints_what_it_put_into_the_chain(loose, tmp_path, capsys):
     loose.save(tmp_path / "run.npz")
     assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "finger")]) == 0
     said = capsys.readouterr().out
-    assert "backlash: memory, law identified, held-out error" in said and "backlash.gap" in said and "±" in said
-    assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "map"), "--static"]) == 0
+    assert (
+        "backlash: memory, law identified, held-out error" in said
+        and "backlash.gap" in said
+        and "±" in said
+    )
+    assert (
+        main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "map"), "--static"]) == 0
+    )
     assert "not tested (--static)" in capsys.readouterr().out
-    assert load_bundle(tmp_path / "map").chain_names == () and load_bundle(tmp_path / "map").learned_in == ()
+    assert (
+        load_bundle(tmp_path / "map").chain_names == ()
+        and load_bundle(tmp_path / "map").learned_in == ()
+    )
 
 
 def test_a_learned_memory_survives_the_journey_and_predicts(loose, tmp_path):
@@ -211,7 +252,7 @@ def test_a_learned_memory_survives_the_journey_and_predicts(loose, tmp_path):
     assert again.taught_by(loose) and not again.taught_by(recorded(seed=9))
 
 
-# --- machines of others --------------------------------------------------------------------------------
+# --- machines of others ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "gap", "limit"), [("vio000", 45.0, 1.2), ("vio090", 58.0, 1.1)])
@@ -227,7 +268,9 @@ def test_a_tendon_sheath_joint_has_play_as_its_first_answer(name, gap, limit):
     assert error <= limit * DEGREE_MM
     # Without the play, the same map is ten times as far off.
     static = learned_model(run, learn(run, static=True))
-    assert np.sqrt(((static.predict(held) - held.markers) ** 2).sum(-1).mean()) > 5 * limit * DEGREE_MM
+    assert (
+        np.sqrt(((static.predict(held) - held.markers) ** 2).sum(-1).mean()) > 5 * limit * DEGREE_MM
+    )
 
 
 def test_a_friction_damper_with_a_gap_has_a_memory_whose_law_stays_open():
@@ -247,15 +290,23 @@ def bouc_wen(y, gamma=0.9, delta=-1.2, nu=1.0, parts=8):
     zeta, out = 0.0, [0.0]
     for step in np.diff(y) / parts:
         for _ in range(parts):
-            zeta += step - gamma * abs(step) * abs(zeta) ** (nu - 1) * zeta - delta * step * abs(zeta) ** nu
+            zeta += (
+                step
+                - gamma * abs(step) * abs(zeta) ** (nu - 1) * zeta
+                - delta * step * abs(zeta) ** nu
+            )
         out.append(zeta)
     return np.array(out)
 
 
 def driven(gamma, delta, damping=0.0):
-    """A force log along a random multisine of 0.3 to 3 Hz: a spring, a smooth hysteresis and a damper."""
+    """A force log along a random multisine of 0.3 to 3 Hz: a spring, a smooth hysteresis and a
+    damper.
+    """
     rng, t = np.random.default_rng(1), np.arange(0.0, 90.0, 0.01)
-    y = np.sin(2 * np.pi * (rng.uniform(0.3, 3.0, 40)[:, None] * t + rng.uniform(size=(40, 1)))).sum(axis=0)
+    y = np.sin(
+        2 * np.pi * (rng.uniform(0.3, 3.0, 40)[:, None] * t + rng.uniform(size=(40, 1)))
+    ).sum(axis=0)
     y /= y.std()
     force = (y + 3.0 * bouc_wen(y, gamma, delta) + damping * np.gradient(y, t))[::8]
     force += rng.normal(0, 0.02 * force.std(), len(force))
@@ -263,10 +314,16 @@ def driven(gamma, delta, damping=0.0):
 
 
 def test_a_smooth_hysteresis_that_no_law_reaches_is_a_memory_of_unknown_law():
-    """Plays cannot draw it: its small cycles do not close. A law that explains a part of it does not join the chain."""
+    """Plays cannot draw it: its small cycles do not close. A law that explains a part of it does
+    not join the chain.
+    """
     learned = learn(driven(0.9, -1.2, damping=0.02))
     (one,) = learned.learned_in
-    assert (one.name, one.family, one.law) == ("", "memory", "unknown") and learned.chain_names == ()
+    assert (one.name, one.family, one.law) == (
+        "",
+        "memory",
+        "unknown",
+    ) and learned.chain_names == ()
     assert one.after_mm < 0.2 * one.before_mm
 
 
@@ -277,23 +334,36 @@ def test_of_a_smooth_hysteresis_the_law_of_the_library_stays_open(gamma, delta):
 
 
 def certain(labels, other_labels=(), more=False):
-    """How sure a law of one family is, also alongside another one that leaves a little less, but not in every fold."""
+    """How sure a law of one family is, also alongside another one that leaves a little less, but
+    not in every fold.
+    """
 
     def fitted(names, loss):
         names, losses = tuple(names), loss / 8 + np.tile([0.4, -0.4], 4)
         law = SimpleNamespace(labels=names)
-        return SimpleNamespace(law=law, x=np.full(len(names), 0.5), losses=losses, bounded=np.zeros(len(names), bool))
+        return SimpleNamespace(
+            law=law, x=np.full(len(names), 0.5), losses=losses, bounded=np.zeros(len(names), bool)
+        )
 
-    family, first, second = Family("delay", ("latency", "lag")), fitted(labels, 50.0), fitted(other_labels, 49.0)
-    others = (memory._Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
-    return memory._Found(family, ("latency",), first, np.full(8, 50.0), others, False, False, more).certainty
+    family, first, second = (
+        Family("delay", ("latency", "lag")),
+        fitted(labels, 50.0),
+        fitted(other_labels, 49.0),
+    )
+    others = (
+        (memory._Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
+    )
+    return memory._Found(
+        family, ("latency",), first, np.full(8, 50.0), others, False, False, more
+    ).certainty
 
 
 def test_numbers_for_each_channel_count_as_one_when_laws_are_compared():
     """Which channels share a number says nothing about the form of a law."""
     assert certain(("latency.delay",)) == "identified"
     assert certain(("latency.delay",), ("lag.tau[0]", "lag.tau[1]")) == "ambiguous"
-    assert certain(("latency.delay",), ("lag.tau", "lag.order")) == "identified"  # more numbers, not seen to leave less
+    # more numbers, not seen to leave less
+    assert certain(("latency.delay",), ("lag.tau", "lag.order")) == "identified"
 
 
 def test_a_law_is_open_if_its_family_explains_more_on_top_of_it():

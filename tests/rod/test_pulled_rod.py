@@ -1,4 +1,5 @@
-"""A robot whose commands pull one cable or the other: its map has a kink at home, which a polynomial cannot follow.
+"""A robot whose commands pull one cable or the other: its map has a kink at home, which a
+polynomial cannot follow.
 
 The truth is written down here, apart from the code that is tested.
 """
@@ -25,7 +26,11 @@ def recorded(seed=0, start=0.0, seconds=60.0, noise=0.1, shape=finger):
 def test_a_finger_whose_cables_fall_slack_is_learned_by_the_pulls():
     run, other = recorded(), recorded(1, start=300.0)
     found = learn(run)
-    assert found.made_from["pulled"] and found.rod.pulled and "in the pulls of the cables" in str(found)
+    assert (
+        found.made_from["pulled"]
+        and found.rod.pulled
+        and "in the pulls of the cables" in str(found)
+    )
     model = learned_model(run, found)
     error = np.sqrt(((model.predict(other) - finger(other.commands())[::3]) ** 2).sum(-1).mean())
     plain = learned_model(run, replace(found, rod=without_pulls(run)))
@@ -34,7 +39,9 @@ def test_a_finger_whose_cables_fall_slack_is_learned_by_the_pulls():
 
 
 def without_pulls(run):
-    """The cubic rod of the same run, learned from commands that never pass zero: the same numbers, moved by 20 mm."""
+    """The cubic rod of the same run, learned from commands that never pass zero: the same numbers,
+    moved by 20 mm.
+    """
     moved = replace(run, command=run.commands() + 20.0)
     rod = learn(moved, static=True, degree=3).rod
     assert not rod.pulled
@@ -42,11 +49,18 @@ def without_pulls(run):
 
 
 def test_a_polynomial_that_follows_the_robot_is_kept():
-    angles = np.array([[0, 0, 0, 0], [5, 1, 3, 0], [0, 4, 1, 5], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]]) / 10.0
+    angles = (
+        np.array(
+            [[0, 0, 0, 0], [5, 1, 3, 0], [0, 4, 1, 5], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+        )
+        / 10.0
+    )
     lengths = np.zeros((15, 2))
     lengths[0] = 100.0, 80.0
     smooth = RodParameters(np.zeros(3), np.zeros(2), np.full(2, 10.0), 2, angles, lengths, 1e-6)
-    run = recorded(shape=lambda u: smooth.compiled().evaluate(np.ascontiguousarray(u)).reshape(len(u), 2, 3))
+    run = recorded(
+        shape=lambda u: smooth.compiled().evaluate(np.ascontiguousarray(u)).reshape(len(u), 2, 3)
+    )
     assert not learn(run).made_from["pulled"]
 
 
@@ -56,7 +70,11 @@ def test_pulls_go_with_the_bundle_and_older_bundles_have_none(tmp_path):
     save_bundle(model, tmp_path / "finger")
     again = load_bundle(tmp_path / "finger")
     assert np.array_equal(again.predict(run), model.predict(run))
-    arrays = {k: v for k, v in learn(replace(run, command=run.commands() + 20.0)).to_arrays().items() if k != "pulled"}
+    arrays = {
+        k: v
+        for k, v in learn(replace(run, command=run.commands() + 20.0)).to_arrays().items()
+        if k != "pulled"
+    }
     assert not RodParameters.from_arrays(arrays).pulled
 
 
@@ -65,6 +83,9 @@ def test_slopes_at_a_kink_lie_between_those_of_both_sides(u):
     run = recorded()
     rod = learn(run).rod.compiled()
     at = rod.jacobian(np.array([u]))[0]
-    sides = [rod.jacobian(np.array([u]) + side)[0] for side in ([1e-7, 0], [-1e-7, 0], [0, 1e-7], [0, -1e-7])]
+    sides = [
+        rod.jacobian(np.array([u]) + side)[0]
+        for side in ([1e-7, 0], [-1e-7, 0], [0, 1e-7], [0, -1e-7])
+    ]
     low, high = np.min(sides, axis=0), np.max(sides, axis=0)
     assert np.all(at >= low - 1e-4) and np.all(at <= high + 1e-4)

@@ -18,8 +18,16 @@ from softmap_edge.errors import RobotError
         ("segments = 2", "segments = true", "segments"),
         ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 3]", "segment"),
         ("segment = [1, 1, 1, 2, 2, 2]", "segment = []", "segment"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 2]", "command"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 1, 3, 3, 3]", "command"),
+        (
+            "segment = [1, 1, 1, 2, 2, 2]",
+            "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 2]",
+            "command",
+        ),
+        (
+            "segment = [1, 1, 1, 2, 2, 2]",
+            "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 1, 3, 3, 3]",
+            "command",
+        ),
         ("radius_mm = 6", "radius_mm = -6", "radius_mm"),
         ("radius_mm = 6", "radius_mm = [6, 6]", "radius_mm has 2 numbers"),
         ("radius_mm = 6", 'radius_mm = "six"', "radius_mm"),
@@ -43,17 +51,22 @@ from softmap_edge.errors import RobotError
 def test_a_faulty_robot_is_refused_in_one_line(old, new, word, tmp_path):
     assert old in ARM
     (tmp_path / "robot.toml").write_text(ARM.replace(old, new, 1))
-    if word is None:  # sound: angles may be left out where they are fitted, or known where they are given
+    # sound: angles may be left out where they are fitted, or known where they are given
+    if word is None:
         Robot.load(tmp_path / "robot.toml")
         return
     with pytest.raises(RobotError) as refused:
         Robot.load(tmp_path / "robot.toml")
     message = str(refused.value)
-    assert word in message and "robot.toml" in message and "\n" not in message and len(message) < 400
+    assert (
+        word in message and "robot.toml" in message and "\n" not in message and len(message) < 400
+    )
 
 
 def test_angles_neither_given_nor_fitted_are_refused():
-    text = ARM.replace("angle_deg = [0, 120, 240, 60, 180, 300]\n", "").replace('angle = "each"\n', "")
+    text = ARM.replace("angle_deg = [0, 120, 240, 60, 180, 300]\n", "").replace(
+        'angle = "each"\n', ""
+    )
     with pytest.raises(RobotError, match="angle_deg is missing"):
         Robot.from_toml(text)
     with pytest.raises(RobotError, match=r"robot\.toml"):

@@ -1,4 +1,6 @@
-"""A robot without a simulator: its rod is learned from a reference run, and says honestly how far it is off."""
+"""A robot without a simulator: its rod is learned from a reference run, and says honestly how far
+it is off.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +38,9 @@ def truth():
 
 
 def delayed_and_lagged(t):
-    """What a drive with DELAY and LAG makes of `commands`: a plain Euler sum in steps of 0.5 ms, no effect library."""
+    """What a drive with DELAY and LAG makes of `commands`: a plain Euler sum in steps of 0.5 ms, no
+    effect library.
+    """
     fine = np.arange(0.0, t[-1] + 0.01, 5e-4)
     u = commands(np.maximum(fine - DELAY, 0.0))
     x, out = u[0].copy(), np.empty_like(u)
@@ -50,7 +54,14 @@ def make_run(truth, seconds=60.0, drive=commands, **more):
     t = np.arange(0.0, seconds, 0.01)
     seen = t[::5]
     markers = truth.compiled().evaluate(drive(t))[::5].reshape(len(seen), -1, 3)
-    return Run(t=t, command=commands(t), t_seen=seen, markers=markers, gravity=np.array([0.0, 0.0, 1.0]), **more)
+    return Run(
+        t=t,
+        command=commands(t),
+        t_seen=seen,
+        markers=markers,
+        gravity=np.array([0.0, 0.0, 1.0]),
+        **more,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +75,8 @@ def learned(plain):
 
 
 def test_a_rod_is_recovered_exactly(truth, learned):
-    # What is left is the smallest ridge (1e-7 of the usual), not the polynomial: far below any camera's noise.
+    # What is left is the smallest ridge (1e-7 of the usual), not the polynomial: far below any
+    # camera's noise.
     assert learned.error_mm < 1e-3
     assert learned.chain_names == ()
     assert learned.rod.degree >= 2
@@ -110,7 +122,14 @@ def test_frames_held_out_are_never_looked_at(truth, plain):
 def test_holding_out_nothing_is_an_error(plain, interval, tmp_path, capsys):
     """Who asks for blocks to be kept from the fit must not get a model that has seen everything."""
     plain.save(tmp_path / "run.npz")
-    arguments = ["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "rod"), "--hold-out", interval]
+    arguments = [
+        "learn",
+        str(tmp_path / "run.npz"),
+        "--out",
+        str(tmp_path / "rod"),
+        "--hold-out",
+        interval,
+    ]
     assert main(arguments) == 2
     assert "--hold-out" in capsys.readouterr().err and not (tmp_path / "rod").exists()
 
@@ -127,14 +146,18 @@ def test_hidden_markers_are_left_out(plain):
     visible = np.ones(plain.markers.shape[:2], bool)
     visible[::7, 1] = False
     markers = np.where(visible[..., None], plain.markers, np.nan)
-    rod = learn(Run(t=plain.t, command=plain.command, t_seen=plain.t_seen, markers=markers, visible=visible))
+    rod = learn(
+        Run(t=plain.t, command=plain.command, t_seen=plain.t_seen, markers=markers, visible=visible)
+    )
     assert rod.error_mm < 1e-3 and np.all(visible[rod.frames])
 
 
 def test_slopes_match_finite_differences_also_in_the_straight_pose(truth):
     angles = truth.angles.copy()
     angles[0] = 0.0
-    rod = RodParameters(truth.base, truth.centre, truth.scale, 2, angles, truth.lengths, 1e-6).compiled()
+    rod = RodParameters(
+        truth.base, truth.centre, truth.scale, 2, angles, truth.lengths, 1e-6
+    ).compiled()
     for u in ([0.0, 0.0], [1e-6, -1e-6], [4.0, -7.0]):
         slopes = rod.jacobian(np.array([u]))[0]
         assert np.all(np.isfinite(slopes))
@@ -143,7 +166,9 @@ def test_slopes_match_finite_differences_also_in_the_straight_pose(truth):
             step[c] = 1e-4
             ends = rod.evaluate(np.stack([u + step, u - step]))
             np.testing.assert_allclose(slopes[:, c], (ends[0] - ends[1]) / 2e-4, atol=1e-6)
-    np.testing.assert_allclose(rod.evaluate(np.zeros((1, 2)))[0], [0, 0, 110, 0, 0, 200], atol=1e-12)
+    np.testing.assert_allclose(
+        rod.evaluate(np.zeros((1, 2)))[0], [0, 0, 110, 0, 0, 200], atol=1e-12
+    )
 
 
 def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length():
@@ -151,17 +176,24 @@ def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length():
     lengths = np.zeros((15, 2))
     lengths[0] = 120.0, 80.0
     compliance = 0.1 * 200.0 / ((120.0**3 + 80.0**3) / 12.0)
-    fields = RodParameters(np.zeros(3), np.zeros(1), np.ones(1), 1, straight, lengths, compliance).fields()
+    fields = RodParameters(
+        np.zeros(3), np.zeros(1), np.ones(1), 1, straight, lengths, compliance
+    ).fields()
     assert set(fields) == set(_core.LOADS)
     home = np.zeros((1, 1))
-    np.testing.assert_allclose(fields["tip_force_x"].evaluate(home)[0, 3:], [20.0, 0.0, 0.0], atol=1e-9)
-    # An even weight of 1 N, as a plain sum: moment less its mean on each chord, times the arm to the tip.
+    np.testing.assert_allclose(
+        fields["tip_force_x"].evaluate(home)[0, 3:], [20.0, 0.0, 0.0], atol=1e-9
+    )
+    # An even weight of 1 N, as a plain sum: moment less its mean on each chord, times the arm to
+    # the tip.
     s = (np.arange(20000) + 0.5) / 100.0
     moment = (200.0 - s) ** 2 / 400.0
     for chord in (s < 120.0, s >= 120.0):
         moment[chord] -= moment[chord].mean()
     tip = compliance * (moment * (200.0 - s)).sum() / 100.0
-    np.testing.assert_allclose(fields["gravity_y"].evaluate(home)[0, 3:], [0.0, tip, 0.0], atol=1e-5)
+    np.testing.assert_allclose(
+        fields["gravity_y"].evaluate(home)[0, 3:], [0.0, tip, 0.0], atol=1e-5
+    )
     np.testing.assert_array_equal(fields["gravity_z"].evaluate(home), 0.0)
 
 
@@ -201,7 +233,12 @@ def test_a_bundle_predicts_like_the_rod_it_was_made_from(truth, tmp_path):
     ],
 )
 def test_runs_that_teach_nothing_are_refused_in_one_line(plain, change):
-    fields = {"t": plain.t, "command": plain.command, "t_seen": plain.t_seen, "markers": plain.markers} | change
+    fields = {
+        "t": plain.t,
+        "command": plain.command,
+        "t_seen": plain.t_seen,
+        "markers": plain.markers,
+    } | change
     if fields["markers"] is None:
         fields["t_seen"] = np.zeros(0)
     with pytest.raises(RunError) as refused:
@@ -250,7 +287,9 @@ def test_the_trunk_holds_for_seconds_that_were_kept_from_it(trunk):
 
 @pytest.mark.parametrize(("unit", "size"), [("deg", 10.0), ("rad", 0.1), ("ticks", 150.0)])
 def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
-    """A drive of ±100 degrees may have 8 of play: bounds are declared for tendons of ±16 mm and grow with the drive."""
+    """A drive of ±100 degrees may have 8 of play: bounds are declared for tendons of ±16 mm and
+    grow with the drive.
+    """
     rng = np.random.default_rng(4)
 
     def log(gap, seconds):
@@ -267,11 +306,15 @@ def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
     found = diagnose(learn_model(log(0.0, 120.0)), log(0.8, 120.0))
     assert found.verdict == "identified" and [e.name for e in found.effects] == ["backlash"]
     gap = found.effects[0].params["backlash.gap"]
-    assert gap.value == pytest.approx(0.8 * size, rel=0.03) and gap.unit == unit and not gap.at_bound
+    assert (
+        gap.value == pytest.approx(0.8 * size, rel=0.03) and gap.unit == unit and not gap.at_bound
+    )
 
 
 def test_tendons_that_add_up_to_zero_are_reported(truth):
-    """Three tendons drive two directions: the effect of one alone cannot be learned, but learning still works."""
+    """Three tendons drive two directions: the effect of one alone cannot be learned, but learning
+    still works.
+    """
     t = np.arange(0.0, 60.0, 0.02)
     two = commands(t)
     three = np.column_stack([two, -two.sum(axis=1)])
@@ -280,24 +323,45 @@ def test_tendons_that_add_up_to_zero_are_reported(truth):
     (note,) = rod.notes
     assert "2 of 3 directions" in note and "u1 + u2 + u3 stays at" in note
     assert rod.error_mm < 0.1 and rod.chain_names == ()
-    pair = learn(Run(t=t, command=np.column_stack([two, 1.0 - 0.5 * two[:, 0]]), t_seen=t[::3], markers=markers))
+    pair = learn(
+        Run(
+            t=t,
+            command=np.column_stack([two, 1.0 - 0.5 * two[:, 0]]),
+            t_seen=t[::3],
+            markers=markers,
+        )
+    )
     assert "(0.5·u1 + u3 stays at 1 mm)" in pair.notes[0]
 
 
 def test_a_robot_is_learned_from_the_ticks_of_its_servos(truth, tmp_path, capsys):
-    """The proposal of a mapping keeps whole numbers as ticks; a learned model takes them as its unit."""
+    """The proposal of a mapping keeps whole numbers as ticks; a learned model takes them as its
+    unit.
+    """
     t = np.arange(0.0, 60.0, 0.05)
     ticks = np.rint(2048 + 90.0 * commands(t))
     markers = truth.compiled().evaluate((ticks - 2048) / 90.0).reshape(len(t), -1)
-    names = ",".join(["time", "motor_1", "motor_2", *(f"m{m}_{axis}" for m in (1, 2) for axis in "xyz")])
-    np.savetxt(tmp_path / "log.csv", np.column_stack([t, ticks, markers]), "%.3f", ",", header=names, comments="")
-    log, mapping, npz, bundle = (str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "rod"))
+    names = ",".join(
+        ["time", "motor_1", "motor_2", *(f"m{m}_{axis}" for m in (1, 2) for axis in "xyz")]
+    )
+    np.savetxt(
+        tmp_path / "log.csv",
+        np.column_stack([t, ticks, markers]),
+        "%.3f",
+        ",",
+        header=names,
+        comments="",
+    )
+    log, mapping, npz, bundle = (
+        str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "rod")
+    )
     assert main(["import", log, "--guess", "--out", mapping]) == 0
     assert main(["import", log, "--map", mapping, "--out", npz]) == 0
     assert main(["learn", npz, "--out", bundle]) == 0
     run, model = Run.load(npz), load_bundle(bundle)
     assert run.command is not None and model.command_unit == "ticks"
-    # The proposal guesses the clamp, and chords from another point have angles that are no polynomials.
+    # The proposal guesses the clamp, and chords from another point have angles that are no
+    # polynomials.
     assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.3
     assert main(["compare", npz, "--bundle", bundle]) == 0
     capsys.readouterr()

@@ -60,7 +60,10 @@ def test_splines_go_with_the_bundle_and_wrong_ones_are_refused(tmp_path):
     save_bundle(model, tmp_path / "finger")
     assert np.array_equal(load_bundle(tmp_path / "finger").predict(run), model.predict(run))
     arrays = found.to_arrays()
-    assert RodParameters.from_arrays({k: v for k, v in arrays.items() if k != "intervals"}).intervals == 0
+    assert (
+        RodParameters.from_arrays({k: v for k, v in arrays.items() if k != "intervals"}).intervals
+        == 0
+    )
     for wrong in (-1.0, 2.5, 1e9, np.nan):
         with pytest.raises(SoftmapError, match="intervals, expected 0 to 64"):
             RodParameters.from_arrays(arrays | {"intervals": np.array([wrong])})
@@ -83,7 +86,9 @@ def test_the_core_s_splines_are_the_field_s():
 
 
 def test_a_ridge_on_the_terms_is_a_penalty_on_second_differences():
-    """The same fit as with explicit B-splines and differences of their coefficients along both commands."""
+    """The same fit as with explicit B-splines and differences of their coefficients along both
+    commands.
+    """
     rng, basis, ridge = np.random.default_rng(0), Basis(3, intervals=4), 0.3
     q = rng.uniform(-1.0, 1.0, (200, 2))
     y = np.sin(3.0 * q[:, :1]) * q[:, 1:] + 0.1 * rng.normal(size=(200, 1))
@@ -94,7 +99,8 @@ def test_a_ridge_on_the_terms_is_a_penalty_on_second_differences():
     rough = np.kron(second.T @ second, np.eye(7)) + np.kron(np.eye(7), second.T @ second)
     system = splines.T @ splines + 200 * ridge * 1e-3 * rough
     explicit = splines @ np.linalg.solve(system, splines.T @ y)
-    assert np.allclose(splines @ weights[1:] + weights[0], explicit, atol=5e-3)  # lines have a small ridge too
+    # lines have a small ridge too
+    assert np.allclose(splines @ weights[1:] + weights[0], explicit, atol=5e-3)
     assert np.ptp(own) > 0 and basis.count(2) == 48  # the constant is the intercept
 
 

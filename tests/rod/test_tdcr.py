@@ -1,4 +1,5 @@
-"""docs/learn/tdcr.md as written: its commands run, its numbers come out, and the tendons of a real robot are cables.
+"""docs/learn/tdcr.md as written: its commands run, its numbers come out, and the tendons of a real
+robot are cables.
 
 Without the logs everything here is skipped and says so; `make data` brings them.
 """
@@ -85,19 +86,29 @@ def shown(name):
 
 
 def test_the_numbers_of_the_page_come_from_the_logs(logs, rods):
-    """All but gradient boosting and the Gaussian process, which take minutes: `python -m benches.tdcr` prints those."""
+    """All but gradient boosting and the Gaussian process, which take minutes: `python -m
+    benches.tdcr` prints those.
+    """
     assert shown("published simulator") == [None, None, None, tdcr.SIMULATOR_MM]
     for name, (row, _, _) in rods.items():
         wanted = [row["numbers"], *(row[key] for key in ("train_mm", "cv_mm", "unseen_mm"))]
-        # The last digit shown; where a number is not told, the descent ends a little elsewhere on another machine.
+        # The last digit shown; where a number is not told, the descent ends a little elsewhere on
+        # another machine.
         assert shown(name) == pytest.approx(wanted, abs=0.3 if "two-sided" in name else 0.1), name
     taut, slack = tdcr.slack_share(rods["elastic rod, cables"][2], logs[1])
-    assert f"{100 * taut:.0f} % of the\ntendons" in PAGE or f"{100 * taut:.0f} % of the tendons" in PAGE
+    assert (
+        f"{100 * taut:.0f} % of the\ntendons" in PAGE
+        or f"{100 * taut:.0f} % of the tendons" in PAGE
+    )
     assert slack < taut
 
 
 def test_peers_are_measured_on_the_same_frames(logs, monkeypatch):
-    quick = {name: make for name, make in tdcr.PEERS.items() if name in ("ridge, linear", "ridge, quadratic")}
+    quick = {
+        name: make
+        for name, make in tdcr.PEERS.items()
+        if name in ("ridge, linear", "ridge, quadratic")
+    }
     monkeypatch.setattr(tdcr, "PEERS", quick)
     for row in tdcr.peers(*logs[1:]):
         assert shown(row["model"]) == [
@@ -113,18 +124,24 @@ def document(page, name):
 
 
 def test_the_example_with_rods_is_the_other_one_with_another_law():
-    rods, cables = (Robot.load(ROOT / f"examples/{name}.toml") for name in ("tdcr_rods", "tdcr_robot"))
+    rods, cables = (
+        Robot.load(ROOT / f"examples/{name}.toml") for name in ("tdcr_rods", "tdcr_robot")
+    )
     np.testing.assert_array_equal(rods.start, cables.with_slack(1.0).start)
     assert rods.layout == cables.layout and rods.modes == cables.modes and rods.angles_known
 
 
 def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
     found, before, after = document(page, "rods.json")
-    assert found["verdict"] == "identified" and [effect["name"] for effect in found["effects"]] == ["slack"]
+    assert found["verdict"] == "identified" and [effect["name"] for effect in found["effects"]] == [
+        "slack"
+    ]
     assert found["alternatives"] == [] and found["error"]["held_out_on"] == "an independent run"
     effect = found["effects"][0]
     assert effect["probability"] is None  # calibrated on bodies that were simulated
-    assert effect["params"]["slack.ratio"]["value"] < 0.02 and len(effect["refitted"]["params"]) == 17
+    assert (
+        effect["params"]["slack.ratio"]["value"] < 0.02 and len(effect["refitted"]["params"]) == 17
+    )
     assert before > 12.0 and after <= 7.0 and f"{before:.1f} → {after:.1f} mm" in PAGE
     rods, added = (load_bundle(page / name) for name in ("rods.bundle", "slack.bundle"))
     assert added.chain_names == ("slack",) and added.vertex_error_mm < 0.4 * rods.vertex_error_mm

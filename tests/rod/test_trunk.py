@@ -1,4 +1,5 @@
-"""docs/learn/own_log.md as written: its commands run, its numbers come out, and a load of 100 g is found.
+"""docs/learn/own_log.md as written: its commands run, its numbers come out, and a load of 100 g is
+found.
 
 Without the logs everything here is skipped and says so; `make data` brings them.
 """
@@ -33,7 +34,9 @@ def folder():
 
 @pytest.fixture(scope="module")
 def page(folder, tmp_path_factory):
-    """Run the blocks in their order, each text among what was printed; give the folder and the names left."""
+    """Run the blocks in their order, each text among what was printed; give the folder and the
+    names left.
+    """
     there, names, said = reader(tmp_path_factory.mktemp("trunk"), folder), {}, io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
@@ -70,8 +73,15 @@ def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
     effects = {entry["name"]: entry for entry in document["effects"]}
     assert {"payload", "offset"} <= set(effects)
     sets = [set(one["effects"]) for one in document["alternatives"]]
-    assert all(one in sets for one in ({"gravity", "offset"}, {"stiffness", "offset"}, {"payload", "pre_curve"}))
-    units = {p["unit"] for entry in [*document["effects"], *document["faults"]] for p in entry["params"].values()}
+    assert all(
+        one in sets
+        for one in ({"gravity", "offset"}, {"stiffness", "offset"}, {"payload", "pre_curve"})
+    )
+    units = {
+        p["unit"]
+        for entry in [*document["effects"], *document["faults"]]
+        for p in entry["params"].values()
+    }
     assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
     assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
     told = str(page[1]["found"]).split("Not testable")[0].split("Next experiment")[0]
@@ -103,9 +113,16 @@ def test_the_unloaded_run_as_the_model_gives_the_same_answer_with_more_power(pag
     clear = [mass.value / mass.sigma for mass in masses]
     assert clear[1] > clear[0]
     rows = {
-        "held-out error on blocks, before and after, mm": [before[0], after[0], before[1], after[1]],
+        "held-out error on blocks, before and after, mm": [
+            before[0],
+            after[0],
+            before[1],
+            after[1],
+        ],
         "payload, in standard deviations": clear,
-        "later seconds, mm": [compare(d.model, names["later"]).error["rms_mm"] for d in (alone, paired)],
+        "later seconds, mm": [
+            compare(d.model, names["later"]).error["rms_mm"] for d in (alone, paired)
+        ],
     }
     for row, values in rows.items():
         assert numbers(row) == pytest.approx(values, abs=0.06), row
@@ -127,9 +144,13 @@ def test_the_numbers_of_the_page_come_from_the_logs(folder, page):
     assert rods["goal: latency.delay, s"] == pytest.approx(0.22, abs=0.006)
     assert abs(rods["goal: delay 0.175 s and lag 0.05 s, error ratio"] - 1.0) < 0.01
     model, slack = trunk_load.reference(free)
-    assert "it is 5.43 mm" in PAGE and trunk_load.error(model, free) == pytest.approx(5.43, abs=0.02)
+    assert "it is 5.43 mm" in PAGE and trunk_load.error(model, free) == pytest.approx(
+        5.43, abs=0.02
+    )
     for effects, count, later in trunk_load.load_table(model, loaded):
-        row = {"payload": "dead load", "payload + offset": "dead load + offset"}.get(effects, effects)
+        row = {"payload": "dead load", "payload + offset": "dead load + offset"}.get(
+            effects, effects
+        )
         assert numbers(row) == [count, pytest.approx(later, abs=0.02)], effects
     for _, _, later in trunk_load.load_table(slack, loaded, (("payload",), ("payload", "offset"))):
         assert min(abs(later - float(text)) for text in re.search(_FREE, PAGE).groups()) < 0.02
@@ -140,12 +161,20 @@ _FREE = r"with free tendons the dead load reaches ([\d.]+) and with offset ([\d.
 
 
 def test_the_proposal_differs_from_the_example_in_what_the_page_says(page):
-    """The clamp within 4 mm, the rest of the run alike; a run of the proposal can be learned from as well."""
+    """The clamp within 4 mm, the rest of the run alike; a run of the proposal can be learned from
+    as well.
+    """
     from softmap_edge import Run, import_logs, read_mapping
 
     there, _ = page
-    logs = [there / "data/trunk" / f"{name}_controlled_1.csv" for name in ("control_inputs", "observations")]
-    ours, right = import_logs(logs, read_mapping(there / "map.toml")).run, Run.load(there / "trunk.npz")
+    logs = [
+        there / "data/trunk" / f"{name}_controlled_1.csv"
+        for name in ("control_inputs", "observations")
+    ]
+    ours, right = (
+        import_logs(logs, read_mapping(there / "map.toml")).run,
+        Run.load(there / "trunk.npz"),
+    )
     off = ours.markers - right.markers
     assert np.nanmax(np.abs(off - off[0])) < 1e-9 and 3.0 < np.linalg.norm(off[0, 0]) < 4.5
     held = np.isnan(off).mean()  # places that repeat to the last digit; the example keeps them
@@ -175,5 +204,7 @@ def test_the_encoders_tell_the_drive_apart(page):
         assert set(found) == ({"latency", "gain"} if servo["channel"] == 2 else {"latency"})
         assert found["latency"]["latency.delay"]["value"] == pytest.approx(0.213, abs=0.005)
         assert 5.5 < servo["error"]["model"] < 15.5 and 0.65 < servo["error"]["value"] < 1.05
-    assert told[2]["effects"][1]["params"]["gain.factor[0]"]["value"] == pytest.approx(0.80, abs=0.01)
+    assert told[2]["effects"][1]["params"]["gain.factor[0]"]["value"] == pytest.approx(
+        0.80, abs=0.01
+    )
     assert "is 0.21 to 0.22 s" in PAGE and "by 0.80 of its commands" in PAGE

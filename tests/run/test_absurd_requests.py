@@ -1,4 +1,6 @@
-"""Sound files and sound arguments that ask for absurd work are refused at once, in one line, before memory is taken."""
+"""Sound files and sound arguments that ask for absurd work are refused at once, in one line, before
+memory is taken.
+"""
 
 import os
 import time
@@ -31,15 +33,21 @@ def million_frames():
 
 
 REQUESTS = {
-    "a mesh of half a million nodes": lambda: Simulator(Finger.builtin().replace(core=16, rings=16, layers=400)),
+    "a mesh of half a million nodes": lambda: Simulator(
+        Finger.builtin().replace(core=16, rings=16, layers=400)
+    ),
     "a million layers": lambda: Finger.builtin().replace(layers=10**6),
-    "a profile of many pairs": lambda: Finger.builtin().replace(profile=tuple((z / 1e3, 9.0) for z in range(10**5))),
+    "a profile of many pairs": lambda: Finger.builtin().replace(
+        profile=tuple((z / 1e3, 9.0) for z in range(10**5))
+    ),
     "a layer count of 5000 digits": lambda: Finger.builtin().replace(layers=10**5000),
     "a young's modulus of 5000 digits": lambda: Finger.builtin().replace(young_mpa=10**5000),
     "a file of 5000 digits": lambda: Finger.from_toml("name = " + "1" * 5000),
     "a key of two lines": lambda: Finger.from_toml('"a\\nb" = 1'),
     "a sweep of 25 million commands": lambda: simulator().sweep([np.linspace(-1, 1, 5000)] * 2),
-    "a path of ten million commands": lambda: simulator().path(np.broadcast_to(np.zeros(2), (10**7, 2))),
+    "a path of ten million commands": lambda: simulator().path(
+        np.broadcast_to(np.zeros(2), (10**7, 2))
+    ),
     "fields of a million commands": lambda: simulator().fields(np.zeros((10**6, 2))),
     "a command of 1e308 mm": lambda: simulator().path([[1e308, 0.0]]),
     "a gravity of 1e300 g": lambda: simulator().path([[0.0, 0.0]], gravity=[1e300, 0, 0]),
@@ -108,7 +116,10 @@ def test_a_template_with_an_empty_slice_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("handles", "says"),
     [
-        (np.zeros(0, np.uint32), r"shape \(0,\), expected 1 to 548 of its vertices 0 to 547, ascending"),
+        (
+            np.zeros(0, np.uint32),
+            r"shape \(0,\), expected 1 to 548 of its vertices 0 to 547, ascending",
+        ),
         (np.uint32([3, 3, 5]), "ascending"),
         (np.uint32([5, 3]), "ascending"),
         (np.uint32([[1, 2]]), r"shape \(1, 2\)"),
@@ -143,7 +154,8 @@ BUILD, GUESS = ["build", "--out", "b"], ["import", "--guess", "--out", "map.toml
 
 
 @pytest.mark.parametrize(
-    "argv", [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"], BUILD, GUESS]
+    "argv",
+    [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"], BUILD, GUESS],
 )
 def test_devices_and_pipes_are_no_files(argv, tmp_path, capsys, monkeypatch):
     """They never end: what reads them whole fills the memory, or waits for ever."""
@@ -166,7 +178,9 @@ def test_a_small_file_of_many_numbers_is_refused_before_they_are_made_floats(tmp
 def test_a_file_is_replaced_whole_and_its_neighbours_stay(tmp_path):
     (tmp_path / "d.json.part").write_text("precious")
     write_atomically(tmp_path / "d.json", "{}")
-    assert (tmp_path / "d.json").stat().st_mode & 0o777 == (tmp_path / "d.json.part").stat().st_mode & 0o777
+    assert (tmp_path / "d.json").stat().st_mode & 0o777 == (
+        tmp_path / "d.json.part"
+    ).stat().st_mode & 0o777
     with pytest.raises(FileNotFoundError, match="absent"):
         write_atomically(tmp_path / "absent" / "d.json", "{}")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["d.json", "d.json.part"]

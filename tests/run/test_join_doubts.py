@@ -1,4 +1,6 @@
-"""Runs that are joined although they follow one another in time, or hold the same data, are reported."""
+"""Runs that are joined although they follow one another in time, or hold the same data, are
+reported.
+"""
 
 import json
 from dataclasses import replace
@@ -13,7 +15,9 @@ from softmap_edge.run.join_doubts import join_doubts
 
 
 def run_of(first, count, seed=0, points=3, rate=50, **change):
-    """Rows `first` to `first + count` of one long experiment, as an importer of each part would give them."""
+    """Rows `first` to `first + count` of one long experiment, as an importer of each part would
+    give them.
+    """
     t = np.arange(first, first + count) / rate
     noise = np.random.default_rng(seed).normal(0, 0.1, (10_000, points, 3))[first : first + count]
     u = np.stack([8 * np.sin(t), 5 * np.cos(0.7 * t)], axis=1)
@@ -41,7 +45,10 @@ def test_other_orders_and_recordings_are_not_reported():
     assert join_doubts([later, one], 10.0) == []  # time goes back
     assert join_doubts([one, run_of(0, 500, seed=1)], 10.0) == []  # each begins at 0
     assert join_doubts([one, later], 2.02) == []  # the pause is kept
-    assert join_doubts([one, replace(later, t=later.t + 1e5, t_seen=later.t_seen + 1e5)], 10.0) == []  # another day
+    # another day
+    assert (
+        join_doubts([one, replace(later, t=later.t + 1e5, t_seen=later.t_seen + 1e5)], 10.0) == []
+    )
     assert join_doubts([cut(one, 0, 3), cut(one, 5, 9)], 10.0) == []  # pieces keep their clock
 
 
@@ -51,13 +58,18 @@ def test_frames_in_both_runs_are_named(points, begin):
     one, other = run_of(0, 500, points=points), run_of(begin, 500, points=points)
     found = join_doubts([one, other], 10.0)
     assert len(found) == 1
-    assert f"{500 - begin} frames have equal values in runs 1 and 2 ({begin / 50:g} to 9.98 s of run 1" in found[0]
+    assert (
+        f"{500 - begin} frames have equal values in runs 1 and 2 ({begin / 50:g} to 9.98 s of run 1"
+        in found[0]
+    )
 
 
 def test_frames_that_a_third_run_repeats_are_found_whatever_its_clock():
     one, two = run_of(0, 300), run_of(0, 300, seed=1)
     moved = run_of(200, 300)
-    third = Run(t=moved.t + 1e6, t_seen=moved.t_seen + 1e6, command=moved.command, markers=moved.markers)
+    third = Run(
+        t=moved.t + 1e6, t_seen=moved.t_seen + 1e6, command=moved.command, markers=moved.markers
+    )
     found = [line for line in join_doubts([one, two, third], 10.0) if "equal values" in line]
     assert len(found) == 1 and "100 frames have equal values in runs 1 and 3" in found[0]
 
@@ -66,7 +78,12 @@ def test_rows_of_encoders_in_both_runs_are_named():
     def rows(first):
         t = np.arange(first, first + 200) / 50
         ticks = np.stack([1000 * np.sin(t), 800 * np.cos(1.3 * t)], axis=1)
-        return Run(t=t, t_seen=t[:0], ticks=np.rint(ticks), present_ticks=np.rint(ticks - 3 * np.cos(9 * t)[:, None]))
+        return Run(
+            t=t,
+            t_seen=t[:0],
+            ticks=np.rint(ticks),
+            present_ticks=np.rint(ticks - 3 * np.cos(9 * t)[:, None]),
+        )
 
     found = join_doubts([rows(0), rows(150)], 10.0)
     assert len(found) == 1 and "50 rows have equal values in runs 1 and 2" in found[0]
@@ -84,7 +101,12 @@ def test_repeats_that_are_no_copies_are_not_named():
     assert join_doubts([bare, bare], 10.0) == []  # the same commands may be sent twice
     coarse = [
         Run.of_outputs(
-            np.rint(3 * np.sin(k + run.t))[:, None], "N", ["force"], t=run.t, t_seen=run.t, command=run.command
+            np.rint(3 * np.sin(k + run.t))[:, None],
+            "N",
+            ["force"],
+            t=run.t,
+            t_seen=run.t,
+            command=run.command,
         )
         for k, run in enumerate((one, other))
     ]

@@ -1,4 +1,6 @@
-"""Outputs of any kind: a force–displacement log from the CSV to the report, in its own unit, with its loop drawn."""
+"""Outputs of any kind: a force–displacement log from the CSV to the report, in its own unit, with
+its loop drawn.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from softmap_edge.report.html import write_html
 from softmap_edge.run.in_unit import in_unit, words_in_unit
 from softmap_edge.run.output import FARTHEST, RANGE_MM, Output, output_of
 
-STIFF, STOP, SLIP = 2.0, 6.0, 3.0  # N/mm of the spring and of the stop, and mm at which the stop slips
+# N/mm of the spring and of the stop, and mm at which the stop slips
+STIFF, STOP, SLIP = 2.0, 6.0, 3.0
 MAPPING = """schema = "softmap.mapping/1"
 robot = "damper"
 [[log]]
@@ -37,7 +40,9 @@ def softmap(*argv: object) -> subprocess.CompletedProcess[str]:
 
 
 def stop(x: np.ndarray) -> np.ndarray:
-    """Return the force (N) of a spring in parallel with a dry-friction element that slips, from the law itself."""
+    """Return the force (N) of a spring in parallel with a dry-friction element that slips, from the
+    law itself.
+    """
     force, held = np.empty_like(x), 0.0
     for k, step in enumerate(np.diff(x, prepend=x[0])):
         held = np.clip(held + step, -SLIP, SLIP)
@@ -49,7 +54,11 @@ def moves(seed: int, rows: int = 1200) -> np.ndarray:
     """Return a displacement (mm) whose amplitude varies, so that no single loop is drawn."""
     s, rng = np.arange(rows) / rows, np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, 2)
-    return 20.0 * np.sin(2 * np.pi * 6 * s + phase[0]) * (0.6 + 0.4 * np.sin(2 * np.pi * 0.8 * s + phase[1]))
+    return (
+        20.0
+        * np.sin(2 * np.pi * 6 * s + phase[0])
+        * (0.6 + 0.4 * np.sin(2 * np.pi * 0.8 * s + phase[1]))
+    )
 
 
 def write(path: Path, x: np.ndarray, force: np.ndarray) -> Path:
@@ -98,7 +107,11 @@ def test_learn_states_its_error_in_newtons(damper: Path) -> None:
     done = softmap("learn", damper / "fit.npz", "--out", damper / "again", "--force")
     stated = float(re.search(r"error ([\d.]+) N RMS", done.stdout).group(1))
     model, run = load_bundle(damper / "again"), Run.load(damper / "fit.npz")
-    assert model.output == run.output and "latency" not in model.chain_names and "lag" not in model.chain_names
+    assert (
+        model.output == run.output
+        and "latency" not in model.chain_names
+        and "lag" not in model.chain_names
+    )
     assert stated == pytest.approx(model.output.value(model.vertex_error_mm), rel=0.01)
 
 
@@ -109,26 +122,51 @@ def test_compare_reports_newtons_that_are_those_of_the_log(damper: Path) -> None
     found = compare(model, run)
     assert comparison_in_unit(found).error["rms_mm"] == pytest.approx(truth, rel=2e-3)
     text = comparison_text(found)
-    assert "outputs, N" in text and "tip" not in text and "RMS mm" not in text and "time since" not in text
+    assert (
+        "outputs, N" in text
+        and "tip" not in text
+        and "RMS mm" not in text
+        and "time since" not in text
+    )
     stated = float(re.search(r"^  rms +([\d.]+)", text, re.M).group(1))
     assert stated == pytest.approx(truth, rel=0.01)
-    assert json.loads(softmap("compare", damper / "held.npz", "--bundle", damper / "model", "--json").stdout)[
-        "made_from"
-    ]["output"] == {"names": ["force"], "unit": "N", "mm_per_unit": model.output.mm_per_unit}
+    assert json.loads(
+        softmap("compare", damper / "held.npz", "--bundle", damper / "model", "--json").stdout
+    )["made_from"]["output"] == {
+        "names": ["force"],
+        "unit": "N",
+        "mm_per_unit": model.output.mm_per_unit,
+    }
 
 
 def test_diagnose_runs_and_speaks_of_the_output(damper: Path) -> None:
     done = softmap(
-        "diagnose", damper / "fit.npz", "--held-out", damper / "held.npz", "--bundle", damper / "model",
-        "--out", damper / "found.json", "--html", damper / "found.html",
-    )  # fmt: skip
+        "diagnose",
+        damper / "fit.npz",
+        "--held-out",
+        damper / "held.npz",
+        "--bundle",
+        damper / "model",
+        "--out",
+        damper / "found.json",
+        "--html",
+        damper / "found.html",
+    )
     assert done.returncode == 0, done.stderr
     text = done.stdout
-    assert re.search(r"Error ladder \(.*, N\)", text) and "mm RMS" not in text and "the body" not in text
+    assert (
+        re.search(r"Error ladder \(.*, N\)", text)
+        and "mm RMS" not in text
+        and "the body" not in text
+    )
     for geometry in ("payload", "gravity", "mount", "twist", "lens", "camera_drift"):
         assert geometry not in text
     page = (damper / "found.html").read_text()
-    assert "Output against command" in page and "Path of the tip" not in page and "Error over time" not in page
+    assert (
+        "Output against command" in page
+        and "Path of the tip" not in page
+        and "Error over time" not in page
+    )
     assert not re.search(r"\d mm RMS|mm rms", page)
 
 
@@ -142,10 +180,18 @@ def test_without_time_no_delay_or_rate_is_looked_for(damper: Path) -> None:
 
 
 def test_an_affine_output_is_learned_exactly_and_kept_by_a_bundle(tmp_path: Path) -> None:
-    """The chord of a marker is an angle: its polynomial fits an affine output within 2e-4 of the range."""
+    """The chord of a marker is an angle: its polynomial fits an affine output within 2e-4 of the
+    range.
+    """
     x = moves(3)
-    run = Run.of_outputs(7.5 * x[:, None] - 4.0, "N", ["force"], t=np.arange(1200) / 20, t_seen=np.arange(1200) / 20,
-                         command=x[:, None])  # fmt: skip
+    run = Run.of_outputs(
+        7.5 * x[:, None] - 4.0,
+        "N",
+        ["force"],
+        t=np.arange(1200) / 20,
+        t_seen=np.arange(1200) / 20,
+        command=x[:, None],
+    )
     model = learn_model(run)
     assert model.output.value(model.vertex_error_mm) < 2e-4 * np.ptp(run.outputs)
     save_bundle(model, tmp_path / "b")
@@ -173,10 +219,14 @@ def test_a_run_of_another_output_is_refused(damper: Path) -> None:
 
 @pytest.mark.parametrize("amplitude", [1e-6, 1.0, 3e5])
 def test_outputs_of_any_size_move_the_markers_as_far(amplitude: float) -> None:
-    """Newtons, kilonewtons or micronewtons: the same markers up to two digits of scale, the same figures."""
+    """Newtons, kilonewtons or micronewtons: the same markers up to two digits of scale, the same
+    figures.
+    """
     x = moves(1)
     values = amplitude * stop(x)[:, None]
-    run = Run.of_outputs(values, "N", t=np.arange(1200) / 20, t_seen=np.arange(1200) / 20, command=x[:, None])
+    run = Run.of_outputs(
+        values, "N", t=np.arange(1200) / 20, t_seen=np.arange(1200) / 20, command=x[:, None]
+    )
     assert np.ptp(run.markers[..., 0]) == pytest.approx(RANGE_MM, rel=0.05)
     np.testing.assert_allclose(run.outputs, values, rtol=1e-12)
 
@@ -184,8 +234,15 @@ def test_outputs_of_any_size_move_the_markers_as_far(amplitude: float) -> None:
 def test_a_file_may_hold_the_outputs_as_they_are(tmp_path: Path) -> None:
     t, values = np.arange(30) / 10, np.sin(np.arange(30))[:, None] * [1.0, 2.0]
     values[4, 1] = np.nan
-    np.savez(tmp_path / "r.npz", t=t, command=t[:, None], t_seen=t, output=values, output_unit="deg",
-             output_names=np.array(["a", "b"]))  # fmt: skip
+    np.savez(
+        tmp_path / "r.npz",
+        t=t,
+        command=t[:, None],
+        t_seen=t,
+        output=values,
+        output_unit="deg",
+        output_names=np.array(["a", "b"]),
+    )
     run = Run.load(tmp_path / "r.npz")
     np.testing.assert_allclose(run.outputs, values, rtol=1e-12)
     assert run.output.names == ("a", "b") and run.marker_names == ["a", "b"] and not run.timeless
@@ -231,23 +288,41 @@ def test_sentences_turn_the_outputs_and_leave_the_commands() -> None:
     )
     document = {
         "made_from": {"output": half.to_dict()},
-        "effects": [{"params": {"backlash.gap": {"value": 4.0, "unit": "mm"}}, "displacement_mm": {"fitted": 3.0}}],
-        "error": {"unit": "mm", "model": 3.0, "ladder": [{"added": "backlash", "value": 1.0}], "floor": None},
+        "effects": [
+            {
+                "params": {"backlash.gap": {"value": 4.0, "unit": "mm"}},
+                "displacement_mm": {"fitted": 3.0},
+            }
+        ],
+        "error": {
+            "unit": "mm",
+            "model": 3.0,
+            "ladder": [{"added": "backlash", "value": 1.0}],
+            "floor": None,
+        },
         "where": {"before": {"command": [{"label": "home", "n": 4, "rms_mm": 2.0}]}},
     }
     found = in_unit(document)
     assert found["effects"][0] == {
         "params": {"backlash.gap": {"value": 4.0, "unit": "mm"}}, "displacement_mm": {"fitted": 1.5}
     }  # fmt: skip
-    assert found["error"] == {"unit": "N", "model": 1.5, "ladder": [{"added": "backlash", "value": 0.5}], "floor": None}
+    assert found["error"] == {
+        "unit": "N",
+        "model": 1.5,
+        "ladder": [{"added": "backlash", "value": 0.5}],
+        "floor": None,
+    }
     assert found["where"]["before"]["command"][0]["rms_mm"] == 1.0
 
 
 def test_the_loop_is_one_cycle_and_the_worst(damper: Path) -> None:
     from softmap_edge.report.loop_figure import worst_cycle
 
-    x = np.concatenate([np.linspace(0, 1, 11), np.linspace(1, -1, 21)[1:], np.linspace(-1, 1, 21)[1:]])
-    x = np.concatenate([x, np.linspace(1, -1, 21)[1:], np.linspace(-1, 1, 21)[1:]])  # turns at 10, 30, 50, 70
+    x = np.concatenate(
+        [np.linspace(0, 1, 11), np.linspace(1, -1, 21)[1:], np.linspace(-1, 1, 21)[1:]]
+    )
+    # turns at 10, 30, 50, 70
+    x = np.concatenate([x, np.linspace(1, -1, 21)[1:], np.linspace(-1, 1, 21)[1:]])
     wrong = np.zeros(len(x))
     wrong[55] = 5.0
     cycle = worst_cycle(Loop("force", x, wrong, np.zeros(len(x)), None))
@@ -258,9 +333,16 @@ def test_the_loop_is_one_cycle_and_the_worst(damper: Path) -> None:
     np.testing.assert_allclose(drawn[0].seen, run.outputs[:, 0])
 
 
-def test_the_page_of_two_models_draws_the_loop_before_and_after(damper: Path, tmp_path: Path) -> None:
+def test_the_page_of_two_models_draws_the_loop_before_and_after(
+    damper: Path, tmp_path: Path
+) -> None:
     model, run = load_bundle(damper / "model"), Run.load(damper / "held.npz")
     other = model.with_effects(["backlash"], {"backlash.gap": 4.0})
-    page = write_html(tmp_path / "p.html", [compare(model, run), compare(other, run)], None, series(run, model, other))
+    page = write_html(
+        tmp_path / "p.html",
+        [compare(model, run), compare(other, run)],
+        None,
+        series(run, model, other),
+    )
     text = page.read_text()
     assert "Output against command" in text and " N RMS" in text and "mm RMS" not in text

@@ -1,4 +1,6 @@
-"""Encoders and commands that roll over after a turn are reported by import and check, and `unwrap` counts them on."""
+"""Encoders and commands that roll over after a turn are reported by import and check, and `unwrap`
+counts them on.
+"""
 
 from pathlib import Path
 
@@ -40,8 +42,8 @@ def log(folder, rows, extra=""):
 
 def imported(path, unit, key="", name="command"):
     text = (
-        f'schema = "softmap.mapping/1"\ncommand_unit = "{unit}"\n[[log]]\ntime = {{ column = "t" }}\n'
-        f'{name} = {{ columns = ["u_1", "u_2"], unit = "{unit}"{key} }}'
+        f'schema = "softmap.mapping/1"\ncommand_unit = "{unit}"\n[[log]]\ntime = {{ column = "t" '
+        f'}}\n{name} = {{ columns = ["u_1", "u_2"], unit = "{unit}"{key} }}'
     )
     return import_logs([path], parse_mapping(text, Path("map.toml")))
 
@@ -58,7 +60,10 @@ def test_a_roll_over_is_reported_with_the_key_that_counts_on(tmp_path, kind):
     assert len(warning) == 1 and f"command.unwrap = {turn:.7g}" in warning[0]
     mended = imported(path, unit, f", unwrap = {turn!r}")
     found = mended.run.command
-    assert np.ptp(found - true, axis=0) == pytest.approx(0, abs=1e-5) and (found[0] == wrapped[0]).all()
+    assert (
+        np.ptp(found - true, axis=0) == pytest.approx(0, abs=1e-5)
+        and (found[0] == wrapped[0]).all()
+    )
     assert not any("rolls over" in doubt for doubt in mended.doubts)
     assert any("counts on over" in note for note in mended.notes)
     assert not any("rolls over" in text for text in summary(mended.run)["warnings"])
@@ -76,7 +81,10 @@ def test_ticks_and_encoders_are_counted_on_as_well(tmp_path, name):
     )
     done = import_logs([tmp_path / "log.csv"], parse_mapping(text, Path("map.toml")))
     assert np.ptp(getattr(done.run, name) - true, axis=0) == pytest.approx(0)
-    bare = import_logs([tmp_path / "log.csv"], parse_mapping(text.replace(", unwrap = [4096, 4096.0]", ""), Path("m")))
+    bare = import_logs(
+        [tmp_path / "log.csv"],
+        parse_mapping(text.replace(", unwrap = [4096, 4096.0]", ""), Path("m")),
+    )
     assert any(f"{name}.unwrap = 4096" in doubt for doubt in bare.doubts)
 
 
@@ -155,7 +163,9 @@ command = { columns = ["a", "b"], unit = "ticks", unwrap = 4096 }
 
 
 def with_gap(first, last, speed, empty):
-    """A log of two encoders that roll over; the first has no values in some rows, which are empty or left out."""
+    """A log of two encoders that roll over; the first has no values in some rows, which are empty
+    or left out.
+    """
     lines = ["t,a,b"]
     for k in range(200):
         place = str(int(2000 + speed * 0.02 * k) % 4096)
@@ -166,11 +176,17 @@ def with_gap(first, last, speed, empty):
 
 
 @pytest.mark.parametrize("empty", [True, False])
-@pytest.mark.parametrize(("last", "speed", "doubted"), [(140, 1800, True), (70, 1800, False), (140, 300, False)])
-def test_turns_over_a_gap_are_doubted_where_the_speed_allows_several(tmp_path, empty, last, speed, doubted):
+@pytest.mark.parametrize(
+    ("last", "speed", "doubted"), [(140, 1800, True), (70, 1800, False), (140, 300, False)]
+)
+def test_turns_over_a_gap_are_doubted_where_the_speed_allows_several(
+    tmp_path, empty, last, speed, doubted
+):
     done = logs.imported(tmp_path, with_gap(60, last, speed, empty), WRAPPED)
     named = [doubt for doubt in done.doubts if "more than half a turn" in doubt]
-    assert bool(named) == doubted and all("'a' has 1 gaps" in doubt and "after 1.18 s" in doubt for doubt in named)
+    assert bool(named) == doubted and all(
+        "'a' has 1 gaps" in doubt and "after 1.18 s" in doubt for doubt in named
+    )
     if not doubted:
         assert np.abs(done.run.command[:, 0] - (2000 + speed * done.run.t)).max() <= 1.0
 

@@ -1,4 +1,6 @@
-"""A run is cut and joined: nothing is lost, nothing is moved, and what does not fit is refused with both values."""
+"""A run is cut and joined: nothing is lost, nothing is moved, and what does not fit is refused with
+both values.
+"""
 
 import json
 import re
@@ -19,7 +21,9 @@ from softmap_edge.run.pieces import pieces
 
 
 def recording(seed=0, **change):
-    """Two clocks, labels, an orientation for each row, hidden points, an unknown field of rows and one of frames."""
+    """Two clocks, labels, an orientation for each row, hidden points, an unknown field of rows and
+    one of frames.
+    """
     rng = np.random.default_rng(seed)
     t, t_seen = np.arange(400) * 0.05, 0.013 + np.arange(150) * 0.13
     gravity = np.tile([0.0, 0.0, 1.0], (400, 1))
@@ -29,7 +33,8 @@ def recording(seed=0, **change):
         gravity=gravity,
         temperature=np.full(400, 22.0),
         t_seen=t_seen,
-        markers=rng.normal(0, 1, (150, 3, 3)) + [[[0, 0, 30]], [[0, 0, 60]], [[0, 0, 90]]][seed % 3],
+        markers=rng.normal(0, 1, (150, 3, 3))
+        + [[[0, 0, 30]], [[0, 0, 60]], [[0, 0, 90]]][seed % 3],
         visible=rng.random((150, 3)) > 0.1,
         block=np.repeat(["slow", "fast", "slow"], 50),
         robot="arm",
@@ -46,7 +51,12 @@ def recording(seed=0, **change):
 def outputs():
     t = np.arange(200) * 0.1
     return Run.of_outputs(
-        np.stack([np.sin(t), np.cos(t)], axis=1), "N", ("pull", "push"), t_seen=t, t=t, command=np.sin(t)[:, None]
+        np.stack([np.sin(t), np.cos(t)], axis=1),
+        "N",
+        ("pull", "push"),
+        t_seen=t,
+        t=t,
+        command=np.sin(t)[:, None],
     )
 
 
@@ -66,14 +76,21 @@ def same(one, other, *, without=()):
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
-@pytest.mark.parametrize("run", [recording(), outputs(), clouds(), sound(), recording(block=None)], ids=range(5))
+@pytest.mark.parametrize(
+    "run", [recording(), outputs(), clouds(), sound(), recording(block=None)], ids=range(5)
+)
 @pytest.mark.parametrize("seed", range(4))
 def test_the_pieces_of_a_run_are_the_run(run, seed):
-    """Cut anywhere, also at a row or a frame, and joined in order: the same arrays to the last bit."""
+    """Cut anywhere, also at a row or a frame, and joined in order: the same arrays to the last
+    bit.
+    """
     rng = np.random.default_rng(seed)
-    first = np.sort(rng.choice(np.arange(1, run.frames), 4, replace=False))  # of each piece but the first
+    # of each piece but the first
+    first = np.sort(rng.choice(np.arange(1, run.frames), 4, replace=False))
     share = np.r_[rng.uniform(0.0, 1.0, 2), 1.0, 1.0]  # between two frames, or at one
-    at = run.t_seen[first - 1] + np.maximum(share, 1e-3) * (run.t_seen[first] - run.t_seen[first - 1])
+    at = run.t_seen[first - 1] + np.maximum(share, 1e-3) * (
+        run.t_seen[first] - run.t_seen[first - 1]
+    )
     at[2:] = run.t_seen[first[2:]]
     edges = [None, *at.tolist(), None]
     parts = [cut(run, a, b) for a, b in zip(edges, edges[1:])]
@@ -90,7 +107,11 @@ def test_a_piece_keeps_times_labels_and_the_hash_of_its_recording():
     np.testing.assert_array_equal(part.t_seen, run.t_seen[inside])
     np.testing.assert_array_equal(part.block, run.block[inside])
     np.testing.assert_array_equal(part.extra["light"], run.extra["light"][inside])
-    assert part.extra["volts"].shape == part.t.shape and part.extra["base_markers"].shape == (part.frames, 4, 3)
+    assert part.extra["volts"].shape == part.t.shape and part.extra["base_markers"].shape == (
+        part.frames,
+        4,
+        3,
+    )
     again = part.cut(6.0, 7.0)
     assert {piece.origin for piece in (*pieces(part), *pieces(again))} == {run.hash()}
     for t in part.t_seen:
@@ -102,7 +123,8 @@ def test_a_block_is_its_frames_wherever_they_lie():
     fast, slow = run.cut(block="fast"), run.cut(block="slow")
     np.testing.assert_array_equal(fast.t_seen, run.t_seen[50:100])
     np.testing.assert_array_equal(slow.t_seen, np.r_[run.t_seen[:50], run.t_seen[100:]])
-    assert slow.block.tolist() == ["1:slow"] * 50 + ["2:slow"] * 50  # the gap between them is a border
+    # the gap between them is a border
+    assert slow.block.tolist() == ["1:slow"] * 50 + ["2:slow"] * 50
     numbered = sound()
     assert numbered.cut(block=1).block.tolist() == [1] * 4
 
@@ -154,7 +176,9 @@ def test_clouds_and_outputs_of_another_scale_are_joined():
     both = join_runs([clouds(0), clouds(1)])
     assert both.frames == 120 and both.start[-1] == len(both.points)
     one, two = outputs(), outputs()
-    two = Run.of_outputs(3.0 * two.outputs, "N", ("pull", "push"), t_seen=two.t_seen, t=two.t, command=two.command)
+    two = Run.of_outputs(
+        3.0 * two.outputs, "N", ("pull", "push"), t_seen=two.t_seen, t=two.t, command=two.command
+    )
     whole = join_runs([one, two])
     assert one.output.mm_per_unit != two.output.mm_per_unit
     np.testing.assert_allclose(whole.outputs, np.concatenate([one.outputs, two.outputs]), atol=1e-9)
@@ -167,10 +191,19 @@ def test_clouds_and_outputs_of_another_scale_are_joined():
         (dict(command=np.zeros((400, 3))), ["3 command channels", "first run 2"]),
         (dict(command_unit="deg"), ["deg as the unit", "first run mm"]),
         (dict(command=None, ticks=np.zeros((400, 2), int)), ["ticks", "kind of its commands"]),
-        (dict(markers=np.random.default_rng(0).normal(0, 9, (150, 4, 3)), visible=None), ["4 points", "first run 3"]),
+        (
+            dict(markers=np.random.default_rng(0).normal(0, 9, (150, 4, 3)), visible=None),
+            ["4 points", "first run 3"],
+        ),
         (dict(markers=None, visible=None), ["nothing", "markers", "what was seen"]),
-        (dict(temperature=None), ["temperature: run 1 holds it, run 2 does not", "--drop temperature"]),
-        (dict(current=np.ones((400, 2))), ["current: run 2 holds it, run 1 does not", "--drop current"]),
+        (
+            dict(temperature=None),
+            ["temperature: run 1 holds it, run 2 does not", "--drop temperature"],
+        ),
+        (
+            dict(current=np.ones((400, 2))),
+            ["current: run 2 holds it, run 1 does not", "--drop current"],
+        ),
         (dict(gravity=None), ["gravity", "--drop gravity"]),
         (dict(timeless=True), ["rows without time"]),
         (dict(extra={"volts": np.zeros(7)}), ["--drop"]),
@@ -244,7 +277,24 @@ def test_the_commands_cut_join_and_show(tmp_path, monkeypatch, capsys):
     run = recording()
     run.save("run.npz")
     assert (
-        main(["run", "cut", "run.npz", "--from", "0", "--to", "8", "--from", "8", "--to", "99", "--out", "p.npz"]) == 0
+        main(
+            [
+                "run",
+                "cut",
+                "run.npz",
+                "--from",
+                "0",
+                "--to",
+                "8",
+                "--from",
+                "8",
+                "--to",
+                "99",
+                "--out",
+                "p.npz",
+            ]
+        )
+        == 0
     )
     out = capsys.readouterr().out
     assert "p_1.npz: 0.013 to 7.943 s" in out and "--lead" in out
@@ -299,10 +349,16 @@ def test_the_commands_of_the_page_run_and_print_what_it_shows(tmp_path, monkeypa
     for day in (1, 2):
         t = np.arange(2500 + 500 * (day == 1)) * 0.02
         seen = t[::5]
-        rest = np.random.default_rng(day).normal(0, 1, (len(seen), 3, 3)) + [[0, 0, 30], [0, 0, 60], [0, 0, 90]]
+        rest = np.random.default_rng(day).normal(0, 1, (len(seen), 3, 3)) + [
+            [0, 0, 30],
+            [0, 0, 60],
+            [0, 0, 90],
+        ]
         command = np.stack([8.0 * np.sin(t), 5.0 * np.cos(0.7 * t)], axis=1)
         block = np.where(seen < 30.0, "slow", "fast")
-        Run(t=t, command=command, t_seen=seen, markers=rest, block=block, robot="arm").save(f"day{day}.npz")
+        Run(t=t, command=command, t_seen=seen, markers=rest, block=block, robot="arm").save(
+            f"day{day}.npz"
+        )
     commands, shown = re.findall(r"```(?:text)?\n(.*?)```", page, re.DOTALL)[:2]
     for line in commands.strip().splitlines():
         capsys.readouterr()
@@ -326,8 +382,17 @@ def test_a_cut_beyond_the_end_names_the_end(start):
 def test_a_run_without_time_is_listed_by_rows(rows):
     t = np.arange(rows) * 0.05
     block = np.repeat([0, 1], rows // 2)
-    run = Run(t=t, t_seen=t, command=np.sin(t)[:, None], timeless=True, block=block,
-              markers=np.cumsum(np.ones((rows, 2, 3)), axis=0) + [[[0, 0, 0], [0, 0, 9]]])  # fmt: skip
+    run = Run(
+        t=t,
+        t_seen=t,
+        command=np.sin(t)[:, None],
+        timeless=True,
+        block=block,
+        markers=np.cumsum(np.ones((rows, 2, 3)), axis=0) + [[[0, 0, 0], [0, 0, 9]]],
+    )
     text = "\n".join(lines(contents(run)))
-    assert f"1: {rows // 2} frames from row {rows // 2} to {rows - 1}" in text and f"row 0 to {rows - 1}" in text
+    assert (
+        f"1: {rows // 2} frames from row {rows // 2} to {rows - 1}" in text
+        and f"row 0 to {rows - 1}" in text
+    )
     assert not re.search(r"\d s\b", text)

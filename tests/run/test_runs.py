@@ -1,4 +1,6 @@
-"""A run is checked, saved, cut and described; each fault is one line that names the field and the remedy."""
+"""A run is checked, saved, cut and described; each fault is one line that names the field and the
+remedy.
+"""
 
 import dataclasses
 import io
@@ -17,10 +19,19 @@ from softmap_edge.run.run import Run
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (dict(t=np.arange(T)[::-1] * 0.25), ["t: time goes backwards at row 1", "14.5 s after 14.75 s", "sort"]),
+        (
+            dict(t=np.arange(T)[::-1] * 0.25),
+            ["t: time goes backwards at row 1", "14.5 s after 14.75 s", "sort"],
+        ),
         (dict(t=np.r_[0.0, np.arange(T - 1)]), ["t: time stands still at row 1", "drop repeated"]),
-        (dict(t_seen=np.r_[np.nan, fields()["t_seen"][1:]]), ["t_seen: 1 values are not finite", "[0]"]),
-        (dict(command=np.zeros((T, 3)), present=np.zeros((T, 2))), ["present: shape (60, 2)", "C = 3 from command"]),
+        (
+            dict(t_seen=np.r_[np.nan, fields()["t_seen"][1:]]),
+            ["t_seen: 1 values are not finite", "[0]"],
+        ),
+        (
+            dict(command=np.zeros((T, 3)), present=np.zeros((T, 2))),
+            ["present: shape (60, 2)", "C = 3 from command"],
+        ),
         (dict(command=np.zeros(T)), ["command: shape (60,)", "(T, C)", "T = 60 from t", "column"]),
         (dict(command=np.zeros((C, T)), present=None), ["command: shape (2, 60)", "transposed"]),
         (dict(command=np.full((T, C), np.inf)), ["command: 120 values are not finite"]),
@@ -29,15 +40,30 @@ from softmap_edge.run.run import Run
         (dict(command=[[1.0], [1.0, 2.0]]), ["command: is not a rectangular array"]),
         (dict(ticks=np.zeros((T, C), int)), ["command and ticks", "one of the two"]),
         (dict(command=None, ticks=np.full((T, C), 0.5)), ["ticks: fractions", "command"]),
-        (dict(markers=np.zeros((K, N, 2))), ["markers: shape (12, 5, 2)", "(K, N, 3) with K = 12", "x, y, z"]),
-        (dict(markers=fields()["markers"][:-1]), ["markers: shape (11, 5, 3)", "K = 12 from t_seen"]),
+        (
+            dict(markers=np.zeros((K, N, 2))),
+            ["markers: shape (12, 5, 2)", "(K, N, 3) with K = 12", "x, y, z"],
+        ),
+        (
+            dict(markers=fields()["markers"][:-1]),
+            ["markers: shape (11, 5, 3)", "K = 12 from t_seen"],
+        ),
         (
             dict(markers=fields()["markers"] / 1000, marker_rest=None),
             ["markers: all points lie within", "metres", "1000"],
         ),
-        (dict(markers=fields()["markers"] * 1000), ["markers: ", "expected -10000 to 10000 mm", "convert"]),
-        (dict(markers=np.full((K, N, 3), np.nan)), ["markers: 180 values are not finite", "visible"]),
-        (dict(vertices=fields()["markers"]), ["vertices and markers", "one of vertices, markers, points"]),
+        (
+            dict(markers=fields()["markers"] * 1000),
+            ["markers: ", "expected -10000 to 10000 mm", "convert"],
+        ),
+        (
+            dict(markers=np.full((K, N, 3), np.nan)),
+            ["markers: 180 values are not finite", "visible"],
+        ),
+        (
+            dict(vertices=fields()["markers"]),
+            ["vertices and markers", "one of vertices, markers, points"],
+        ),
         (dict(visible=np.ones((K, 3), bool)), ["visible: shape (12, 3)", "N = 5 from markers"]),
         (dict(visible=np.full((K, N), 2)), ["visible: values other than 0 and 1"]),
         (dict(sigma=np.array(-1.0)), ["sigma: -1 mm", "standard deviation"]),
@@ -56,8 +82,16 @@ from softmap_edge.run.run import Run
             ["start: runs from 0 to 12", "P = 7"],
         ),
         (dict(markers=None), ["visible: given for each point", "no vertices or markers"]),
-        (dict(t_seen=fields()["t_seen"] + 1e6), ["t_seen: 1000001 to 1000015 s", "outside the commands", "one clock"]),
-        (dict(t=np.zeros(0), command=None, present=None, current=None, temperature=None, load=None), ["t: empty"]),
+        (
+            dict(t_seen=fields()["t_seen"] + 1e6),
+            ["t_seen: 1000001 to 1000015 s", "outside the commands", "one clock"],
+        ),
+        (
+            dict(
+                t=np.zeros(0), command=None, present=None, current=None, temperature=None, load=None
+            ),
+            ["t: empty"],
+        ),
         (dict(command_unit=""), ["command_unit"]),
     ],
 )
@@ -109,7 +143,9 @@ def test_a_file_without_command_times_takes_those_of_the_frames(tmp_path):
 
 
 def test_what_is_saved_comes_back_with_unknown_fields_and_equal_bytes(tmp_path):
-    run = sound(extra={"wind": np.arange(3.0), "camera": np.array("left")}, sigma=np.full((K, N), 0.2))
+    run = sound(
+        extra={"wind": np.arange(3.0), "camera": np.array("left")}, sigma=np.full((K, N), 0.2)
+    )
     run.save(tmp_path / "a.npz")
     again = Run.load(tmp_path / "a.npz")
     for name, array in run.arrays().items():
@@ -139,7 +175,10 @@ def test_frames_are_chosen_and_commands_stay():
     assert run.at([]).frames == 0
     base = np.arange(K * 6, dtype=float).reshape(K, 2, 3)
     with_base = sound(extra={"base_markers": base, "wind": np.arange(K)}).at([3, 5])
-    assert np.array_equal(with_base.extra["base_markers"], base[[3, 5]]) and len(with_base.extra["wind"]) == K
+    assert (
+        np.array_equal(with_base.extra["base_markers"], base[[3, 5]])
+        and len(with_base.extra["wind"]) == K
+    )
     for bad in (np.ones(3, bool), [12], [0.5]):
         with pytest.raises(RunError, match="select"):
             run.at(bad)
@@ -147,7 +186,9 @@ def test_frames_are_chosen_and_commands_stay():
 
 def test_clouds_are_chosen_whole():
     start = np.array([0, 2, 2, 5])
-    run = Run(t=[0.0, 3.0], t_seen=[0.0, 1.0, 2.0], points=np.arange(15.0).reshape(5, 3), start=start)
+    run = Run(
+        t=[0.0, 3.0], t_seen=[0.0, 1.0, 2.0], points=np.arange(15.0).reshape(5, 3), start=start
+    )
     part = run.at([1, 2])
     assert np.array_equal(part.start, [0, 0, 3])
     assert np.array_equal(part.points, run.points[2:])
@@ -170,7 +211,8 @@ def test_a_slice_of_time_keeps_the_command_that_still_holds():
 
 def test_commands_between_rows_and_by_source():
     run = sound()
-    assert run.command_at([2.375]) == pytest.approx(np.array([[4.0, -1.5]]))  # halfway up a step of one row
+    # halfway up a step of one row
+    assert run.command_at([2.375]) == pytest.approx(np.array([[4.0, -1.5]]))
     assert np.array_equal(run.command_at([-1.0, 99.0]), run.command[[0, -1]])
     assert run.commands() is run.present and run.commands("goal") is run.command
     assert dataclasses.replace(run, present=None).commands() is not None
@@ -246,7 +288,10 @@ def test_check_names_what_is_missing_and_fails_on_a_fault(tmp_path, capsys):
     assert main(["check", str(tmp_path / "blind.npz"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert "gravity" in " ".join(document["missing"])
-    assert document["cannot_tell"][0]["text"] == "anything: no frame was seen" and document["can_tell"] == []
+    assert (
+        document["cannot_tell"][0]["text"] == "anything: no frame was seen"
+        and document["can_tell"] == []
+    )
     np.savez(tmp_path / "bad.npz", t=[0.0, 1.0], command=np.zeros((3, 1)))
     assert main(["check", str(tmp_path / "bad.npz")]) == 1
     assert "command: shape (3, 1)" in capsys.readouterr().err
@@ -285,7 +330,11 @@ def test_check_and_show_take_a_bundle_too(tmp_path, capsys):
     folder = save_bundle(builtin_model(), tmp_path / "finger")
     assert main(["check", str(folder), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert (document["kind"], document["sound"], document["manifest"]["channels"]) == ("bundle", True, 2)
+    assert (document["kind"], document["sound"], document["manifest"]["channels"]) == (
+        "bundle",
+        True,
+        2,
+    )
     assert main(["show", str(folder)]) == 0
     assert "held_out_error_mm" in capsys.readouterr().out
     (folder / "prior.npz").write_bytes(b"damaged")

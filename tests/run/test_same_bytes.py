@@ -1,4 +1,6 @@
-"""The same input gives the same bytes: in another folder, with other threads, another order of hashes, later."""
+"""The same input gives the same bytes: in another folder, with other threads, another order of
+hashes, later.
+"""
 
 import os
 import shutil
@@ -25,7 +27,9 @@ def places(tmp_path_factory):
     some = np.arange(0, p.frames, 3)
     blank = Run(t=p.t, command=p.command, gravity=p.gravity, t_seen=p.t_seen[some], robot="finger")
     truth = model.with_effects(("backlash", "payload"), SECRET)
-    vertices = truth.predict(blank) + 0.2 * np.random.default_rng(0).normal(size=(len(some), len(model.rest), 3))
+    vertices = truth.predict(blank) + 0.2 * np.random.default_rng(0).normal(
+        size=(len(some), len(model.rest), 3)
+    )
     run = Run(**{**blank.arrays(), "command_unit": "mm", "robot": "finger", "vertices": vertices})
     folders = [tmp_path_factory.mktemp("bytes") / name for name in PLACES]
     for folder in folders:
@@ -42,7 +46,9 @@ def said(folder, *argv):
     threads, hashes = PLACES["here" if folder.name == "here" else "a longer way/there"]
     environment = os.environ | {"RAYON_NUM_THREADS": threads, "PYTHONHASHSEED": hashes}
     code = "import sys; from softmap_edge.cli import main; sys.exit(main())"
-    done = subprocess.run([sys.executable, "-c", code, *argv], cwd=folder, env=environment, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *argv], cwd=folder, env=environment, capture_output=True
+    )
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout
 
@@ -52,13 +58,31 @@ def test_runs_and_bundles_are_the_same_bytes(places):
 
 
 def test_diagnosis_page_and_next_experiment_are_the_same_bytes(places):
-    wanted = ("run.npz", "--bundle", "bundle", "--out", "diagnosis.json", "--html", "page.html", "--json")
+    wanted = (
+        "run.npz",
+        "--bundle",
+        "bundle",
+        "--out",
+        "diagnosis.json",
+        "--html",
+        "page.html",
+        "--json",
+    )
     printed = [said(folder, "diagnose", *wanted) for folder in places]
     assert printed[0] == printed[1] and b"backlash" in printed[0]
     for name in ("diagnosis.json", "page.html"):
         one, other = ((folder / name).read_bytes() for folder in places)
         assert one == other and str(places[0]).encode() not in one
-    ask = ("diagnosis.json", "--bundle", "bundle", "--run", "run.npz", "--out", "next.csv", "--json")
+    ask = (
+        "diagnosis.json",
+        "--bundle",
+        "bundle",
+        "--run",
+        "run.npz",
+        "--out",
+        "next.csv",
+        "--json",
+    )
     printed = [said(folder, "next", *ask) for folder in places]
     assert printed[0] == printed[1]
     files = [folder / "next.csv" for folder in places]
@@ -67,7 +91,9 @@ def test_diagnosis_page_and_next_experiment_are_the_same_bytes(places):
 
 
 def test_a_comparison_is_the_same_bytes(places):
-    one, other = (said(folder, "compare", "run.npz", "--bundle", "bundle", "--json") for folder in places)
+    one, other = (
+        said(folder, "compare", "run.npz", "--bundle", "bundle", "--json") for folder in places
+    )
     assert one == other and b"rms_mm" in one
 
 
@@ -75,4 +101,6 @@ def test_another_run_gives_other_bytes(places):
     """Without this the documents could say nothing."""
     run = Run.load(places[0] / "run.npz")
     run.at(np.arange(100)).save(places[0] / "part.npz")
-    assert said(places[0], "compare", "part.npz", "--json") != said(places[0], "compare", "run.npz", "--json")
+    assert said(places[0], "compare", "part.npz", "--json") != said(
+        places[0], "compare", "run.npz", "--json"
+    )

@@ -1,4 +1,6 @@
-"""Rows of a bench for tests of text logs: a time, two commands and a tip that moves in a circle, 20 a second."""
+"""Rows of a bench for tests of text logs: a time, two commands and a tip that moves in a circle, 20
+a second.
+"""
 
 import math
 
@@ -9,7 +11,13 @@ STEP = 0.05  # s
 def values(k):
     """The numbers of row k without its time."""
     a = 2 * math.pi * k / 40
-    return [5 * math.sin(a), 4 * math.cos(a), 10 + 4 * math.sin(a), 3.6 * math.cos(a), 90 - abs(math.sin(a))]
+    return [
+        5 * math.sin(a),
+        4 * math.cos(a),
+        10 + 4 * math.sin(a),
+        3.6 * math.cos(a),
+        90 - abs(math.sin(a)),
+    ]
 
 
 def rows(count=40, cut=",", point=".", time=None, first=0):

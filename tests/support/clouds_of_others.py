@@ -48,27 +48,40 @@ TEXTS = {
     "ros.csv": "time,point.x,point.y,point.z\n" + rows(np.arange(240), POINTS, split=","),
     "brackets.csv": "id,pos[0],pos[1],pos[2]\n" + rows(np.arange(240), POINTS, split=","),
     "late_names.txt": "# made by a tool\n# columns: z y x\n" + rows(POINTS[:, ::-1]),
-    "mesh.obj": "# a mesh\nmtllib a.mtl\n" + rows(POINTS).replace("\n", "\nv ").join(["v ", ""])[:-2] + "f 1 2 3\n" * 9,
+    "mesh.obj": "# a mesh\nmtllib a.mtl\n"
+    + rows(POINTS).replace("\n", "\nv ").join(["v ", ""])[:-2]
+    + "f 1 2 3\n" * 9,
     "atoms.xyz": "240\nmolecule\n" + "\n".join(f"C {line}" for line in rows(POINTS).splitlines()),
     "colmap.txt": "# 3D point list with one line of data per point:\n"
     "#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n# Number of points: 240, mean track\n"
-    + "\n".join(line + " 1 2" * (k % 5) for k, line in
-                enumerate(rows(RNG.permutation(240), POINTS, COLOURS, NORMALS[:, 0]).splitlines())),
-}  # fmt: skip
+    + "\n".join(
+        line + " 1 2" * (k % 5)
+        for k, line in enumerate(
+            rows(RNG.permutation(240), POINTS, COLOURS, NORMALS[:, 0]).splitlines()
+        )
+    ),
+}
 
 
 # --- PLY and PCD ---------------------------------------------------------------------------
 def ply(path, order, faces_first):
-    vertex = "element vertex 240\nproperty uchar red\nproperty double z\nproperty float nx\nproperty double x\n"
+    vertex = (
+        "element vertex 240\nproperty uchar red\nproperty double z\nproperty float nx\nproperty "
+        "double x\n"
+    )
     vertex += "property double y\n"
     face = "element face 3\nproperty list uchar int vertex_indices\nproperty short tag\n"
     parts = [face, vertex] if faces_first else [vertex, face]
     name = {"": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}[order]
     head = f"ply\nformat {name} 1.0\ncomment by another\n{''.join(parts)}end_header\n"
-    table = [(COLOURS[k, 0], POINTS[k, 2], NORMALS[k, 0], POINTS[k, 0], POINTS[k, 1]) for k in range(240)]
+    table = [
+        (COLOURS[k, 0], POINTS[k, 2], NORMALS[k, 0], POINTS[k, 0], POINTS[k, 1]) for k in range(240)
+    ]
     faces = [(3, 0, 1, 2, 7), (4, 0, 1, 2, 3, 7), (3, 4, 5, 6, 7)]
     if not order:
-        text = ["\n".join(" ".join(map(str, row)) for row in rows) + "\n" for rows in (table, faces)]
+        text = [
+            "\n".join(" ".join(map(str, row)) for row in rows) + "\n" for rows in (table, faces)
+        ]
         path.write_text(head + "".join(text[::-1] if faces_first else text))
         return
     packed = [
@@ -79,7 +92,9 @@ def ply(path, order, faces_first):
 
 
 def lzf(data):
-    """Pack bytes by LZF: copies of at most 264 bytes from up to 8 kB back, else up to 32 bytes as they are."""
+    """Pack bytes by LZF: copies of at most 264 bytes from up to 8 kB back, else up to 32 bytes as
+    they are.
+    """
     out, at, plain, seen = bytearray(), 0, bytearray(), {}
 
     def flush():
@@ -94,7 +109,11 @@ def lzf(data):
         seen[key] = at
         if start >= 0 and at - start <= 8192:
             length = 3
-            while length < 264 and at + length < len(data) and data[start + length] == data[at + length]:
+            while (
+                length < 264
+                and at + length < len(data)
+                and data[start + length] == data[at + length]
+            ):
                 length += 1
             flush()
             back = at - start - 1
@@ -113,15 +132,31 @@ def lzf(data):
 
 def pcd(path, kind, points=POINTS):
     """With colours first, padding, and a field of two numbers, of an image of 24 by 10 pixels."""
-    dtype = [("rgb", "<u4"), ("_", "<u1", (3,)), ("z", "<f8"), ("pair", "<i2", (2,)), ("x", "<f8"), ("y", "<f8")]
+    dtype = [
+        ("rgb", "<u4"),
+        ("_", "<u1", (3,)),
+        ("z", "<f8"),
+        ("pair", "<i2", (2,)),
+        ("x", "<f8"),
+        ("y", "<f8"),
+    ]
     table = np.zeros(240, dtype)
     table["rgb"], table["pair"] = COLOURS[:, 0], COLOURS[:, :2]
     for k, axis in enumerate("xyz"):
         table[axis] = points[:, k]
-    head = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS rgb _ z pair x y\nSIZE 4 1 8 2 8 8\n"
-    head += "TYPE U U F I F F\nCOUNT 1 3 1 2 1 1\nWIDTH 24\nHEIGHT 10\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 240\n"
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS rgb _ z pair x y\nSIZE 4 "
+        "1 8 2 8 8\n"
+    )
+    head += (
+        "TYPE U U F I F F\nCOUNT 1 3 1 2 1 1\nWIDTH 24\nHEIGHT 10\nVIEWPOINT 0 0 0 1 0 0 "
+        "0\nPOINTS 240\n"
+    )
     if kind == "ascii":
-        lines = [" ".join(str(v) for name, *_ in dtype for v in np.atleast_1d(row[name])) for row in table]
+        lines = [
+            " ".join(str(v) for name, *_ in dtype for v in np.atleast_1d(row[name]))
+            for row in table
+        ]
         body = "\n".join(lines).encode()
     elif kind == "binary":
         body = table.tobytes()

@@ -1,4 +1,6 @@
-"""Recordings as other programs leave them, made for the tests: .db3, folders, datasets, MATLAB files."""
+"""Recordings as other programs leave them, made for the tests: .db3, folders, datasets, MATLAB
+files.
+"""
 
 import json
 import sqlite3
@@ -55,7 +57,9 @@ def write_db3(path, recorded, definitions=False, packed=False):
                 database.execute("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, ?)", row)
         if topic not in topics:
             topics[topic] = len(topics) + 1
-            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (topics[topic], topic, kind))
+            database.execute(
+                "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (topics[topic], topic, kind)
+            )
         data = bytes(encoders[kind](message))
         if packed:
             import zstandard
@@ -128,7 +132,16 @@ def write_dataset(folder, episodes=3, rows=40, fps=30, names=JOINTS):
     pq.write_table(table, folder / "data/chunk-000/file-000.parquet", write_page_checksum=True)
     feature = {"dtype": "float32", "shape": [len(names)], "names": names}
     camera = {"dtype": "video", "shape": [480, 640, 3], "names": ["height", "width", "channels"]}
-    info = {"codebase_version": "v3.0", "fps": fps, "total_episodes": episodes, "robot_type": "so101"}
-    info["features"] = {"action": feature, "observation.state": feature, "observation.images.front": camera}
+    info = {
+        "codebase_version": "v3.0",
+        "fps": fps,
+        "total_episodes": episodes,
+        "robot_type": "so101",
+    }
+    info["features"] = {
+        "action": feature,
+        "observation.state": feature,
+        "observation.images.front": camera,
+    }
     (folder / "meta/info.json").write_text(json.dumps(info))
     return folder

@@ -1,7 +1,9 @@
-"""How the tests spoil a file and use it: in a child process with a memory and a time limit, from fixed seeds.
+"""How the tests spoil a file and use it: in a child process with a memory and a time limit, from
+fixed seeds.
 
-The child is the test file itself, run as a program. Archives are spoiled inside and packed again with right
-checksums, and a bundle's hashes are put right, so that the damage gets past the first door.
+The child is the test file itself, run as a program. Archives are spoiled inside and packed again
+with right checksums, and a bundle's hashes are put right, so that the damage gets past the first
+door.
 """
 
 import faulthandler
@@ -27,10 +29,50 @@ import numpy as np
 
 MEMORY = 3 * 2**30  # bytes of address space: the interpreter, numpy and a sample take under 1 GiB
 PATIENCE = 20.0  # s for one file
-NUMBERS = ["nan", "-nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "0", "-0", "-1", "1e5", "2147483648"]
+NUMBERS = [
+    "nan",
+    "-nan",
+    "inf",
+    "-inf",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "0",
+    "-0",
+    "-1",
+    "1e5",
+    "2147483648",
+]
 NUMBERS += ["9223372036854775808", "0x10", "1_0"]
-WORDS = ["true", '""', "''", "[]", "[[]]", "{}", '"\\u0000"', "é", "\ufeff", "\0", ",", ";", "\n", "\r", '"', "=", "#"]
-NASTY = [*NUMBERS, *WORDS, "1" * 400, "[" * 300, "[[log]]", "a = 1", "1979-05-27T07:32:00Z", "../../x"]
+WORDS = [
+    "true",
+    '""',
+    "''",
+    "[]",
+    "[[]]",
+    "{}",
+    '"\\u0000"',
+    "é",
+    "\ufeff",
+    "\0",
+    ",",
+    ";",
+    "\n",
+    "\r",
+    '"',
+    "=",
+    "#",
+]
+NASTY = [
+    *NUMBERS,
+    *WORDS,
+    "1" * 400,
+    "[" * 300,
+    "[[log]]",
+    "a = 1",
+    "1979-05-27T07:32:00Z",
+    "../../x",
+]
 
 
 @dataclass(frozen=True)
@@ -70,7 +112,9 @@ def spoil_bytes(data, rng):
 
 
 def spoil_text(text, rng):
-    """Replace, drop or double words and lines, put in what parsers dislike; now and then injure the bytes."""
+    """Replace, drop or double words and lines, put in what parsers dislike; now and then injure the
+    bytes.
+    """
     if rng.random() < 0.2:
         return spoil_bytes(text.encode(), rng)
     for _ in range(rng.integers(1, 4)):
@@ -91,7 +135,9 @@ def spoil_text(text, rng):
 
 
 def spoil_npz(data, rng):
-    """Injure the archive itself, or an array in it (its header, its type, its values), packed again soundly."""
+    """Injure the archive itself, or an array in it (its header, its type, its values), packed again
+    soundly.
+    """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = [[entry.filename, archive.read(entry)] for entry in archive.infolist()]
     if rng.random() < 0.25 or not entries:
@@ -102,7 +148,9 @@ def spoil_npz(data, rng):
         entry[1] = spoil_bytes(entry[1], rng)
     elif kind == 1:  # the header only
         cut = entry[1].index(b"\n") + 1
-        entry[1] = spoil_text(entry[1][10:cut].decode("latin1"), rng).join([entry[1][:10], entry[1][cut:]])
+        entry[1] = spoil_text(entry[1][10:cut].decode("latin1"), rng).join(
+            [entry[1][:10], entry[1][cut:]]
+        )
     elif kind == 2:
         entries.remove(entry)
     elif kind == 3:  # another array under its name
@@ -112,7 +160,9 @@ def spoil_npz(data, rng):
         if array.dtype.kind in "iuf" and array.size:
             array = array.astype(float)
             where = rng.integers(array.size, size=3)
-            array.reshape(-1)[where] = rng.choice([np.nan, np.inf, -np.inf, 1e308, -1.0, 0.0, 1e-320, 2**53, 1e5], 3)
+            array.reshape(-1)[where] = rng.choice(
+                [np.nan, np.inf, -np.inf, 1e308, -1.0, 0.0, 1e-320, 2**53, 1e5], 3
+            )
         entry[1] = packed(array.reshape(-1)[:-1] if rng.random() < 0.2 else array)
     else:
         entry[0] = entries[int(rng.integers(len(entries)))][0]
@@ -126,7 +176,11 @@ def spoil_npz(data, rng):
 
 def odd_array(rng):
     shape = tuple(int(n) for n in rng.integers(0, 5, int(rng.integers(0, 5))))
-    dtype = str(rng.choice(["<f8", ">f4", "<i8", "|u1", "|b1", "<U3", "|S2", "<c16", "<M8[s]", "<f2", "<U0"]))
+    dtype = str(
+        rng.choice(
+            ["<f8", ">f4", "<i8", "|u1", "|b1", "<U3", "|S2", "<c16", "<M8[s]", "<f2", "<U0"]
+        )
+    )
     return np.zeros(shape, dtype)
 
 
@@ -164,12 +218,16 @@ def spoil_bundle(sample, folder, rng):
     files = sorted(path for path in (folder / "bundle").iterdir() if path.is_file())
     victim = files[int(rng.integers(len(files)))]
     data = victim.read_bytes()
-    victim.write_bytes(spoil_npz(data, rng) if victim.suffix == ".npz" else spoil_text(data.decode(), rng))
+    victim.write_bytes(
+        spoil_npz(data, rng) if victim.suffix == ".npz" else spoil_text(data.decode(), rng)
+    )
     manifest = folder / "bundle" / "manifest.json"
     if victim != manifest and rng.random() < 0.9:
         document = json.loads(manifest.read_text(encoding="utf-8"))
         hashes, key = (
-            (document["own_effects"], victim.stem) if victim.suffix == ".py" else (document["sha256"], victim.name)
+            (document["own_effects"], victim.stem)
+            if victim.suffix == ".py"
+            else (document["sha256"], victim.name)
         )
         hashes[key] = sha256(victim.read_bytes()).hexdigest()
         manifest.write_text(json.dumps(document), encoding="utf-8")
@@ -186,7 +244,9 @@ def _hang(*_):
 
 
 def child(forms, name, first, count, folder):
-    """Spoil and use samples; print how many were refused and accepted, or the first that broke a promise."""
+    """Spoil and use samples; print how many were refused and accepted, or the first that broke a
+    promise.
+    """
     from softmap_edge.errors import SoftmapError
 
     form = next(form for form in forms if form.name == name)
@@ -203,7 +263,8 @@ def child(forms, name, first, count, folder):
         place.mkdir()
         spoilt = form.spoil(sample, place, np.random.default_rng([seed, len(name)]))
         signal.setitimer(signal.ITIMER_REAL, PATIENCE)
-        faulthandler.dump_traceback_later(2 * PATIENCE, exit=True)  # compiled code does not hear the alarm
+        # compiled code does not hear the alarm
+        faulthandler.dump_traceback_later(2 * PATIENCE, exit=True)
         try:
             form.use(spoilt)
             accepted += 1
@@ -223,7 +284,9 @@ def child(forms, name, first, count, folder):
 
 
 def spoil_many(script, form, first, count, folder):
-    """Run a child over the seeds `first` and on; a child that fails, dies or hangs is told with its format and seed."""
+    """Run a child over the seeds `first` and on; a child that fails, dies or hangs is told with its
+    format and seed.
+    """
 
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
@@ -232,17 +295,29 @@ def spoil_many(script, form, first, count, folder):
     folder.mkdir(exist_ok=True)
     argv = [sys.executable, "-W", "error", script, form.name, str(first), str(count), str(folder)]
     path = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1", "PYTHONPATH": path}
+    environment = os.environ | {
+        "OPENBLAS_NUM_THREADS": "1",
+        "RAYON_NUM_THREADS": "1",
+        "PYTHONPATH": path,
+    }
     try:
         done = subprocess.run(
-            argv, capture_output=True, text=True, timeout=120 + count, preexec_fn=limit, env=environment, check=False
+            argv,
+            capture_output=True,
+            text=True,
+            timeout=120 + count,
+            preexec_fn=limit,
+            env=environment,
+            check=False,
         )
         end, said = f"exit {done.returncode}", done.stdout[-3000:] + done.stderr[-3000:]
     except subprocess.TimeoutExpired as late:
         done, end, said = None, f"stopped after {late.timeout:.0f} s", ""
     seed = (folder / "seed").read_text() if (folder / "seed").exists() else "none"
     again = f"{Path(script).name} '{form.name}' {seed} 1 FOLDER"
-    assert done is not None and done.returncode == 0, f"{form.name}, seed {seed}: {end}; again: {again}\n{said}"
+    assert done is not None and done.returncode == 0, (
+        f"{form.name}, seed {seed}: {end}; again: {again}\n{said}"
+    )
     return json.loads(done.stdout)
 
 
@@ -251,14 +326,19 @@ def assert_some(script, form, folder, count=None):
     count = count or form.some
     result = spoil_many(script, form, 0, count, folder)
     assert result["refused"] + result["accepted"] == count
-    assert result["refused"] > count * form.felt  # the damage is felt: an oracle that accepts everything fails here
+    # the damage is felt: an oracle that accepts everything fails here
+    assert result["refused"] > count * form.felt
 
 
 def assert_10000(script, form, folder):
     """The same for 10 000, several children at a time."""
     parts = range(0, 10_000, 2500)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = list(pool.map(lambda first: spoil_many(script, form, first, 2500, folder / str(first)), parts))
+        results = list(
+            pool.map(
+                lambda first: spoil_many(script, form, first, 2500, folder / str(first)), parts
+            )
+        )
     assert sum(result["refused"] + result["accepted"] for result in results) == 10_000
     assert sum(result["refused"] for result in results) > 10_000 * form.felt
 

@@ -19,14 +19,22 @@ PLAY = {"backlash.gap": 2.0}
 
 @cache
 def recorded(play):
-    """The fields of a run of the built-in finger by its own model, with camera noise, and with play if so."""
+    """The fields of a run of the built-in finger by its own model, with camera noise, and with play
+    if so.
+    """
     p, model = standard_protocol(), builtin_model()
     seen = p.t_seen[:300]
     blank = Run(t=p.t, command=p.command, gravity=p.gravity, t_seen=seen)
     truth = model.with_effects(("backlash",), PLAY) if play else model
     rng = np.random.default_rng(0)
     vertices = truth.predict(blank) + 0.2 * rng.normal(size=(len(seen), len(model.rest), 3))
-    return {"t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": seen, "vertices": vertices}
+    return {
+        "t": p.t,
+        "command": p.command,
+        "gravity": p.gravity,
+        "t_seen": seen,
+        "vertices": vertices,
+    }
 
 
 def scaled(name, factor):

@@ -1,4 +1,6 @@
-"""A hand, or a knob, that drives emulated servos through the real loop, for tests: its camera, its key, a session."""
+"""A hand, or a knob, that drives emulated servos through the real loop, for tests: its camera, its
+key, a session.
+"""
 
 import threading
 import time
@@ -24,8 +26,9 @@ PICTURE = np.zeros((8, 8, 3), np.uint8)
 
 
 def hand(aside=0.0, forward=0.8, fist=False):
-    """Return a hand of 100 px whose index finger shows (forward, aside): positive to its owner's right, who is seen
-    from in front."""
+    """Return a hand of 100 px whose index finger shows (forward, aside): positive to its owner's
+    right, who is seen from in front.
+    """
     points = np.zeros((21, 2))
     points[0], points[9], points[5] = (300, 400), (300, 300), (330, 310)
     points[8] = points[5] + 100 * np.array([-aside, -forward])
@@ -77,7 +80,13 @@ class Fingers:
     name = "the test"
 
     def __init__(self, source):
-        self.source, self.held, self.knob, self.wish, self.rested = source, False, (0.0, 0.0), Wish(), (0.0, 0.0)
+        self.source, self.held, self.knob, self.wish, self.rested = (
+            source,
+            False,
+            (0.0, 0.0),
+            Wish(),
+            (0.0, 0.0),
+        )
 
     def controls(self, now):
         return Controls(self.held, self.knob, self.source)
@@ -99,7 +108,12 @@ class Session:
 
     @contextmanager
     def running(self):
-        self.camera, self.finder, self.fingers, self.lines = self.cameras(), Finder(), Fingers(self.source), []
+        self.camera, self.finder, self.fingers, self.lines = (
+            self.cameras(),
+            Finder(),
+            Fingers(self.source),
+            [],
+        )
         eyes = (
             CameraHandSource("camera 0", self.camera, self.finder, View())
             if self.source == "hand"
@@ -117,7 +131,9 @@ class Session:
             thread = threading.Thread(target=self.drive.run, daemon=True)
             thread.start()
             try:
-                self.until(lambda: self.moment is not None and (self.source == "knob" or eyes.hands > 2))
+                self.until(
+                    lambda: self.moment is not None and (self.source == "knob" or eyes.hands > 2)
+                )
                 yield self
             finally:
                 self.fingers.wish.ask("end")
@@ -147,7 +163,9 @@ class Session:
         self.until(lambda: self.moment.clutch.stage == "released")
 
     def stays_lost(self, why):
-        """Driving ended for this reason; the guard holds, then slackens, and nothing goes on while the key is held."""
+        """Driving ended for this reason; the guard holds, then slackens, and nothing goes on while
+        the key is held.
+        """
         self.until(lambda: self.moment.clutch.stage == "lost")
         assert why in self.moment.clutch.why
         self.until(lambda: self.robot.state == "ready" and not torque(self.bus))

@@ -14,7 +14,12 @@ SOUND = (
         "schema": "softmap.diagnosis/2",
         "verdict": "identified",
         "sentence": "The model lacks backlash.",
-        "effects": [{"name": "backlash", "params": {"backlash.gap": {"value": 0.4, "sigma": 0.1, "unit": "mm"}}}],
+        "effects": [
+            {
+                "name": "backlash",
+                "params": {"backlash.gap": {"value": 0.4, "sigma": 0.1, "unit": "mm"}},
+            }
+        ],
     }
     | {name: [] for name in ("faults", "alternatives", "not_testable", "next")}
     | {name: {} for name in ("where", "error", "unexplained", "made_from")}
@@ -26,11 +31,22 @@ def named(diagnosis):
 
 
 def finger_run(names=(), params=None, acting=None, noise=0.25, seed=0):
-    """A run of the standard protocol on the built-in finger itself; `acting` replaces the command that acts."""
+    """A run of the standard protocol on the built-in finger itself; `acting` replaces the command
+    that acts.
+    """
     shown = standard_protocol(2)
     model = builtin_model()
     rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
-    run = Run(shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot)
+    run = Run(
+        shown.t,
+        shown.command,
+        shown.t_seen,
+        vertices=rest,
+        gravity=shown.gravity,
+        robot=model.robot,
+    )
     true = model.with_effects(names, params or {})
     points = true.predict(run if acting is None else replace(run, command=acting(shown.command)))
-    return replace(run, vertices=points + noise * np.random.default_rng(seed).normal(size=points.shape))
+    return replace(
+        run, vertices=points + noise * np.random.default_rng(seed).normal(size=points.shape)
+    )

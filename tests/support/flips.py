@@ -1,4 +1,6 @@
-"""Turns single bits of recordings and sorts what a reader makes of each: refused, reported, the same, or silent."""
+"""Turns single bits of recordings and sorts what a reader makes of each: refused, reported, the
+same, or silent.
+"""
 
 import warnings
 from collections import Counter
@@ -21,10 +23,12 @@ def alike(one, other):
 
 
 def flip_bits(path, read, count, seed):
-    """Flip `count` single bits of the file at `path`, one at a time, and return how many of each kind there were.
+    """Flip `count` single bits of the file at `path`, one at a time, and return how many of each
+    kind there were.
 
-    read: makes a run of the file. The kinds: `refused` (an error of ours), `reported` (a warning), `same` (no word and
-    the same numbers), and `silent` (no word and other numbers), with the places (byte, bit) of the silent ones.
+    read: makes a run of the file. The kinds: `refused` (an error of ours), `reported` (a warning),
+    `same` (no word and the same numbers), and `silent` (no word and other numbers), with the places
+    (byte, bit) of the silent ones.
     """
     good = path.read_bytes()
     sound = numbers_of(read(path))

@@ -11,15 +11,19 @@ from small_solids import SIZE, tetrahedra
 NODES, CELLS = tetrahedra((1, 1, 6))
 
 
-HARD = NODES[CELLS].mean(axis=1)[:, 2] < SIZE[2] / 2  # cells of the half at the base, which bends most
+# cells of the half at the base, which bends most
+HARD = NODES[CELLS].mean(axis=1)[:, 2] < SIZE[2] / 2
 
 
 def xml(arrays, tail="", attributes=""):
-    """A VTU file of the bar with arrays (points, connectivity, offsets, types) given as elements."""
+    """A VTU file of the bar with arrays (points, connectivity, offsets, types) given as
+    elements.
+    """
     points, *cells = arrays
     return (
-        f'<?xml version="1.0"?>\n<!-- by another -->\n<VTKFile type="UnstructuredGrid" version="1.0" '
-        f'byte_order="LittleEndian" {attributes}>\n<UnstructuredGrid><Piece NumberOfPoints="{len(NODES)}" '
+        '<?xml version="1.0"?>\n<!-- by another -->\n<VTKFile type="UnstructuredGrid" '
+        f'version="1.0" byte_order="LittleEndian" {attributes}>\n<UnstructuredGrid><Piece '
+        f'NumberOfPoints="{len(NODES)}" '
         f'NumberOfCells="{len(CELLS)}">\n<Points>{points}</Points>\n<Cells>{"".join(cells)}</Cells>\n</Piece>'
         f"</UnstructuredGrid>{tail}</VTKFile>\n"
     )
@@ -35,7 +39,8 @@ VALUES = [
 
 def ascii_vtu(path):
     text = [
-        f'<DataArray {what} format="ascii">{" ".join(map(repr, v.ravel().tolist()))}</DataArray>' for what, v in VALUES
+        f'<DataArray {what} format="ascii">{" ".join(map(repr, v.ravel().tolist()))}</DataArray>'
+        for what, v in VALUES
     ]
     path.write_bytes(b"\xef\xbb\xbf" + xml(text).encode())
 
@@ -63,10 +68,14 @@ def raw_vtu(path):
 
 
 def gmsh22(path, names=True):
-    mesh = meshio.Mesh(NODES, [("tetra", CELLS)], cell_data={"gmsh:physical": [1 + HARD.astype(np.int32)] * 1})
+    mesh = meshio.Mesh(
+        NODES, [("tetra", CELLS)], cell_data={"gmsh:physical": [1 + HARD.astype(np.int32)] * 1}
+    )
     mesh.cell_data["gmsh:geometrical"] = [np.arange(len(CELLS), dtype=np.int32) % 3 + 1]
     mesh.field_data = (
-        {"soft part": np.array([1, 3]), "hard": np.array([2, 3]), "skin": np.array([2, 2])} if names else {}
+        {"soft part": np.array([1, 3]), "hard": np.array([2, 3]), "skin": np.array([2, 2])}
+        if names
+        else {}
     )
     meshio.write(path, mesh, file_format="gmsh22", binary=False)
 
@@ -75,10 +84,26 @@ def gmsh41(path):
     """By hand: two volumes, of which both belong to `all` and one to `hard`."""
     order = np.argsort(HARD, kind="stable")
     soft = int(np.count_nonzero(~HARD))
-    lines = ["$MeshFormat", "4.1 0 8", "$EndMeshFormat", "$PhysicalNames", "2", '3 1 "all"', '3 2 "hard"']
-    lines += ["$EndPhysicalNames", "$Entities", "0 0 0 2", "1 0 0 0 1 1 1 1 1 0", "2 0 0 0 1 1 1 2 1 2 0"]
+    lines = [
+        "$MeshFormat",
+        "4.1 0 8",
+        "$EndMeshFormat",
+        "$PhysicalNames",
+        "2",
+        '3 1 "all"',
+        '3 2 "hard"',
+    ]
+    lines += [
+        "$EndPhysicalNames",
+        "$Entities",
+        "0 0 0 2",
+        "1 0 0 0 1 1 1 1 1 0",
+        "2 0 0 0 1 1 1 2 1 2 0",
+    ]
     lines += ["$EndEntities", "$Nodes", f"1 {len(NODES)} 1 {len(NODES)}", f"3 1 0 {len(NODES)}"]
-    lines += [str(k + 1) for k in range(len(NODES))] + [" ".join(map(repr, node)) for node in NODES.tolist()]
+    lines += [str(k + 1) for k in range(len(NODES))] + [
+        " ".join(map(repr, node)) for node in NODES.tolist()
+    ]
     lines += ["$EndNodes", "$Elements", f"2 {len(CELLS)} 1 {len(CELLS)}"]
     for tag, part in ((1, order[:soft]), (2, order[soft:])):
         lines += [f"3 {tag} 4 {len(part)}"]
@@ -92,12 +117,21 @@ def scalars(path):
     places = "\n".join(" ".join(map(repr, node)) for node in NODES.tolist())
     count = len(CELLS)
     path.write_text(
-        f"# vtk DataFile Version 3.0\nbar\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {len(NODES)} double\n{places}\n"
-        f"CELLS {count} {5 * count}\n{rows}\nCELL_TYPES {count}\n" + "10\n" * count + f"CELL_DATA {count}\n"
-        "SCALARS MaterialIds int 1\nLOOKUP_TABLE default\n" + "\n".join(str(5 + 2 * h) for h in HARD) + "\n"
+        f"# vtk DataFile Version 3.0\nbar\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {len(NODES)} "
+        f"double\n{places}\nCELLS {count} {5 * count}\n{rows}\nCELL_TYPES {count}\n"
+        + "10\n"
+        * count
+        + f"CELL_DATA {count}\n"
+        "SCALARS MaterialIds int 1\nLOOKUP_TABLE default\n"
+        + "\n".join(str(5 + 2 * h) for h in HARD)
+        + "\n"
     )
 
 
 def fenics(path):
-    data = {"f": [1.0 + HARD], "quality": [np.linspace(0.1, 0.9, len(CELLS))], "id": [np.arange(100, 100 + len(CELLS))]}
+    data = {
+        "f": [1.0 + HARD],
+        "quality": [np.linspace(0.1, 0.9, len(CELLS))],
+        "id": [np.arange(100, 100 + len(CELLS))],
+    }
     meshio.write(path, meshio.Mesh(NODES, [("tetra", CELLS)], cell_data=data), file_format="vtu")

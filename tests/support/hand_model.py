@@ -1,4 +1,6 @@
-"""The model of hands for tests, built from mediapipe's wheel 0.10.18, downloaded once into the user's cache."""
+"""The model of hands for tests, built from mediapipe's wheel 0.10.18, downloaded once into the
+user's cache.
+"""
 
 import os
 import shlex
@@ -16,7 +18,9 @@ CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soft
 
 
 def hand_model(tmp):
-    """Return the path of the task file; without PyPI, or where mediapipe cannot run, the test is skipped."""
+    """Return the path of the task file; without PyPI, or where mediapipe cannot run, the test is
+    skipped.
+    """
     for need in (libraries(), processor()):
         if not need.fine:
             pytest.skip(f"not run: {need.name}: {need.found}")
@@ -26,9 +30,20 @@ def hand_model(tmp):
             return task
     except TeleopError:
         pass  # not there yet, or damaged
-    words = [sys.executable, "-m", *shlex.split(WHEEL), "--quiet", "--disable-pip-version-check", "--dest", str(tmp)]
+    words = [
+        sys.executable,
+        "-m",
+        *shlex.split(WHEEL),
+        "--quiet",
+        "--disable-pip-version-check",
+        "--dest",
+        str(tmp),
+    ]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     if done.returncode:
-        pytest.skip(f"not run: the wheel of mediapipe cannot be had from PyPI ({done.stderr.strip()[-200:]})")
+        pytest.skip(
+            "not run: the wheel of mediapipe cannot be had from PyPI "
+            f"({done.stderr.strip()[-200:]})"
+        )
     (wheel,) = Path(tmp).glob("mediapipe-0.10.18-*.whl")
     return fetch_model(wheel, task, force=True).path

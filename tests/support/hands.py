@@ -1,4 +1,6 @@
-"""Hands that are made: what a camera's landmarks would be of a hand that is curled, points aside, or is turned."""
+"""Hands that are made: what a camera's landmarks would be of a hand that is curled, points aside,
+or is turned.
+"""
 
 import numpy as np
 
@@ -6,7 +8,9 @@ from softmap_edge.robot.teleop.hand import Hand
 
 
 def hand(curl=0.0, sideways=0.0, side="right", folded=0.0):
-    """An upright hand of 100 px from wrist to middle knuckle, in a picture with y down; c_f = 0.9 − curl."""
+    """An upright hand of 100 px from wrist to middle knuckle, in a picture with y down; c_f = 0.9 −
+    curl.
+    """
     points = np.zeros((21, 2))
     points[0] = (320, 400)
     for k in range(4):  # index to little finger: knuckles in a row above the wrist

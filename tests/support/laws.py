@@ -13,7 +13,9 @@ BY_ROLE = {role: [n for n, e in EFFECTS.items() if e["role"] == role] for role i
 
 
 def values(chain, kind):
-    """Null, start or mid-range parameters (P,) of a chain; mid-range is halfway from null to the far end."""
+    """Null, start or mid-range parameters (P,) of a chain; mid-range is halfway from null to the
+    far end.
+    """
     far = np.where(chain.high > chain.null, chain.high, chain.low)
     return {"null": chain.null, "start": chain.start, "middle": 0.5 * (chain.null + far)}[kind]
 
@@ -22,14 +24,18 @@ def random_params(chain, seed):
     """Parameters (P,) drawn between low and high, on a log scale where a fit searches on one."""
     share = np.random.default_rng(seed).uniform(size=len(chain.low))
     ratio = np.where(chain.log, chain.high / np.where(chain.log, chain.low, 1.0), 1.0)
-    return np.where(chain.log, chain.low * ratio**share, chain.low + share * (chain.high - chain.low))
+    return np.where(
+        chain.log, chain.low * ratio**share, chain.low + share * (chain.high - chain.low)
+    )
 
 
-# --- the oracles: the same laws in another form ----------------------------------------------------------------------
+# --- the oracles: the same laws in another form ---------------------------------------------------
 
 
 def relaxed(u, t, tau):
-    """First-order low pass of piecewise linear u by superposing the response to every piece (Duhamel)."""
+    """First-order low pass of piecewise linear u by superposing the response to every piece
+    (Duhamel).
+    """
     if tau <= 0:
         return u
     slope = (np.diff(u, axis=0).T / np.diff(t)).T
@@ -41,7 +47,9 @@ def relaxed(u, t, tau):
 
 
 def each(law):
-    """The law (p, u (T,), t) of one channel for all channels, each with its own number where `p` has one."""
+    """The law (p, u (T,), t) of one channel for all channels, each with its own number where `p`
+    has one.
+    """
 
     def channels(p, u, t):
         own = [{k: v[c] if np.ndim(v) else v for k, v in p.items()} for c in range(u.shape[1])]
@@ -51,7 +59,9 @@ def each(law):
 
 
 def slot(u, half):
-    """A pin u (T,) in a slot of half-width `half`: the slot's centre, which starts under the pin."""
+    """A pin u (T,) in a slot of half-width `half`: the slot's centre, which starts under the
+    pin.
+    """
     centre, out = u[0], []
     for pin in u:
         if pin - centre > half:
@@ -113,7 +123,9 @@ def rubbed(p, u, t):
     for pull in u:
         for j, bead in enumerate(beads):
             width = p["mu"] * (2 * j + 1) / 10 * (np.abs(pull) + p["preload"])
-            bead[:] = np.where(bead > pull + width, pull + width, np.where(bead < pull - width, pull - width, bead))
+            bead[:] = np.where(
+                bead > pull + width, pull + width, np.where(bead < pull - width, pull - width, bead)
+            )
         out.append(beads.mean(axis=0))
     return np.array(out)
 
@@ -129,7 +141,9 @@ def broken_in(p, u, t):
 def slipped(p, u, t):
     """The cable that got longer is the one that +u pulls where the slip is negative."""
     half = 0.5 * p["width"] * p["at"]
-    gone = np.interp(t - t[0], [p["at"] - half, p["at"] + half], [0.0, 1.0])[:, None] * np.abs(p["slip"])
+    gone = np.interp(t - t[0], [p["at"] - half, p["at"] + half], [0.0, 1.0])[:, None] * np.abs(
+        p["slip"]
+    )
     side = np.where(p["slip"] < 0, 1.0, -1.0)
     pull, taut = side * u, p["taut"]
     loose = np.where(pull > 0, taut * (pull - gone), pull - taut * gone)
@@ -138,7 +152,10 @@ def slipped(p, u, t):
 
 def crept(p, u, t):
     """Piece by piece: one cable pulls, the other does, or neither, where only a taut pair moves."""
-    ours, others = (loss * relaxed(np.maximum(pull, 0.0), t, p["tau"]) for loss, pull in zip(p["loss"].T, (u, -u)))
+    ours, others = (
+        loss * relaxed(np.maximum(pull, 0.0), t, p["tau"])
+        for loss, pull in zip(p["loss"].T, (u, -u))
+    )
     one, other = u - ours + p["taut"] * others, u + others - p["taut"] * ours
     neither = p["taut"] * (u - ours + others)
     return np.where(u > ours, one, np.where(u < -others, other, neither))
@@ -162,7 +179,9 @@ def coefficients(count, **named):
 
 
 def triple(name, vectors):
-    return coefficients(len(vectors), **{f"{name}_{axis}": column for axis, column in zip("xyz", vectors.T)})
+    return coefficients(
+        len(vectors), **{f"{name}_{axis}": column for axis, column in zip("xyz", vectors.T)}
+    )
 
 
 def gravity_coefficients(p, gravity, u):
@@ -175,7 +194,9 @@ def payload_coefficients(p, gravity, u):
 
 
 def section(centre, width, count):
-    """Coefficients of stiff_0 … stiff_6 for 1 in a section: its mean under each stretch's cos², by Gauss's rule."""
+    """Coefficients of stiff_0 … stiff_6 for 1 in a section: its mean under each stretch's cos², by
+    Gauss's rule.
+    """
     node, weight = np.polynomial.legendre.leggauss(24)
 
     def under(middle, low, high):
@@ -194,14 +215,20 @@ def gradient_coefficients(p, gravity, u):
 
 
 def relays(p, u):
-    """The relay (T, C): the elongation of a stop (input minus play of the same half-width), as a share of the width."""
+    """The relay (T, C): the elongation of a stop (input minus play of the same half-width), as a
+    share of the width.
+    """
     return (u - np.stack([slot(column, p["width"]) for column in u.T], axis=1)) / p["width"]
 
 
 def body_friction_coefficients(p, gravity, u, remembered=None):
-    """The relays (K, C): those `remembered` at the frames of a longer record, or one for each row of `u`."""
+    """The relays (K, C): those `remembered` at the frames of a longer record, or one for each row
+    of `u`.
+    """
     relay = relays(p, u) if remembered is None else remembered
-    loading = np.einsum("kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], relay)
+    loading = np.einsum(
+        "kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], relay
+    )
     return loading[:, None] * gradient_coefficients({"gradient": p["amount"]}, gravity, u)
 
 
@@ -226,19 +253,26 @@ def moved(p, frames, positions):
     for n in range(1, 30):
         term = term @ cross / n
         matrix = matrix + term
-    return frames @ matrix.T + positions[:, None] * np.array([p["shift_x"], p["shift_y"], p["shift_z"]])
+    return frames @ matrix.T + positions[:, None] * np.array(
+        [p["shift_x"], p["shift_y"], p["shift_z"]]
+    )
 
 
-# Sensing effects change how one sees: `see(t)` gives the frames (K, V, 3) at any times, before and after.
+# Sensing effects change how one sees: `see(t)` gives the frames (K, V, 3) at any times, before and
+# after.
 
 
 def drifted(p, see, positions, t):
     frames, minutes = see(t), (t - t[0]) / 60.0
-    return np.stack([moved({k: v * m for k, v in p.items()}, f, positions) for f, m in zip(frames, minutes)])
+    return np.stack(
+        [moved({k: v * m for k, v in p.items()}, f, positions) for f, m in zip(frames, minutes)]
+    )
 
 
 def beside(p, see, positions, t):
-    """Each point where the bent rays of the cameras meet: all their equations side by side, least squares."""
+    """Each point where the bent rays of the cameras meet: all their equations side by side, least
+    squares.
+    """
     frames = see(t).copy()
     for frame in frames:
         for v in np.flatnonzero(positions):
@@ -260,7 +294,8 @@ def beside(p, see, positions, t):
 def slackened(p, u):
     """Markers (n, 9, 3) of `rod_body` with tendons that push `ratio` times as hard as they pull.
 
-    Every set of pulling tendons is tried; the one that agrees with its own stretch is the equilibrium.
+    Every set of pulling tendons is tried; the one that agrees with its own stretch is the
+    equilibrium.
     """
     out = np.empty((len(u), 9, 3))
     reach = np.concatenate([TENDONS, TENDONS], axis=1)
@@ -273,13 +308,16 @@ def slackened(p, u):
                 break
         else:
             raise AssertionError("no set of tendons agrees")
-        for at, point in zip(np.linspace(0.0, 100.0, 10)[1:], points):  # both halves bend alike: one arc
+        # both halves bend alike: one arc
+        for at, point in zip(np.linspace(0.0, 100.0, 10)[1:], points):
             point[:] = arc(bent[:2] / 50.0, at)
     return out
 
 
 def arc(curvature, along):
-    """Where an arc of curvature (2,) 1/mm from the origin along z is after `along` mm: its tangent, summed."""
+    """Where an arc of curvature (2,) 1/mm from the origin along z is after `along` mm: its tangent,
+    summed.
+    """
     s = along * (np.arange(2000) + 0.5) / 2000
     turn = np.linalg.norm(curvature) * s
     aside = np.sin(turn)[:, None] * curvature / max(np.linalg.norm(curvature), 1e-300)
@@ -299,26 +337,41 @@ ORACLES = {
     "backlash": each(lambda p, u, t: slot(u, p["gap"] / 2)),
     "friction": rubbed,
     "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
-    "dead_zone": lambda p, u, t: np.maximum(u - p["slack"][:, 0], 0.0) - np.maximum(-u - p["slack"][:, 1], 0.0),
+    "dead_zone": lambda p, u, t: (
+        np.maximum(u - p["slack"][:, 0], 0.0) - np.maximum(-u - p["slack"][:, 1], 0.0)
+    ),
     "tendon_creep": crept,
     "anchor_slip": slipped,
     "zero_drift": lambda p, u, t: u + np.outer(np.minimum((t - t[0]) / 60.0, 15.0), p["rate"]),
     "hysteresis": each(prandtl_ishlinskii),
     "creep": lambda p, u, t: (
-        u + p["strength"] * 0.5 * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))
+        u
+        + p["strength"]
+        * 0.5
+        * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))
     ),
     "mullins": broken_in,
-    "thermal_softening": lambda p, u, t: u * (1.0 + 0.01 * p["rate"] * (warming(t) - warming(t[0])))[:, None],
+    "thermal_softening": lambda p, u, t: (
+        u * (1.0 + 0.01 * p["rate"] * (warming(t) - warming(t[0])))[:, None]
+    ),
     "asymmetry": lambda p, u, t: np.where(u > 0, u * (1.0 + p["excess"]), u * (1.0 - p["excess"])),
     "tendon_stretch": lambda p, g, u: coefficients(
         len(g),
-        **{f"compliance_{c}{side}": row[k] for c, row in enumerate(p["compliance"]) for k, side in enumerate("+-")},
+        **{
+            f"compliance_{c}{side}": row[k]
+            for c, row in enumerate(p["compliance"])
+            for k, side in enumerate("+-")
+        },
     ),
-    "routing": lambda p, g, u: coefficients(len(g), routing_0=p["phase"][0], routing_1=p["phase"][1]),
+    "routing": lambda p, g, u: coefficients(
+        len(g), routing_0=p["phase"][0], routing_1=p["phase"][1]
+    ),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,
     "body_friction": body_friction_coefficients,
-    "stiffness": lambda p, g, u: coefficients(len(g), **{f"stiff_{k}": p["amount"] for k in range(len(MIDDLES))}),
+    "stiffness": lambda p, g, u: coefficients(
+        len(g), **{f"stiff_{k}": p["amount"] for k in range(len(MIDDLES))}
+    ),
     "stiffness_gradient": gradient_coefficients,
     "stiff_section": lambda p, g, u: p["amount"] * section(p["centre"], p["width"], len(g)),
     "one_sided_stiffness": lambda p, g, u: coefficients(len(g), stiff_x=p["x"], stiff_y=p["y"]),
@@ -339,7 +392,9 @@ REMEMBERED = {"body_friction": relays}
 
 
 def named(name, params, channels):
-    """Flat parameters (P,) of one effect by name; per channel (C,), per cable (C, 2), per pair (C, C)."""
+    """Flat parameters (P,) of one effect by name; per channel (C,), per cable (C, 2), per pair (C,
+    C).
+    """
     out, at = {}, 0
     near = np.abs(np.subtract.outer(np.arange(channels), np.arange(channels)))
     pairs = (near > 0) & ((near == 1) | (channels <= 4))

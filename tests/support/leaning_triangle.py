@@ -1,4 +1,6 @@
-"""A model of a leaning tube with an error put in by hand, and recordings of it, for comparisons and reports."""
+"""A model of a leaning tube with an error put in by hand, and recordings of it, for comparisons and
+reports.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,7 +23,9 @@ def tube():
     rest = np.concatenate([ring + [0, 0, 25.0 * k] for k in range(RINGS)])
     a, b = np.meshgrid(np.arange(RINGS - 1), np.arange(AROUND), indexing="ij")
     p, q = (a * AROUND + b).ravel(), (a * AROUND + (b + 1) % AROUND).ravel()
-    return rest, np.concatenate([np.column_stack([p, q, p + AROUND]), np.column_stack([q, q + AROUND, p + AROUND])])
+    return rest, np.concatenate(
+        [np.column_stack([p, q, p + AROUND]), np.column_stack([q, q + AROUND, p + AROUND])]
+    )
 
 
 def shapes(rest, u):
@@ -46,7 +50,8 @@ class Wrong(Model):
 def lean(error=None):
     rest, triangles = tube()
     ends = np.array([-REACH, REACH])
-    modes = np.stack([(shapes(rest, one[None])[0] - rest).ravel() for one in np.eye(2)])  # linear in the commands
+    # linear in the commands
+    modes = np.stack([(shapes(rest, one[None])[0] - rest).ravel() for one in np.eye(2)])
     nodes = np.stack(np.meshgrid(ends, ends, indexing="ij"), axis=-1).reshape(-1, 2)
     structure = Structure(
         prior=_core.Table([ends, ends], nodes, rest.ravel(), modes),
@@ -56,7 +61,9 @@ def lean(error=None):
         tip_indices=np.arange(4 * AROUND, 5 * AROUND),
         gravity_reference=np.array([0.0, 0.0, 1.0]),
         command_range=np.array([[-REACH, REACH]] * 2),
-        body=BodyCoordinates(np.repeat(np.arange(RINGS), AROUND), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0])),
+        body=BodyCoordinates(
+            np.repeat(np.arange(RINGS), AROUND), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0])
+        ),
     )
     return Wrong("table", structure, np.full((3 * RINGS, 3), 0.1), 0.1, robot="tube", error=error)
 
@@ -69,7 +76,9 @@ def markers_of(model):
 def record(t, u, t_seen, noise=0.0, seed=0, **more):
     rest, _ = tube()
     at = np.stack([np.interp(t_seen, t, c) for c in u.T], axis=1)
-    vertices = shapes(rest, at) + noise * np.random.default_rng(seed).normal(size=(len(t_seen), len(rest), 3))
+    vertices = shapes(rest, at) + noise * np.random.default_rng(seed).normal(
+        size=(len(t_seen), len(rest), 3)
+    )
     return replace(Run(t=t, command=u, t_seen=t_seen, vertices=vertices, robot="tube"), **more)
 
 

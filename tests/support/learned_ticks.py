@@ -11,7 +11,9 @@ CASE = Path(__file__).parents[1] / "data/learn_from_ticks/ticks.csv"
 
 
 def arm(channels=2, home=2048.0, size=900.0, seconds=60.0, seed=0, **more):
-    """A run of an arm whose bending is that of its ticks from home, three markers, 0.1 mm of noise."""
+    """A run of an arm whose bending is that of its ticks from home, three markers, 0.1 mm of
+    noise.
+    """
     t = np.arange(0.0, seconds, 0.05)
     u = np.tile(wander(t, 9.0), 2)[:, :channels] * [1.0, 1.0, 0.6, 0.5][:channels]
     ticks = np.rint(home + size / 9.0 * u)

@@ -1,4 +1,6 @@
-"""Logs as laboratories write them, made for the tests of `softmap import`, and where the published ones are."""
+"""Logs as laboratories write them, made for the tests of `softmap import`, and where the published
+ones are.
+"""
 
 from pathlib import Path
 
@@ -20,7 +22,9 @@ markers = { columns = [["x", "y", "z"], ["p", "q", "r"]], unit = "m" }
 
 
 def published(name):
-    """The folder of a public data set (`trunk`, `tdcr`, `beam`, `moe_finger`); without it the test is skipped."""
+    """The folder of a public data set (`trunk`, `tdcr`, `beam`, `moe_finger`); without it the test
+    is skipped.
+    """
     folder = find(name)
     if folder is None:
         pytest.skip(f"not run: the public data '{name}' are not here; `make data` brings them")
@@ -30,8 +34,12 @@ def published(name):
 def made_log(rows=20, delimiter=",", seed=0):
     """A log of two channels and two markers in metres, as text and as numbers."""
     rng = np.random.default_rng(seed)
-    table = np.column_stack([np.arange(rows) * 0.1, rng.uniform(-9, 9, (rows, 2)), rng.uniform(-0.1, 0.1, (rows, 6))])
-    lines = [delimiter.join("tabxyzpqr")] + [delimiter.join(repr(float(x)) for x in row) for row in table]
+    table = np.column_stack(
+        [np.arange(rows) * 0.1, rng.uniform(-9, 9, (rows, 2)), rng.uniform(-0.1, 0.1, (rows, 6))]
+    )
+    lines = [delimiter.join("tabxyzpqr")] + [
+        delimiter.join(repr(float(x)) for x in row) for row in table
+    ]
     return "\n".join(lines) + "\n", table
 
 

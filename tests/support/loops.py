@@ -1,4 +1,6 @@
-"""The control loop's process by itself on an emulated bench: led into any state, its reports kept with their times."""
+"""The control loop's process by itself on an emulated bench: led into any state, its reports kept
+with their times.
+"""
 
 import json
 import os
@@ -17,11 +19,22 @@ from softmap_edge import _core
 from softmap_edge.robot.control.controller import REQUESTS
 from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 
-STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
+STATES = (
+    "off",
+    "connected",
+    "homed",
+    "ready",
+    "engaged",
+    "hold",
+    "safe_stop",
+    "fault",
+    "commissioning",
+)
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
 HOMES = (2000, 2400)  # apart, so that exchanged ids show
 FAR = (2.0, 2.0)  # mm
-BEAT, LAG = 0.02, 0.01  # s between two words to the loop, and by how much one may be late on a machine that is not busy
+# s between two words to the loop, and by how much one may be late on a machine that is not busy
+BEAT, LAG = 0.02, 0.01
 PATIENCE = 8.0  # s for anything that must happen at all, on a busy machine
 
 
@@ -37,25 +50,41 @@ class Loop:
         load = [[(home - 1000.0, -400.0), (home, 0.0), (home + 1000.0, 400.0)] for home in HOMES]
         self.bus = _core.EmulatedBus(servos, load, delay=0.01, lag=0.03, seed=3)
         set_up(self.bus.path, homes=HOMES)
-        axes = [servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0} for home in HOMES]
+        axes = [
+            servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0}
+            for home in HOMES
+        ]
         quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.1, ramp=0.1, slacken=10.0)
         quick |= dict(jog_travel=150.0, jog_slew=1000.0)
         if usual:
-            self.limits = loop_limits([servo_limits(MODEL, home, (-900.0, 900.0)) for home in HOMES])
+            self.limits = loop_limits(
+                [servo_limits(MODEL, home, (-900.0, 900.0)) for home in HOMES]
+            )
         else:
             self.limits = loop_limits(axes, 200.0, **quick | changes)
-        self.path = 200.0 / (0.5 * slew)  # s in which a blocked servo is `following` ticks behind, on the way home
+        # s in which a blocked servo is `following` ticks behind, on the way home
+        self.path = 200.0 / (0.5 * slew)
         self.reports, self.ended, self._wake = [], {}, threading.Condition()
         self.drives, self.emergency, self.command = True, False, FAR
         self._beats = deque(maxlen=1000)  # s at which this process sent
         self.untouched = False  # nothing was broken since it was led to where it is
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
-        setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
-        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES)
+        setup = dict(
+            port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits
+        )
+        setup |= dict(
+            slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES
+        )
         setup |= dict(homes=HOMES, gpio=None, heartbeat=None)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "softmap_edge.robot.control.loop_process", str(orders), str(reports)],
+            [
+                sys.executable,
+                "-m",
+                "softmap_edge.robot.control.loop_process",
+                str(orders),
+                str(reports),
+            ],
             stdin=subprocess.PIPE,
             pass_fds=(orders, reports),
         )
@@ -64,7 +93,10 @@ class Loop:
         self.process.stdin.write(json.dumps(setup).encode())
         self.process.stdin.close()
         self._closed = threading.Event()
-        self._threads = [threading.Thread(target=self._read, args=(mine,)), threading.Thread(target=self._drive)]
+        self._threads = [
+            threading.Thread(target=self._read, args=(mine,)),
+            threading.Thread(target=self._drive),
+        ]
         for thread in self._threads:
             thread.start()
         self.wait(lambda: self.reports or self.ended)
@@ -109,7 +141,10 @@ class Loop:
         flags = 5 * self.drives + 2 * self.emergency
         asked = 0 if request is None else REQUESTS.index(request) + 1
         try:
-            os.write(self._orders, struct.pack("<BB6xQ2d", flags, asked, time.monotonic_ns(), *self.command))
+            os.write(
+                self._orders,
+                struct.pack("<BB6xQ2d", flags, asked, time.monotonic_ns(), *self.command),
+            )
         except OSError:  # it has ended, or is stopped and its pipe is full
             assert self.ended or self._closed.is_set() or request is None
 
@@ -126,7 +161,9 @@ class Loop:
             return self._wake.wait_for(what, seconds)
 
     def changes(self, since, start):
-        """Return the reports since `since` (s, monotonic) in which the state is another than before."""
+        """Return the reports since `since` (s, monotonic) in which the state is another than
+        before.
+        """
         state, found = start, []
         for report in list(self.reports):
             if report["t"] >= since and report["state"] != state:
@@ -148,7 +185,9 @@ class Loop:
     def busy(self, since):
         """Whether this process or the loop's was kept from running since then (s, monotonic)."""
         beats = [since, *(beat for beat in list(self._beats) if beat > since), time.monotonic()]
-        overruns = [report["overruns"] for report in list(self.reports) if report["t"] > since - 0.1]
+        overruns = [
+            report["overruns"] for report in list(self.reports) if report["t"] > since - 0.1
+        ]
         return bool(np.diff(beats).max() > BEAT + LAG or (overruns and overruns[-1] > overruns[0]))
 
     # --- into a state -------------------------------------------------------------------
@@ -177,7 +216,9 @@ class Loop:
             self.reach("disconnect", "off")
 
     def bring(self, state):
-        """Lead the guard from OFF to `state`; engaged, it stands far out. A busy machine may end it on the way."""
+        """Lead the guard from OFF to `state`; engaged, it stands far out. A busy machine may end it
+        on the way.
+        """
         for _ in range(3):
             if self._lead(state) and self.state == state:
                 return
@@ -213,7 +254,9 @@ class Loop:
         return arrived
 
     def _arrives(self, state, away):
-        """Wait in `state` until the horns stand `away` (ticks); a busy machine may leave it on the way."""
+        """Wait in `state` until the horns stand `away` (ticks); a busy machine may leave it on the
+        way.
+        """
         far = np.array(HOMES) + away
         until = time.monotonic() + PATIENCE
         while np.abs(self.angles() - far).max() > 12.0:

@@ -15,9 +15,14 @@ RNG = np.random.default_rng(0)
 
 
 def body(u, count=4, noise=0.05, digits=3):
-    """Markers (K, M, 3) mm on a finger that bends with u (K, 2), as a log with `digits` has them."""
+    """Markers (K, M, 3) mm on a finger that bends with u (K, 2), as a log with `digits` has
+    them.
+    """
     s = np.linspace(1 / count, 1, count)
-    points = [np.c_[4 * u[:, 0] * a**2, 4 * u[:, 1] * a**2, 100 * a - 0.02 * (u**2).sum(axis=1) * a] for a in s]
+    points = [
+        np.c_[4 * u[:, 0] * a**2, 4 * u[:, 1] * a**2, 100 * a - 0.02 * (u**2).sum(axis=1) * a]
+        for a in s
+    ]
     points = np.stack(points, axis=1) + noise * RNG.normal(size=(len(u), count, 3))
     return points if digits is None else np.round(points, digits)
 
@@ -33,7 +38,9 @@ def played(u, gap):
 STAIRS = np.repeat(RNG.integers(-2, 3, (K // 20, 2)) * 4.0, 20, axis=0)
 
 
-HOME = np.repeat(np.where(np.arange(K // 10)[:, None] % 2, 5 * RNG.normal(size=(K // 10, 2)), 0.0), 10, axis=0)
+HOME = np.repeat(
+    np.where(np.arange(K // 10)[:, None] % 2, 5 * RNG.normal(size=(K // 10, 2)), 0.0), 10, axis=0
+)
 
 
 ANGLE = RNG.uniform(0, 2 * np.pi, K)
@@ -64,11 +71,17 @@ GOOD = {
 BUT_ALSO = {
     "displacements": (body(HOME, noise=0) - STILL, HOME),
     "displacements between full pulls": (body(RING, noise=0) - STILL, RING),
-    "displacements that rest": (body(np.clip(SINES, 0, None), noise=0) - STILL, np.clip(SINES, 0, None)),
+    "displacements that rest": (
+        body(np.clip(SINES, 0, None), noise=0) - STILL,
+        np.clip(SINES, 0, None),
+    ),
     "displacements without commands": (body(STAIRS, noise=0) - STILL, None),
     "a stop": (body(np.clip(SINES, -4, 5), noise=0), SINES),
     "it never moves": (STILL, SINES),
-    "a clamp marker at the origin": (np.concatenate([np.zeros((K, 1, 3)), body(SINES)], axis=1), SINES),
+    "a clamp marker at the origin": (
+        np.concatenate([np.zeros((K, 1, 3)), body(SINES)], axis=1),
+        SINES,
+    ),
     "a slow camera": (np.repeat(body(SINES)[::3], 3, axis=0)[:K], SINES),
 }
 

@@ -1,4 +1,6 @@
-"""What an ordinary user meets: a child of root gives its rights away first, for root may open what others may not."""
+"""What an ordinary user meets: a child of root gives its rights away first, for root may open what
+others may not.
+"""
 
 import os
 import warnings
@@ -16,7 +18,8 @@ def as_ordinary_user(what):
         return said(what)
     mine, theirs = os.pipe()
     with warnings.catch_warnings():
-        # The child asks one thing and never returns, so that other threads of this process matter not.
+        # The child asks one thing and never returns, so that other threads of this process matter
+        # not.
         warnings.simplefilter("ignore", DeprecationWarning)
         child = os.fork()
     if child == 0:
@@ -38,7 +41,9 @@ def as_ordinary_user(what):
 
 
 def said(what):
-    """Return the text that `what()` returns or the ServoError that it raises; "" where it is neither."""
+    """Return the text that `what()` returns or the ServoError that it raises; "" where it is
+    neither.
+    """
     try:
         found = what()
     except ServoError as fault:

@@ -1,4 +1,6 @@
-"""What another program on the bus of an emulated rig does: it leaves registers, or takes no lock and talks on."""
+"""What another program on the bus of an emulated rig does: it leaves registers, or takes no lock
+and talks on.
+"""
 
 import contextlib
 import os
@@ -11,11 +13,16 @@ import tty
 from softmap_edge import _core
 from softmap_edge.robot.servo.bus import patiently
 
-HOLDS = "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); time.sleep(60)"
+HOLDS = (
+    "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', "
+    "flush=True); time.sleep(60)"
+)
 
 
 def leave(path, baud, id=1, **values):
-    """Write registers of a servo as another program leaves them; one that answers nothing is not waited for."""
+    """Write registers of a servo as another program leaves them; one that answers nothing is not
+    waited for.
+    """
     bus = _core.ServoBus(path, baud)
     for name, value in values.items():
         address, size, _ = _core.servo_registers()[name]
@@ -27,7 +34,9 @@ def leave(path, baud, id=1, **values):
 @contextlib.contextmanager
 def holding(path):
     """Let another process have the device `path` open, without a lock; gives it."""
-    with subprocess.Popen([sys.executable, "-c", HOLDS, path], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDS, path], stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout.readline() == "open\n"
         try:
             yield process
@@ -37,7 +46,9 @@ def holding(path):
 
 @contextlib.contextmanager
 def talking(path, address, data, every=0.02, id=1):
-    """Let a thread of this process, which is the one that emulates, write registers of a servo again and again."""
+    """Let a thread of this process, which is the one that emulates, write registers of a servo
+    again and again.
+    """
     file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(file)
     packet = _core.servo_packet(id, 3, address.to_bytes(2, "little") + data)

@@ -23,12 +23,25 @@ def written(folder, text, name="mine.py"):
 
 
 def effect(law, name="mine", **declared):
-    """A file of one parameter `by` (B, 1, 1), null 0, and the law given as an expression or as the body of rollout."""
-    number = {"name": "by", "unit": "1", "null": 0.0, "start": 0.1, "low": -1.0, "high": 1.0, "doc": "how much"}
+    """A file of one parameter `by` (B, 1, 1), null 0, and the law given as an expression or as the
+    body of rollout.
+    """
+    number = {
+        "name": "by",
+        "unit": "1",
+        "null": 0.0,
+        "start": 0.1,
+        "low": -1.0,
+        "high": 1.0,
+        "doc": "how much",
+    }
     texts = {key: "said" for key in ("formula", "doc", "signature")}
     table = {"name": name, "stage": "material", **texts, "parameters": [number]} | declared
     body = law if "\n" in law else f"    return {law}\n"
-    head = "import numpy as np\n\n\ndef rollout(params, u, t, ctx):\n    by = params[:, 0, None, None]\n"
+    head = (
+        "import numpy as np\n\n\ndef rollout(params, u, t, ctx):\n    by = params[:, 0, None, "
+        "None]\n"
+    )
     return f"{head}{body}\n\nEFFECT = {table!r}\n"
 
 
@@ -40,6 +53,15 @@ def record(samples=60):
 def number(**changed):
     return {
         "parameters": [
-            {"name": "by", "unit": "1", "null": 0.0, "start": 0.1, "low": -1.0, "high": 1.0, "doc": "x"} | changed
+            {
+                "name": "by",
+                "unit": "1",
+                "null": 0.0,
+                "start": 0.1,
+                "low": -1.0,
+                "high": 1.0,
+                "doc": "x",
+            }
+            | changed
         ]
     }

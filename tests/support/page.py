@@ -1,4 +1,6 @@
-"""A page of docs/ as its reader runs it: its blocks, the words of its commands, and a folder in which they run."""
+"""A page of docs/ as its reader runs it: its blocks, the words of its commands, and a folder in
+which they run.
+"""
 
 import re
 import shlex
@@ -32,7 +34,9 @@ def reader(there, data):
 
 
 def run_commands(page, there):
-    """Run the commands of a page without Python, in their order; each must succeed. Other texts are left to others."""
+    """Run the commands of a page without Python, in their order; each must succeed. Other texts are
+    left to others.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
         for language, text in blocks(page):

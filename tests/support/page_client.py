@@ -1,4 +1,6 @@
-"""What tests of teleoperation's page share: a page that is served, a plain client, a network that is slow."""
+"""What tests of teleoperation's page share: a page that is served, a plain client, a network that
+is slow.
+"""
 
 import http.client
 import json
@@ -27,7 +29,11 @@ def link(page, token=None, **headers):
     here = f"127.0.0.1:{page.port}"
     token = page.url.partition("#")[2] if token is None else token
     headers = {"Origin": f"http://{here}"} | headers
-    return {"uri": f"ws://{here}/drive?token={token}", "additional_headers": headers, "max_size": 1 << 22}
+    return {
+        "uri": f"ws://{here}/drive?token={token}",
+        "additional_headers": headers,
+        "max_size": 1 << 22,
+    }
 
 
 class Client:
@@ -84,7 +90,9 @@ def get(page, path="/", host=None):
 
 
 def delayed(port, there, back):
-    """Give a connection to `port` whose bytes take that long (s) there and back, evenly, as through a slow tunnel."""
+    """Give a connection to `port` whose bytes take that long (s) there and back, evenly, as through
+    a slow tunnel.
+    """
     ours, inner = socket.socketpair()
     outer = socket.create_connection(("127.0.0.1", port))
 

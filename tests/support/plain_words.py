@@ -51,14 +51,21 @@ def in_code(file: Path) -> Iterator[Finding]:
     tree, name = ast.parse(file.read_text(encoding="utf-8")), str(file.relative_to(ROOT))
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
     docs = {
-        id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, documented) and ast.get_docstring(node)
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, documented) and ast.get_docstring(node)
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             scope = "docstrings" if id(node) in docs else "messages"
             if scope == "docstrings" or " " in node.value:
                 for found in WORDS.finditer(node.value):
-                    yield Finding(scope, name, node.lineno + node.value[: found.start()].count("\n"), found[0].lower())
+                    yield Finding(
+                        scope,
+                        name,
+                        node.lineno + node.value[: found.start()].count("\n"),
+                        found[0].lower(),
+                    )
         elif isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
             for part in re.findall(r"[A-Z]?[a-z]+", node.name):
                 if WORDS.fullmatch(part):
@@ -68,15 +75,27 @@ def in_code(file: Path) -> Iterator[Finding]:
 def in_page(file: Path) -> Iterator[Finding]:
     """Yield the words in the prose of a page: no code, no addresses of links."""
     text = re.sub(
-        r"```.*?```|`[^`\n]*`|\]\([^)]*\)", lambda m: "\n" * m[0].count("\n"), file.read_text("utf-8"), flags=re.S
+        r"```.*?```|`[^`\n]*`|\]\([^)]*\)",
+        lambda m: "\n" * m[0].count("\n"),
+        file.read_text("utf-8"),
+        flags=re.S,
     )
     for found in WORDS.finditer(text):
-        yield Finding("pages", str(file.relative_to(ROOT)), 1 + text[: found.start()].count("\n"), found[0].lower())
+        yield Finding(
+            "pages",
+            str(file.relative_to(ROOT)),
+            1 + text[: found.start()].count("\n"),
+            found[0].lower(),
+        )
 
 
 def findings() -> list[Finding]:
     """Return all findings of the repository."""
-    code = [file for folder in ("softmap_edge", "training/softmap_training") for file in (ROOT / folder).rglob("*.py")]
+    code = [
+        file
+        for folder in ("softmap_edge", "training/softmap_training")
+        for file in (ROOT / folder).rglob("*.py")
+    ]
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     found = [one for file in sorted(code) for one in in_code(file)]
     return found + [one for file in sorted(pages) for one in in_page(file)]

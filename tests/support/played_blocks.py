@@ -18,11 +18,19 @@ def played(made, hidden=None, seed=0):
     """A plan as the model with `hidden` parameters shows it to a camera."""
     names = list(dict.fromkeys(label.split(".")[0] for label in hidden or {}))
     blank = Run(
-        t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, load=made.load, block=made.block,
-        robot=MODEL.robot, vertices=np.repeat(MODEL.rest[None], made.frames, axis=0),
-    )  # fmt: skip
+        t=made.t,
+        command=made.command,
+        t_seen=made.t_seen,
+        gravity=made.gravity,
+        load=made.load,
+        block=made.block,
+        robot=MODEL.robot,
+        vertices=np.repeat(MODEL.rest[None], made.frames, axis=0),
+    )
     seen = MODEL.with_effects(names, hidden or {}).predict(blank)
-    return replace(blank, vertices=seen + 0.25 * np.random.default_rng(seed).normal(size=seen.shape))
+    return replace(
+        blank, vertices=seen + 0.25 * np.random.default_rng(seed).normal(size=seen.shape)
+    )
 
 
 def document(**changed):

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-PULLS = (0.060, 0.050), (0.075, 0.055)  # rad per mm of the two cables of each command: no two are alike
+# rad per mm of the two cables of each command: no two are alike
+PULLS = (0.060, 0.050), (0.075, 0.055)
 
 
 def finger(u, rings=3, length=110.0):
-    """Markers (n, rings, 3) mm of an arm of constant curvature; a cable at work stiffens it for the other command."""
+    """Markers (n, rings, 3) mm of an arm of constant curvature; a cable at work stiffens it for the
+    other command.
+    """
     up, down = np.maximum(u, 0.0), np.maximum(-u, 0.0)
     bend = np.stack([up[:, c] * PULLS[c][0] - down[:, c] * PULLS[c][1] for c in (0, 1)], axis=1)
     bend = bend * (1.0 - 0.012 * (up + 0.5 * down)[:, ::-1])

@@ -1,9 +1,10 @@
-"""Messages that name a command, each with what provokes it and what has to work once the command has run.
+"""Messages that name a command, each with what provokes it and what has to work once the command
+has run.
 
-A case is a row of `CASES`; add one for each message whose remedy runs without hardware. `make` writes the files into an
-empty folder, `fails` is what brings the message, `names` is the command in it, `remedy` are commands that carry it
-out (placeholders filled in), and `works` must then end with 0 without the message. `tests/commands/test_remedies.py`
-runs them.
+A case is a row of `CASES`; add one for each message whose remedy runs without hardware. `make`
+writes the files into an empty folder, `fails` is what brings the message, `names` is the command in
+it, `remedy` are commands that carry it out (placeholders filled in), and `works` must then end with
+0 without the message. `tests/commands/test_remedies.py` runs them.
 """
 
 import json
@@ -51,14 +52,22 @@ def _lengths(**more: object) -> Run:
     return replace(run, ticks=None, command=(run.ticks - 2048) / 100.0, robot="arm")
 
 
-def _finger(size: float = 8.0, shift: Sequence[float] = (0.0, 0.0, 0.0), effects: Sequence[str] = ()) -> Run:
-    """The built-in finger, which visits home and four corners, seen by a camera that stands `shift` mm away."""
+def _finger(
+    size: float = 8.0, shift: Sequence[float] = (0.0, 0.0, 0.0), effects: Sequence[str] = ()
+) -> Run:
+    """The built-in finger, which visits home and four corners, seen by a camera that stands `shift`
+    mm away.
+    """
     model, rng = builtin_model(), np.random.default_rng(0)
-    places = size * np.array([[0, 0], [1, 0], [0, 0], [0, 1], [-1, 0], [0, 0], [0, -1], [0, 0]], float)
+    places = size * np.array(
+        [[0, 0], [1, 0], [0, 0], [0, 1], [-1, 0], [0, 0], [0, -1], [0, 0]], float
+    )
     goal = np.repeat(np.tile(places, (2, 1)), 10, axis=0)
     t = np.arange(len(goal)) * 0.5
     blank = Run(t=t, command=goal, t_seen=t, robot=model.robot)
-    points = model.with_effects(effects, {}).predict(blank) + rng.normal(0, 0.2, (len(t), len(model.rest), 3))
+    points = model.with_effects(effects, {}).predict(blank) + rng.normal(
+        0, 0.2, (len(t), len(model.rest), 3)
+    )
     return replace(blank, vertices=points + np.asarray(shift, float))
 
 
@@ -80,7 +89,9 @@ def _learned(*names: str) -> None:
 
 
 def _with_offset() -> None:
-    """A finger that pulls 2 mm farther than commanded, and a bundle that knows an offset already."""
+    """A finger that pulls 2 mm farther than commanded, and a bundle that knows an offset
+    already.
+    """
     run = _finger()
     replace(run, command=run.command - [2.0, 0.0]).save("run.npz")
     save_bundle(builtin_model(), "plain")
@@ -120,15 +131,24 @@ def _doubtful() -> None:
 
 
 def _two_logs(overlap: float) -> None:
-    """Two logs of one robot, the second begins `overlap` s before the first ends; their runs share frames."""
+    """Two logs of one robot, the second begins `overlap` s before the first ends; their runs share
+    frames.
+    """
     whole = arm()
     rows = np.hstack([whole.t[:, None], whole.ticks, whole.markers.reshape(whole.frames, -1)])
-    names = ",".join(["t", "cmd_1", "cmd_2", *(f"m{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")])
+    names = ",".join(
+        ["t", "cmd_1", "cmd_2", *(f"m{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")]
+    )
     half = len(rows) // 2
     for name, part in (("part_1", rows[:half]), ("part_2", rows[half - round(overlap / 0.05) :])):
-        Path(f"{name}.csv").write_text("\n".join([names, *(",".join(f"{x:.5f}" for x in row) for row in part)]) + "\n")
+        Path(f"{name}.csv").write_text(
+            "\n".join([names, *(",".join(f"{x:.5f}" for x in row) for row in part)]) + "\n"
+        )
         assert main(["import", f"{name}.csv", "--guess", "--out", f"{name}.toml"]) == 0
-        assert main(["import", f"{name}.csv", "--map", f"{name}.toml", "--out", f"{name}.npz"]) in (0, 1)
+        assert main(["import", f"{name}.csv", "--map", f"{name}.toml", "--out", f"{name}.npz"]) in (
+            0,
+            1,
+        )
     text = Path("part_1.toml").read_text()
     Path("both.toml").write_text(text.replace("[[log]]", '[[log]]\nfile = "part_*.csv"'))
 
@@ -141,29 +161,56 @@ def _shared() -> None:
 
 
 HOMES = [str(ticks) for ticks in HOME]
-CALIBRATED = ["model", "calibrate", "ticks.npz", "--bundle", "finger", "--home", *HOMES, "--out", "calibrated"]
+CALIBRATED = [
+    "model",
+    "calibrate",
+    "ticks.npz",
+    "--bundle",
+    "finger",
+    "--home",
+    *HOMES,
+    "--out",
+    "calibrated",
+]
 CASES = [
     Remedy(
-        "ticks without a model", lambda: arm().save("ticks.npz"), ["compare", "ticks.npz"],
+        "ticks without a model",
+        lambda: arm().save("ticks.npz"),
+        ["compare", "ticks.npz"],
         "softmap learn RUN --out DIR",
-        [["learn", "ticks.npz", "--static", "--out", "b"]], ["compare", "ticks.npz", "--bundle", "b"],
+        [["learn", "ticks.npz", "--static", "--out", "b"]],
+        ["compare", "ticks.npz", "--bundle", "b"],
     ),
     Remedy(
-        "ticks and a model in mm", _ticks_of_a_finger, ["compare", "ticks.npz", "--bundle", "finger"],
-        "softmap model calibrate RUN --bundle DIR --out DIR2", [CALIBRATED],
+        "ticks and a model in mm",
+        _ticks_of_a_finger,
+        ["compare", "ticks.npz", "--bundle", "finger"],
+        "softmap model calibrate RUN --bundle DIR --out DIR2",
+        [CALIBRATED],
         ["compare", "ticks.npz", "--bundle", "calibrated"],
     ),
     Remedy(
-        "check of a run in ticks", lambda: arm().save("ticks.npz"), ["check", "ticks.npz"], "softmap learn",
-        [["learn", "ticks.npz", "--static", "--out", "b"]], ["compare", "ticks.npz", "--bundle", "b"], code=0,
+        "check of a run in ticks",
+        lambda: arm().save("ticks.npz"),
+        ["check", "ticks.npz"],
+        "softmap learn",
+        [["learn", "ticks.npz", "--static", "--out", "b"]],
+        ["compare", "ticks.npz", "--bundle", "b"],
+        code=0,
     ),
     Remedy(
-        "commands in ticks and a model in mm", lambda: (_two_units(), arm(held=True).save("held.npz")),
-        ["compare", "held.npz", "--bundle", "mm"], "softmap learn",
-        [["learn", "held.npz", "--static", "--out", "b"]], ["compare", "held.npz", "--bundle", "b"],
+        "commands in ticks and a model in mm",
+        lambda: (_two_units(), arm(held=True).save("held.npz")),
+        ["compare", "held.npz", "--bundle", "mm"],
+        "softmap learn",
+        [["learn", "held.npz", "--static", "--out", "b"]],
+        ["compare", "held.npz", "--bundle", "b"],
     ),
     Remedy(
-        "a log in place of a run", _log, ["compare", "log.csv"], "softmap import",
+        "a log in place of a run",
+        _log,
+        ["compare", "log.csv"],
+        "softmap import",
         [
             ["import", "log.csv", "--guess", "--out", "m.toml"],
             ["import", "log.csv", "--map", "m.toml", "--out", "r.npz"],
@@ -172,81 +219,129 @@ CASES = [
         ["compare", "r.npz", "--bundle", "b"],
     ),
     Remedy(
-        "clouds", write_clouds, ["compare", "clouds.npz"], "softmap run register",
-        [["run", "register", "clouds.npz", "--out", "registered.npz"]], ["compare", "registered.npz"],
+        "clouds",
+        write_clouds,
+        ["compare", "clouds.npz"],
+        "softmap run register",
+        [["run", "register", "clouds.npz", "--out", "registered.npz"]],
+        ["compare", "registered.npz"],
     ),
     Remedy(
-        "a camera's frame", lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"), ["compare", "camera.npz"],
-        "softmap run align", [["run", "align", "camera.npz", "--out", "aligned.npz"]], ["compare", "aligned.npz"],
+        "a camera's frame",
+        lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"),
+        ["compare", "camera.npz"],
+        "softmap run align",
+        [["run", "align", "camera.npz", "--out", "aligned.npz"]],
+        ["compare", "aligned.npz"],
         code=0,
     ),
     Remedy(
-        "check of a camera's frame", lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"),
-        ["check", "camera.npz"], "softmap run align", [["run", "align", "camera.npz", "--out", "aligned.npz"]],
-        ["check", "aligned.npz"], code=0,
+        "check of a camera's frame",
+        lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"),
+        ["check", "camera.npz"],
+        "softmap run align",
+        [["run", "align", "camera.npz", "--out", "aligned.npz"]],
+        ["check", "aligned.npz"],
+        code=0,
     ),
     Remedy(
-        "a frame that was never found", lambda: (_finger(shift=(9.0, 0.0, 0.0)).save("a.npz"), _finger().save("b.npz")),
-        ["run", "align", "a.npz", "--like", "b.npz", "--out", "c.npz"], "softmap run align",
+        "a frame that was never found",
+        lambda: (_finger(shift=(9.0, 0.0, 0.0)).save("a.npz"), _finger().save("b.npz")),
+        ["run", "align", "a.npz", "--like", "b.npz", "--out", "c.npz"],
+        "softmap run align",
         [["run", "align", "b.npz", "--out", "aligned.npz"]],
         ["run", "align", "a.npz", "--like", "aligned.npz", "--out", "c.npz"],
     ),
     Remedy(
-        "calibrate with effects", lambda: _ticks_of_a_finger(["gain"]), CALIBRATED, "softmap model remove",
-        [["model", "remove", "gain", "--bundle", "finger", "--out", "finger", "--force"]], CALIBRATED,
+        "calibrate with effects",
+        lambda: _ticks_of_a_finger(["gain"]),
+        CALIBRATED,
+        "softmap model remove",
+        [["model", "remove", "gain", "--bundle", "finger", "--out", "finger", "--force"]],
+        CALIBRATED,
     ),
     Remedy(
-        "no diagnosis", _no_diagnosis, ["add", "--from", "d.json", "--bundle", "plain", "--out", "b"],
+        "no diagnosis",
+        _no_diagnosis,
+        ["add", "--from", "d.json", "--bundle", "plain", "--out", "b"],
         "softmap diagnose",
         [["diagnose", "run.npz", "--bundle", "plain", "--effects", "offset", "--out", "d.json"]],
         ["add", "--from", "d.json", "--bundle", "plain", "--out", "b"],
     ),
     Remedy(
-        "an effect that is there", lambda: (_with_offset(), _diagnosed()),
-        ["add", "offset", "--from", "d.json", "--bundle", "known", "--out", "b"], "softmap model refit",
+        "an effect that is there",
+        lambda: (_with_offset(), _diagnosed()),
+        ["add", "offset", "--from", "d.json", "--bundle", "known", "--out", "b"],
+        "softmap model refit",
         [["model", "refit", "run.npz", "--bundle", "known", "--out", "refitted"]],
         ["compare", "run.npz", "--bundle", "refitted"],
     ),
     Remedy(
-        "no effect is named", _learned, ["model", "remove", " , ", "--bundle", "bundle", "--out", "b"],
+        "no effect is named",
+        _learned,
+        ["model", "remove", " , ", "--bundle", "bundle", "--out", "b"],
         "softmap model effects",
-        [["model", "effects"]], ["compare", "run.npz", "--bundle", "bundle"],
+        [["model", "effects"]],
+        ["compare", "run.npz", "--bundle", "bundle"],
     ),
     Remedy(
-        "a file of commands that is none", lambda: Path("c.csv").write_text("a,b\n1,2\n"),
-        ["record", "c.csv", "--sim", "--out", "r.npz"], "softmap next --out",
+        "a file of commands that is none",
+        lambda: Path("c.csv").write_text("a,b\n1,2\n"),
+        ["record", "c.csv", "--sim", "--out", "r.npz"],
+        "softmap next --out",
         [["next", "--protocol", "validation", "--minutes", "1", "--out", "n.csv"]],
         ["record", "n.csv", "--sim", "--out", "r.npz"],
     ),
     Remedy(
-        "a folder that is no bundle", _no_bundle, ["compare", "run.npz", "--bundle", "empty"], "softmap learn",
-        [["learn", "run.npz", "--static", "--out", "b"]], ["compare", "run.npz", "--bundle", "b"],
+        "a folder that is no bundle",
+        _no_bundle,
+        ["compare", "run.npz", "--bundle", "empty"],
+        "softmap learn",
+        [["learn", "run.npz", "--static", "--out", "b"]],
+        ["compare", "run.npz", "--bundle", "b"],
     ),
     Remedy(
-        "a recording with a wrong checksum", _doubtful, ["compare", "s.mcap"],
+        "a recording with a wrong checksum",
+        _doubtful,
+        ["compare", "s.mcap"],
         "softmap servo replay s.mcap --run RUN.npz",
-        [["servo", "replay", "s.mcap", "--run", "r.npz"]], ["compare", "r.npz"],
+        [["servo", "replay", "s.mcap", "--run", "r.npz"]],
+        ["compare", "r.npz"],
     ),
     Remedy(
-        "a file that no loop recorded", lambda: Path("x.mcap").write_bytes(b""), ["servo", "replay", "none.mcap"],
-        "softmap track --record FILE.mcap", [["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]],
+        "a file that no loop recorded",
+        lambda: Path("x.mcap").write_bytes(b""),
+        ["servo", "replay", "none.mcap"],
+        "softmap track --record FILE.mcap",
+        [["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]],
         ["servo", "replay", "s.mcap"],
     ),
     Remedy(
-        "logs that overlap", lambda: _two_logs(1.0),
-        ["import", "part_1.csv", "part_2.csv", "--map", "both.toml", "--out", "r.npz"], "softmap run join",
-        [["run", "join", "part_1.npz", "part_2.npz", "--out", "both.npz"]], ["run", "show", "both.npz"],
+        "logs that overlap",
+        lambda: _two_logs(1.0),
+        ["import", "part_1.csv", "part_2.csv", "--map", "both.toml", "--out", "r.npz"],
+        "softmap run join",
+        [["run", "join", "part_1.npz", "part_2.npz", "--out", "both.npz"]],
+        ["run", "show", "both.npz"],
     ),
     Remedy(
-        "frames in both runs", _shared, ["run", "join", "a.npz", "b.npz", "--out", "twice.npz"], "softmap run cut",
+        "frames in both runs",
+        _shared,
+        ["run", "join", "a.npz", "b.npz", "--out", "twice.npz"],
+        "softmap run cut",
         [["run", "cut", "b.npz", "--from", "31.01", "--out", "rest.npz"]],
-        ["run", "join", "a.npz", "rest.npz", "--out", "both.npz"], code=0,
+        ["run", "join", "a.npz", "rest.npz", "--out", "both.npz"],
+        code=0,
     ),
     Remedy(
-        "a new effect without a name", lambda: None, ["model", "effects", "new"], "softmap model effects new wobble",
-        [["model", "effects", "new", "wobble"]], ["model", "effects", "wobble", "--effects", "wobble.py"],
+        "a new effect without a name",
+        lambda: None,
+        ["model", "effects", "new"],
+        "softmap model effects new wobble",
+        [["model", "effects", "new", "wobble"]],
+        ["model", "effects", "wobble", "--effects", "wobble.py"],
     ),
-]  # fmt: skip
+]
 
 
 def _diagnosed() -> None:

@@ -16,7 +16,9 @@ DIAGNOSIS = {
             "probability": 0.97,
             "share": 0.71,
             "displacement_mm": {"fitted": 1.82, "held_out": None},
-            "params": {"backlash.gap": {"value": 0.6213, "sigma": 0.013, "unit": "mm", "at_bound": True}},
+            "params": {
+                "backlash.gap": {"value": 0.6213, "sigma": 0.013, "unit": "mm", "at_bound": True}
+            },
         }
     ],
     "faults": [],
@@ -32,10 +34,16 @@ DIAGNOSIS = {
         }
     ],
     "alternatives": [{"effects": ["friction"], "why": "within two standard errors"}],
-    "not_testable": [{"name": "thermal_softening", "why": "no temperature", "experiment": "a warm-up"}],
+    "not_testable": [
+        {"name": "thermal_softening", "why": "no temperature", "experiment": "a warm-up"}
+    ],
     "where": {
-        "before": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 1.0}] * 2},
-        "after": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 0.2}] * 2},
+        "before": {
+            "speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 1.0}] * 2
+        },
+        "after": {
+            "speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 0.2}] * 2
+        },
     },
     "error": {
         "kind": "held-out rms",

@@ -19,7 +19,9 @@ TICKS_PER_MM = 280.0
 
 def calibration():
     """Return a map of 280 ticks a mm about HOME."""
-    return Calibration.stated(np.eye(2) / TICKS_PER_MM, np.zeros(2), np.full(2, HOME), "made for tests", WINDOW)
+    return Calibration.stated(
+        np.eye(2) / TICKS_PER_MM, np.zeros(2), np.full(2, HOME), "made for tests", WINDOW
+    )
 
 
 def set_up(path, ids=(1, 2), homes=(HOME, HOME)):

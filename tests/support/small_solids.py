@@ -38,7 +38,11 @@ def mesh_finger(path, nodes, cells, spoil=lambda mesh: None, tail="", **options)
     """Write a mesh as VTK or Gmsh and return the finger that names it."""
     mesh = meshio.Mesh(nodes, [("tetra", np.asarray(cells))])
     spoil(mesh)
-    meshio.write(path, mesh, **({"file_format": "vtk42", "binary": False} if path.suffix == ".vtk" else options))
+    meshio.write(
+        path,
+        mesh,
+        **({"file_format": "vtk42", "binary": False} if path.suffix == ".vtk" else options),
+    )
     lines = f'[mesh]\nfile = "{path.name}"\n'
     (path.parent / "finger.toml").write_text(
         BLOCK.replace(BLOCK[BLOCK.index("[block]") : BLOCK.index("[mat")], lines + tail)

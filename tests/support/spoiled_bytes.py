@@ -12,11 +12,14 @@ def spoil_binary(sample, folder, rng):
 
 
 def spoil_counts(sample, folder, rng):
-    """Set a few words of the file to the largest, the smallest or a chance number: sizes that promise the moon."""
+    """Set a few words of the file to the largest, the smallest or a chance number: sizes that
+    promise the moon.
+    """
     data = bytearray(sample.read_bytes())
     for _ in range(rng.integers(1, 4)):
         size = int(rng.choice([1, 2, 4, 8]))
-        at = int(rng.random() ** 2 * max(1, len(data) - size))  # rather at the head, where sizes are
+        # rather at the head, where sizes are
+        at = int(rng.random() ** 2 * max(1, len(data) - size))
         words = [b"\xff" * size, b"\0" * size, rng.bytes(size), b"\x7f" + b"\xff" * (size - 1)]
         data[at : at + size] = words[int(rng.integers(4))]
     (folder / sample.name).write_bytes(data)

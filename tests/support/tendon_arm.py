@@ -48,7 +48,9 @@ def arm(**changed):
 
 
 def moves(t, channels=6):
-    """Return commands (T, C) mm that fill ±6 mm, each at its own pace, without repeating in two minutes."""
+    """Return commands (T, C) mm that fill ±6 mm, each at its own pace, without repeating in two
+    minutes.
+    """
     pace = 0.31 + 0.13 * np.arange(channels)
     return 6.0 * np.sin(pace * t[:, None] + np.arange(channels))
 

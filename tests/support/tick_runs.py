@@ -1,4 +1,6 @@
-"""Runs in servo ticks of the built-in finger under the published map, for what calibrates and what converts."""
+"""Runs in servo ticks of the built-in finger under the published map, for what calibrates and what
+converts.
+"""
 
 import numpy as np
 
@@ -17,7 +19,9 @@ def commands(ticks):
 
 
 def record(hold, seed=0, frames=1, off=0.1, wrong=0.1, law=None, play=0.0, noise=0.5):
-    """A run that holds `hold` (n, C) ticks: shapes of the model, `off` mm of command in each dwell, `wrong` dwells."""
+    """A run that holds `hold` (n, C) ticks: shapes of the model, `off` mm of command in each dwell,
+    `wrong` dwells.
+    """
     rng, n = np.random.default_rng(seed), len(hold)
     ramp = np.minimum(np.arange(1, ROWS + 1) / 10.0, 1.0)[:, None]
     before = np.vstack([hold[:1], hold[:-1]])

@@ -16,7 +16,9 @@ def played(u, gaps):
 
 
 def law(name, loss, numbers, **params):
-    """A law with eight even folds; several effects are joined by +, generic laws are in brackets."""
+    """A law with eight even folds; several effects are joined by +, generic laws are in
+    brackets.
+    """
     effects = () if name[0] == "(" else tuple(name.split("+"))
     labels = [label for label in params if label.endswith(("+]", "-]"))]
     space = SimpleNamespace(split=effects if labels else (), free_labels=labels)
@@ -24,8 +26,12 @@ def law(name, loss, numbers, **params):
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
-def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, noisy=False):
-    """The answer of level 2 for a family whose representative leaves `representative` of `before`."""
+def judged(
+    *laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, noisy=False
+):
+    """The answer of level 2 for a family whose representative leaves `representative` of
+    `before`.
+    """
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
     asked.representative = SimpleNamespace(
@@ -34,5 +40,7 @@ def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static",
     )  # fmt: skip
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
     record = SimpleNamespace(spool=spool, error_is_noise=noisy)
-    asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record)
+    asked.body = SimpleNamespace(
+        half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record
+    )
     return asked.answer_of(list(laws))

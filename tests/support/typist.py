@@ -20,7 +20,11 @@ class Typist:
         self.ours, self.theirs = pty.openpty()
         self.before = termios.tcgetattr(self.theirs)
         self.process = subprocess.Popen(
-            [SOFTMAP, *words], cwd=folder, stdin=self.theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            [SOFTMAP, *words],
+            cwd=folder,
+            stdin=self.theirs,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
         )
         self._said = b""
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -40,8 +44,9 @@ class Typist:
         os.write(self.ours, text.encode())
 
     def holds(self, key, *whats, late):
-        """Hold a key as a keyboard does, a press, 0.6 s nothing, then a repetition every 33 ms, until one of `whats`
-        after the other was so, and `late` s longer."""
+        """Hold a key as a keyboard does, a press, 0.6 s nothing, then a repetition every 33 ms,
+        until one of `whats` after the other was so, and `late` s longer.
+        """
         self.types(key)
         time.sleep(0.6)
         until, left = time.monotonic() + PATIENCE, list(whats)

@@ -1,4 +1,6 @@
-"""Waiting for what a thread, a process or a robot does in its own time, with limits that a busy machine meets."""
+"""Waiting for what a thread, a process or a robot does in its own time, with limits that a busy
+machine meets.
+"""
 
 import time
 

@@ -1,6 +1,8 @@
-"""The promise: a sweep from another simulator builds, and what hides in runs of that robot is named.
+"""The promise: a sweep from another simulator builds, and what hides in runs of that robot is
+named.
 
-The robots and their statics are those of tests/support/robots.py; the hidden memory is the truth's own law.
+The robots and their statics are those of tests/support/robots.py; the hidden memory is the truth's
+own law.
 """
 
 import json
@@ -33,7 +35,9 @@ def grid(reach=14.0, steps=15):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """Two bundles built by the command: an arc from a shuffled grid, a heavy rod from scattered commands and a load."""
+    """Two bundles built by the command: an arc from a shuffled grid, a heavy rod from scattered
+    commands and a load.
+    """
     folder = tmp_path_factory.mktemp("elsewhere")
     rng = np.random.default_rng(0)
     u = grid()[rng.permutation(225)]
@@ -68,16 +72,24 @@ def recorded(name, hidden, scale, seed=3):
     run = measured(body(name), hidden, seed, orientations=2 if name == "arc" else 1, scale=scale)
     if name == "arc":
         return run
-    return Run(t=run.t, command=run.command, gravity=LEANING, t_seen=run.t_seen, vertices=run.vertices)
+    return Run(
+        t=run.t, command=run.command, gravity=LEANING, t_seen=run.t_seen, vertices=run.vertices
+    )
 
 
 def test_both_are_what_the_robots_do_at_commands_they_never_saw(built):
     u = np.random.default_rng(5).uniform(-12, 12, (300, 2))
     for name, kind in (("arc", "table"), ("rod", "scattered")):
         model = load_bundle(built / name)
-        assert model.kind == kind and not model.markers and model.structure.feature_map.positions.sum() == 9
+        assert (
+            model.kind == kind
+            and not model.markers
+            and model.structure.feature_map.positions.sum() == 9
+        )
         true = body(name)(u, HANGING if name == "arc" else LEANING, 0.0)
-        error = np.sqrt(np.mean(np.sum((model.prior.evaluate(u).reshape(true.shape) - true) ** 2, axis=2)))
+        error = np.sqrt(
+            np.mean(np.sum((model.prior.evaluate(u).reshape(true.shape) - true) ** 2, axis=2))
+        )
         # 0.01 mm is what the truth's own links add to the arc's closed form.
         assert error < 2.0 * model.vertex_error_mm + 0.01 and model.vertex_error_mm < 0.05
 
@@ -85,18 +97,26 @@ def test_both_are_what_the_robots_do_at_commands_they_never_saw(built):
 @pytest.mark.parametrize("name", ["arc", "rod"])
 def test_a_hidden_backlash_is_named(built, name, capsys):
     found = told(built, name, recorded(name, "backlash", 0.5), capsys)
-    assert [e["name"] for e in found["effects"]] == ["backlash"] and found["verdict"] == "identified"
+    assert [e["name"] for e in found["effects"]] == ["backlash"] and found[
+        "verdict"
+    ] == "identified"
     ladder = found["error"]["ladder"]
     assert ladder[-1]["value"] < 0.25 * found["error"]["model"]
 
 
 def test_an_effect_behind_another_of_its_kind_leaves_a_doubt(built, capsys):
-    """Commands that are off and a camera that leans look alike; the number of one of them alone is 60 % wrong."""
-    lean = np.array([[np.cos(0.035), 0, np.sin(0.035)], [0, 1, 0], [-np.sin(0.035), 0, np.cos(0.035)]])
+    """Commands that are off and a camera that leans look alike; the number of one of them alone is
+    60 % wrong.
+    """
+    lean = np.array(
+        [[np.cos(0.035), 0, np.sin(0.035)], [0, 1, 0], [-np.sin(0.035), 0, np.cos(0.035)]]
+    )
     run = measured(lambda u, *_: arc(u + [0.8, 0.0], PLACE, OFFSET) @ lean.T, orientations=1)
     found = told(built, "arc", run, capsys)
     if {"offset", "mount"} != {e["name"] for e in [*found["effects"], *found["faults"]]}:
-        assert found["verdict"] == "ambiguous" and "both may act" in found["sentence"], found["sentence"]
+        assert found["verdict"] == "ambiguous" and "both may act" in found["sentence"], found[
+            "sentence"
+        ]
 
 
 def test_a_hidden_payload_is_named_and_never_in_grams(built, capsys):
@@ -107,12 +127,15 @@ def test_a_hidden_payload_is_named_and_never_in_grams(built, capsys):
 
 
 def test_with_a_known_load_a_payload_is_weighed(built, capsys):
-    """In one orientation own weight and a weight at the tip look alike: ambiguous within the family is right."""
+    """In one orientation own weight and a weight at the tip look alike: ambiguous within the family
+    is right.
+    """
     found = told(built, "rod", recorded("rod", "payload", 1.5), capsys)
     assert found["verdict"] == "ambiguous" and [e["name"] for e in found["effects"]] == ["payload"]
     assert [r["effects"] for r in found["alternatives"]] == [["gravity"]]
     mass = found["effects"][0]["params"]["payload.mass"]
-    assert mass["unit"] == "g" and mass["value"] == pytest.approx(15.0, rel=0.1)  # loads are answered linearly
+    # loads are answered linearly
+    assert mass["unit"] == "g" and mass["value"] == pytest.approx(15.0, rel=0.1)
 
 
 @pytest.mark.parametrize("name", ["arc", "rod"])
@@ -137,8 +160,11 @@ def test_the_known_load_finds_the_stiffness(built):
     here = HEAVY.shapes(u, place, offset)
     for gravity, grams in ((HANGING, 0.0), (LEANING, 20.0)):
         true = HEAVY.shapes(u, place, offset, gravity, grams)
-        found = model.predict(Run(t=t, command=u, t_seen=t, gravity=gravity, load=np.full(60, grams)))
-        assert np.linalg.norm(found - true) < 0.12 * np.linalg.norm(here - true)  # linear response: 5 to 10 % off
+        found = model.predict(
+            Run(t=t, command=u, t_seen=t, gravity=gravity, load=np.full(60, grams))
+        )
+        # linear response: 5 to 10 % off
+        assert np.linalg.norm(found - true) < 0.12 * np.linalg.norm(here - true)
 
 
 def test_loads_that_a_run_declares_are_not_made_up_where_no_stiffness_is_known(built):
@@ -152,7 +178,9 @@ def test_loads_that_a_run_declares_are_not_made_up_where_no_stiffness_is_known(b
         command_extrapolation(model, plain) == []
         and "another gravity and a load" in command_extrapolation(model, hung)[0]
     )
-    assert model.with_structure(stiffness_known=True).predict(hung)[0] != pytest.approx(model.predict(hung)[0], abs=0.1)
+    assert model.with_structure(stiffness_known=True).predict(hung)[0] != pytest.approx(
+        model.predict(hung)[0], abs=0.1
+    )
 
 
 def test_a_bundle_of_a_sweep_is_the_same_after_a_journey(built, tmp_path):
@@ -160,7 +188,9 @@ def test_a_bundle_of_a_sweep_is_the_same_after_a_journey(built, tmp_path):
         model = load_bundle(built / name)
         again = load_bundle(save_bundle(model, tmp_path / name))
         run = recorded(name, None, 1.0)
-        np.testing.assert_array_equal(model.predict_features((), np.zeros((1, 0)), run), again.features(run)[None])
+        np.testing.assert_array_equal(
+            model.predict_features((), np.zeros((1, 0)), run), again.features(run)[None]
+        )
         for file in ("prior.npz", "fields.npz", "template.npz", "manifest.json"):
             assert (built / name / file).read_bytes() == (tmp_path / name / file).read_bytes()
 
@@ -173,7 +203,9 @@ def test_markers_without_a_mesh_on_three_places_and_five_thousand_vertices():
     ):
         u = grid(steps=9)
         model = model_from_array(u, arc(u, place, offset))
-        assert len(model.structure.feature_map.weights) == features and len(model.rest) == len(place)
+        assert len(model.structure.feature_map.weights) == features and len(model.rest) == len(
+            place
+        )
         t, held = np.arange(3.0), np.full((3, 2), 4.0)
         run = Run(t=t, command=held, t_seen=t, vertices=arc(held, place, offset))
         assert np.abs(model.seen_features(run) - model.features(run)).max() < 0.2
@@ -200,7 +232,11 @@ def test_three_channels_and_uneven_axes_are_a_table_and_six_are_scattered():
     u = np.random.default_rng(2).uniform(-4, 4, (300, 6))
     pulled = u[:, :2] + u[:, 2:4] + 0.3 * u[:, 4:]
     model = model_from_array(u, arc(pulled, PLACE, OFFSET), command_unit="deg")
-    assert model.kind == "scattered" and model.command_unit == "deg" and 0.01 < model.vertex_error_mm < 3.0
+    assert (
+        model.kind == "scattered"
+        and model.command_unit == "deg"
+        and 0.01 < model.vertex_error_mm < 3.0
+    )
 
 
 def test_one_channel_is_diagnosed_without_what_lies_between_channels():
@@ -233,7 +269,9 @@ def test_check_and_show_say_what_a_sweep_holds(built, capsys):
     assert main(["check", str(built / "arc.npz"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (
-        document["kind"] == "sweep" and document["grid"] == [15, 15] and document["length_mm"] == pytest.approx(100.0)
+        document["kind"] == "sweep"
+        and document["grid"] == [15, 15]
+        and document["length_mm"] == pytest.approx(100.0)
     )
     assert any("no known load" in line for line in document["missing"])
     assert main(["check", str(built / "arc")]) == 0 and "stiffness_known" in capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""docs/do/import_sweep.md as written: its Python block and its commands run in order, and what it quotes is printed."""
+"""docs/do/import_sweep.md as written: its Python block and its commands run in order, and what it
+quotes is printed.
+"""
 
 import re
 from pathlib import Path
@@ -18,15 +20,20 @@ BLOCKS = blocks(PAGE)
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """The folder and what each command printed; the reader's run is an arc with the truth's own play in its tendons."""
+    """The folder and what each command printed; the reader's run is an arc with the truth's own
+    play in its tendons.
+    """
     there, printed = tmp_path_factory.mktemp("page"), {}
     place, offset = rings(13, 12)
-    measured(lambda u, gravity, grams: arc(u, place, offset), "backlash", orientations=1, scale=0.5).save(
-        there / "run.npz"
-    )
+    measured(
+        lambda u, gravity, grams: arc(u, place, offset), "backlash", orientations=1, scale=0.5
+    ).save(there / "run.npz")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
-        patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))))
+        patch.setattr(
+            "builtins.print",
+            lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))),
+        )
         for language, text in BLOCKS:
             if language == "python":
                 exec(compile(text, "docs/do/import_sweep.md", "exec"), {})

@@ -1,5 +1,5 @@
-"""Scattered commands: the fit is exact where it should be, its smoothing follows the noise, its error is what comes
-true.
+"""Scattered commands: the fit is exact where it should be, its smoothing follows the noise, its
+error is what comes true.
 """
 
 import numpy as np
@@ -15,11 +15,15 @@ RNG = np.random.default_rng
 
 
 def family(fit, size):
-    return _core.Scattered(fit.nodes, fit.scale, fit.power, fit.coefficients, np.zeros(size), np.eye(size))
+    return _core.Scattered(
+        fit.nodes, fit.scale, fit.power, fit.coefficients, np.zeros(size), np.eye(size)
+    )
 
 
 def wave(u):
-    return np.stack([30 * np.sin(u[:, 0] / 8) * np.cos(u[:, 1] / 10), np.abs(u[:, 0] - u[:, 1])], axis=1)
+    return np.stack(
+        [30 * np.sin(u[:, 0] / 8) * np.cos(u[:, 1] / 10), np.abs(u[:, 0] - u[:, 1])], axis=1
+    )
 
 
 def rms(values):
@@ -43,8 +47,11 @@ def test_clean_rows_are_met_and_between_them_the_error_falls_fast():
         fit = fit_scattered(u, wave(u)[:, :1], most=800)
         new = RNG(4).uniform(-14, 14, (1000, 2))
         errors.append(rms(family(fit, 1).evaluate(new) - wave(new)[:, :1])[0])
-        np.testing.assert_allclose(family(fit, 1).evaluate(u), wave(u)[:, :1], atol=0.1 * errors[-1] + 1e-4)
-    # Spacing halves with four times the rows: between the orders of a scatter's wide and its narrow places.
+        np.testing.assert_allclose(
+            family(fit, 1).evaluate(u), wave(u)[:, :1], atol=0.1 * errors[-1] + 1e-4
+        )
+    # Spacing halves with four times the rows: between the orders of a scatter's wide and its narrow
+    # places.
     assert errors[1] < errors[0] / 5 and errors[2] < errors[1] / 5
 
 
@@ -54,14 +61,19 @@ def test_the_stated_error_comes_true_and_is_not_far_too_large(rows, noise):
     u, new = rng.uniform(-16, 16, (rows, 2)), rng.uniform(-14, 14, (2000, 2))
     fit = fit_scattered(u, wave(u) + noise * rng.normal(size=(rows, 2)))
     stated = rms(fit.left_out)
-    true = np.hypot(rms(family(fit, 2).evaluate(new) - wave(new)), noise)  # what is left out is seen with its noise
+    # what is left out is seen with its noise
+    true = np.hypot(rms(family(fit, 2).evaluate(new) - wave(new)), noise)
     assert np.all(true < 1.5 * stated + 1e-3) and np.all(stated < 4.0 * true + 1e-3)
     if noise:
-        assert fit.smoothing > 1e-7 and rms(family(fit, 2).evaluate(new) - wave(new))[0] < 0.6 * noise
+        assert (
+            fit.smoothing > 1e-7 and rms(family(fit, 2).evaluate(new) - wave(new))[0] < 0.6 * noise
+        )
 
 
 def test_rows_along_a_path_do_not_vouch_for_one_another():
-    """Neighbours in time make leaving one row out far too easy: in order the rows are left out by blocks."""
+    """Neighbours in time make leaving one row out far too easy: in order the rows are left out by
+    blocks.
+    """
     t = np.linspace(0, 24, 1200)
     u = np.stack([14 * np.sin(t), 14 * np.sin(1.3 * t)], axis=1)
     new = RNG(1).uniform(-9, 9, (1000, 2))
@@ -74,16 +86,21 @@ def test_rows_along_a_path_do_not_vouch_for_one_another():
 
 @pytest.mark.skipif(find("trunk") is None, reason="no logs of the trunk (make data)")
 def test_a_recording_of_a_real_robot_states_the_error_that_comes_true(tmp_path):
-    """Six motors, three bodies: the first 60 % of a recording as a sweep, its last 30 % as the judge."""
+    """Six motors, three bodies: the first 60 % of a recording as a sweep, its last 30 % as the
+    judge.
+    """
     run = trunk_load.read(find("trunk"), trunk_load.FREE)
     u = np.stack([np.interp(run.t_seen, run.t, c) for c in run.commands().T], axis=1)
     share = (run.t_seen - run.t_seen[0]) / np.ptp(run.t_seen)
     first, last = np.flatnonzero(share < 0.6)[::3], share > 0.7
-    np.savez(tmp_path / "sweep.npz", command=u[first], vertices=run.markers[first], command_unit="deg")
+    np.savez(
+        tmp_path / "sweep.npz", command=u[first], vertices=run.markers[first], command_unit="deg"
+    )
     model = model_from_file(tmp_path / "sweep.npz")
     found = model.prior.evaluate(np.ascontiguousarray(u[last])).reshape(-1, 3, 3)
     error = float(np.sqrt(np.mean(np.sum((found - run.markers[last]) ** 2, axis=2))))
-    assert error < 6.5 and model.vertex_error_mm == pytest.approx(error, rel=0.2)  # a constant is 39 mm off
+    # a constant is 39 mm off
+    assert error < 6.5 and model.vertex_error_mm == pytest.approx(error, rel=0.2)
 
 
 def test_the_batched_prediction_sees_the_same_shape():
@@ -96,7 +113,9 @@ def test_the_batched_prediction_sees_the_same_shape():
     fields = {"tip_force_z": shape}
     body = _core.Predictor(shape, fields, np.ones(1, bool), np.array([0.0, 0.0, 1.0]))
     for factor in (1.0, 1.2):
-        seen = body.predict(chain, np.full((3, 2), factor), _core.Inputs(at, t, t, load=np.full(5, 10.0)))
+        seen = body.predict(
+            chain, np.full((3, 2), factor), _core.Inputs(at, t, t, load=np.full(5, 10.0))
+        )
         alone = shape.evaluate(factor * at) * (1.0 + 0.01 * 9.80665)
         np.testing.assert_allclose(seen, np.tile(alone[None, :, None], (3, 1, 1, 1)), rtol=1e-12)
     twice = shape.project(2 * np.eye(3), np.ones(3))

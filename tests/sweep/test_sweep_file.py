@@ -1,4 +1,6 @@
-"""A sweep made elsewhere is checked field by field: what is wrong is said in one line, with what to do."""
+"""A sweep made elsewhere is checked field by field: what is wrong is said in one line, with what to
+do.
+"""
 
 import numpy as np
 import pytest
@@ -9,10 +11,18 @@ from softmap_edge.errors import SweepError
 from softmap_edge.sweep.sweep_file import ShapeSweep, grid_axes, is_shape_sweep
 
 PLACE, OFFSET = rings(6, 8)
-GRID = np.stack([g.ravel() for g in np.meshgrid(np.linspace(-10, 10, 5), np.linspace(-8, 8, 5), indexing="ij")], axis=1)
+GRID = np.stack(
+    [g.ravel() for g in np.meshgrid(np.linspace(-10, 10, 5), np.linspace(-8, 8, 5), indexing="ij")],
+    axis=1,
+)
 SHAPES = arc(GRID, PLACE, OFFSET)
 SOUND = {"command": GRID, "vertices": SHAPES, "triangles": np.array([[0, 1, 8]]), "robot": "arc"}
-LOADED = {"load": np.ones(2), "loaded_command": GRID[:2], "loaded_vertices": SHAPES[:2], "mass": 40.0}
+LOADED = {
+    "load": np.ones(2),
+    "loaded_command": GRID[:2],
+    "loaded_vertices": SHAPES[:2],
+    "mass": 40.0,
+}
 DOWN = np.array([0.0, 0.0, 1.0])
 
 
@@ -39,7 +49,10 @@ WRONG = [
     ({"vertices": without(SHAPES, (0, 0, 0))}, "commands that failed"),
     ({"command": np.zeros((25, 0))}, "C = 0"),
     ({"command": GRID[:1], "vertices": SHAPES[:1]}, "1 command;"),
-    ({"command": np.tile(GRID[:1], (25, 1)), "vertices": np.tile(SHAPES[:1], (25, 1, 1))}, "one command only"),
+    (
+        {"command": np.tile(GRID[:1], (25, 1)), "vertices": np.tile(SHAPES[:1], (25, 1, 1))},
+        "one command only",
+    ),
     ({"command": GRID * [1, 0]}, "channel 1 takes 1 value"),
     ({"command": np.sign(GRID) + 0.5 * (GRID == 0)}, "same command, but their shapes"),
     ({"command": np.stack([GRID[:, 0] + 0.1 * GRID[:, 1]] * 2, axis=1)}, "always move together"),
@@ -78,7 +91,10 @@ def test_the_command_says_so_too(tmp_path, capsys):
     np.savez(tmp_path / "bad.npz", **SOUND | {"vertices": SHAPES / 1000})
     assert main(["build", str(tmp_path / "bad.npz"), "--out", str(tmp_path / "b")]) == 2
     assert "looks like metres" in capsys.readouterr().err and not (tmp_path / "b").exists()
-    assert main(["check", str(tmp_path / "bad.npz")]) == 1 and "looks like metres" in capsys.readouterr().err
+    assert (
+        main(["check", str(tmp_path / "bad.npz")]) == 1
+        and "looks like metres" in capsys.readouterr().err
+    )
     np.savez(tmp_path / "frame.npz", **SOUND | {"vertices": SHAPES * [1, 1, -1] + [0, 0, 100.0]})
     assert main(["build", str(tmp_path / "frame.npz"), "--out", str(tmp_path / "b")]) == 2
     assert "belongs at the clamped end" in capsys.readouterr().err
@@ -92,7 +108,11 @@ def test_units_that_are_named_are_believed(tmp_path):
 
 def test_grids_are_found_in_any_order_on_uneven_axes_and_with_round_off(tmp_path):
     rng = np.random.default_rng(0)
-    axes = [np.array([-9.0, -2.0, 0.5, 8.0]), np.array([-1.0, 0.0, 0.3, 7.0, 9.0]), np.array([0.0, 1.0, 5.0])]
+    axes = [
+        np.array([-9.0, -2.0, 0.5, 8.0]),
+        np.array([-1.0, 0.0, 0.3, 7.0, 9.0]),
+        np.array([0.0, 1.0, 5.0]),
+    ]
     u = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
     shuffled = u[rng.permutation(60)].astype(np.float32) + 1e-7 * rng.normal(size=(60, 3))
     for found, axis in zip(grid_axes(shuffled), axes):
@@ -112,15 +132,25 @@ def test_grids_are_found_in_any_order_on_uneven_axes_and_with_round_off(tmp_path
 
 def test_repeated_commands_are_averaged_and_unknown_fields_are_named(tmp_path):
     noise = 0.01 * np.random.default_rng(0).normal(size=SHAPES[:3].shape)
-    twice = {"command": np.vstack([GRID, GRID[:3]]), "vertices": np.concatenate([SHAPES, SHAPES[:3] + noise])}
+    twice = {
+        "command": np.vstack([GRID, GRID[:3]]),
+        "vertices": np.concatenate([SHAPES, SHAPES[:3] + noise]),
+    }
     sweep = load(tmp_path, **twice, stress=np.zeros(4))
     assert len(sweep.command) == 25 and sweep.axes is not None
     np.testing.assert_allclose(sweep.vertices[:3], SHAPES[:3] + noise / 2)
-    assert "3 rows repeat a command" in sweep.notes[1] and "stress is not known here" in sweep.notes[0]
+    assert (
+        "3 rows repeat a command" in sweep.notes[1] and "stress is not known here" in sweep.notes[0]
+    )
 
 
 def test_a_run_is_no_sweep(tmp_path):
-    np.savez(tmp_path / "run.npz", t=np.arange(3.0), command=np.zeros((3, 1)), vertices=np.zeros((3, 2, 3)))
+    np.savez(
+        tmp_path / "run.npz",
+        t=np.arange(3.0),
+        command=np.zeros((3, 1)),
+        vertices=np.zeros((3, 2, 3)),
+    )
     np.savez(tmp_path / "sweep.npz", command=np.zeros((3, 1)), vertices=np.zeros((3, 2, 3)))
     (tmp_path / "none.npz").write_bytes(b"PK")
     assert not is_shape_sweep(tmp_path / "run.npz") and is_shape_sweep(tmp_path / "sweep.npz")

@@ -1,4 +1,6 @@
-"""Sweeps into a Zarr store: the numbers of `Simulator.sweep`, killed and gone on with, on a cluster, damaged."""
+"""Sweeps into a Zarr store: the numbers of `Simulator.sweep`, killed and gone on with, on a
+cluster, damaged.
+"""
 
 import io
 import json
@@ -25,7 +27,8 @@ from softmap_edge.fem.simulator import Simulator
 FINGER = Finger.builtin().replace(core=2, layers=8)
 AXES = [np.linspace(-6.0, 6.0, 5), np.linspace(-4.0, 4.0, 4)]  # 20 commands
 ROWS = 6  # in a chunk: four chunks, the last of two rows
-TOLERANCE = 2e-3  # mm: two equilibria of one command, each settled to 2e-4 mm a Newton step, in float32
+# mm: two equilibria of one command, each settled to 2e-4 mm a Newton step, in float32
+TOLERANCE = 2e-3
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +53,24 @@ def copy(store, tmp_path):
 def test_chunks_solved_by_themselves_are_the_sweep_within_the_solvers_tolerance(store):
     sweep, made = Simulator(FINGER).sweep(AXES), open_store(store)
     assert made.done.tolist() == [True] * 4 and made.vertices.dtype == np.float32
-    assert np.array_equal(made.command, sweep.command) and np.array_equal(made.triangles, sweep.triangles)
+    assert np.array_equal(made.command, sweep.command) and np.array_equal(
+        made.triangles, sweep.triangles
+    )
     assert np.abs(made.vertices[:] - sweep.vertices).max() < TOLERANCE
     np.testing.assert_allclose(made.pull[:], sweep.pull, atol=TOLERANCE)
     assert Finger.from_toml(made.attributes["finger"]) == FINGER
-    assert made.attributes["units"]["vertices"] == "mm" and made.attributes["gravity"] == list(FINGER.gravity)
+    assert made.attributes["units"]["vertices"] == "mm" and made.attributes["gravity"] == list(
+        FINGER.gravity
+    )
 
 
 def test_a_set_gives_the_same_shapes_from_a_store_and_from_a_file(store, tmp_path):
     Simulator(FINGER).sweep(AXES).save(tmp_path / "sweep.npz")
     one, other = SimulatedSet.load(store), SimulatedSet.load(tmp_path / "sweep.npz")
     rows = np.array([19, 0, 7, 7, 5, 6])
-    assert np.array_equal(one.command, other.command) and np.array_equal(one.triangles, other.triangles)
+    assert np.array_equal(one.command, other.command) and np.array_equal(
+        one.triangles, other.triangles
+    )
     assert one.finger == other.finger == FINGER.to_toml()
     assert np.array_equal(one.shapes(rows), np.asarray(one.vertices[:])[rows])
     assert np.abs(one.shapes(rows) - other.shapes(rows)).max() < TOLERANCE
@@ -71,13 +80,19 @@ def test_a_set_gives_the_same_shapes_from_a_store_and_from_a_file(store, tmp_pat
 
 
 def test_the_split_is_frozen_and_leaves_no_row_out(store):
-    """The numbers are those of the rule itself: should they ever change, results before and after do not compare."""
+    """The numbers are those of the rule itself: should they ever change, results before and after
+    do not compare.
+    """
     made = SimulatedSet.load(store)
     split, again, other = made.split(0), made.split(0), made.split(1)
     assert sorted([*split.train, *split.validation, *split.test]) == list(range(20))
     assert (len(split.train), len(split.validation), len(split.test)) == (16, 2, 2)
     assert np.array_equal(split.train, again.train) and not np.array_equal(split.train, other.train)
-    assert (split.rule, split.validation.tolist(), split.test.tolist()) == ("softmap.split/1", [0, 19], [3, 9])
+    assert (split.rule, split.validation.tolist(), split.test.tolist()) == (
+        "softmap.split/1",
+        [0, 19],
+        [3, 9],
+    )
     with pytest.raises(SimulationError, match="seed -1"):
         made.split(-1)
 
@@ -96,7 +111,9 @@ def test_the_split_follows_splitmix64(store):
     golden = 0x9E3779B97F4A7C15
     assert splitmix64(golden) == 0xE220A8397B1DCDAF
     for seed in (0, 3):
-        drawn = [splitmix64((golden * ((seed << 32) + row + 1)) & ((1 << 64) - 1)) for row in range(20)]
+        drawn = [
+            splitmix64((golden * ((seed << 32) + row + 1)) & ((1 << 64) - 1)) for row in range(20)
+        ]
         assert sorted(np.argsort(drawn)[:16]) == SimulatedSet.load(store).split(seed).train.tolist()
 
 
@@ -119,7 +136,10 @@ def test_a_killed_sweep_loses_at_most_a_chunk_and_goes_on(finger_file, tmp_path,
     assert main([*argv[:-4], "--out", str(out), "--json"]) == 0  # the chunk is that of the store
     told = json.loads(capsys.readouterr().out)
     assert told["commands"] == 49 and told["solved"] == 49 - 5 * killed.done.sum()
-    assert main(argv) == 0 and "49 commands, none failed, 49 of them were there" in capsys.readouterr().out
+    assert (
+        main(argv) == 0
+        and "49 commands, none failed, 49 of them were there" in capsys.readouterr().out
+    )
     made = SimulatedSet.load(out)
     sweep = Simulator(FINGER).sweep(open_store(out).axes)
     assert np.abs(made.shapes(np.arange(49)) - sweep.vertices).max() < TOLERANCE
@@ -130,7 +150,9 @@ def cluster():
     """Two workers, each a process of its own."""
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as made:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as made:
         yield made
 
 
@@ -143,7 +165,9 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_lost(cluster, store
             os.kill(lost[0], signal.SIGKILL)
 
     path = tmp_path / "dask.zarr"
-    made, solved = sweep_to_zarr(FINGER, path, AXES, 2, dask=cluster.scheduler_address, progress=lose_one)
+    made, solved = sweep_to_zarr(
+        FINGER, path, AXES, 2, dask=cluster.scheduler_address, progress=lose_one
+    )
     assert lost and solved == 20 and made.done.all()
     here, there = open_store(store), open_store(path)
     assert np.abs(here.vertices[:] - there.vertices[:]).max() < TOLERANCE
@@ -152,11 +176,15 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_lost(cluster, store
 
 def test_what_fails_on_a_cluster_is_said_in_one_line(monkeypatch, tmp_path):
     monkeypatch.setattr("softmap_training.sweeps.WAIT", 1)
-    with pytest.raises(SimulationError, match="--dask tcp://127.0.0.1:9: .*; the same command goes on") as fault:
+    with pytest.raises(
+        SimulationError, match="--dask tcp://127.0.0.1:9: .*; the same command goes on"
+    ) as fault:
         sweep_to_zarr(FINGER, tmp_path / "none.zarr", AXES, ROWS, dask="tcp://127.0.0.1:9")
     assert "\n" not in str(fault.value)
     for address in ("nonsense", "tcp://here", "here:8786"):
-        with pytest.raises(SimulationError, match="no address of a scheduler; give one as tcp://HOST:8786"):
+        with pytest.raises(
+            SimulationError, match="no address of a scheduler; give one as tcp://HOST:8786"
+        ):
             sweep_to_zarr(FINGER, tmp_path / "never.zarr", AXES, ROWS, dask=address)
     assert not (tmp_path / "never.zarr").exists()
 
@@ -165,8 +193,14 @@ def test_what_a_worker_of_another_version_would_send_is_not_written(copy):
     made = open_store(copy, "r+")
     made.done[:] = False
     right, pull = np.zeros((ROWS, *made.vertices.shape[1:])), np.zeros((ROWS, 4))
-    for vertices, pulled in ((right[:, 1:], pull), (right, pull[1:]), (np.full_like(right, np.nan), pull)):
-        with pytest.raises(SimulationError, match="chunk 0 came back with .*; give every worker this version"):
+    for vertices, pulled in (
+        (right[:, 1:], pull),
+        (right, pull[1:]),
+        (np.full_like(right, np.nan), pull),
+    ):
+        with pytest.raises(
+            SimulationError, match="chunk 0 came back with .*; give every worker this version"
+        ):
             made.write(0, vertices, pulled)
     assert not made.done.any() and np.abs(made.vertices[:ROWS]).max() > 1.0
 
@@ -174,13 +208,20 @@ def test_what_a_worker_of_another_version_would_send_is_not_written(copy):
 @pytest.mark.parametrize(
     "finger, axes, chunk, says",
     [
-        (FINGER.replace(young_mpa=0.5), AXES, ROWS, r"another finger \('young_mpa = 0.25', not 'young_mpa = 0.5'\)"),
+        (
+            FINGER.replace(young_mpa=0.5),
+            AXES,
+            ROWS,
+            r"another finger \('young_mpa = 0.25', not 'young_mpa = 0.5'\)",
+        ),
         (FINGER, [AXES[0], AXES[0]], ROWS, r"another grid \(5 x 4, not 5 x 5\)"),
         (FINGER, [AXES[0], AXES[1] + 0.5], ROWS, "a grid of other commands"),
         (FINGER, AXES, 5, "chunks of 6 rows, not 5"),
     ],
 )
-def test_another_sweep_in_the_same_folder_is_refused_with_what_differs(finger, axes, chunk, says, copy):
+def test_another_sweep_in_the_same_folder_is_refused_with_what_differs(
+    finger, axes, chunk, says, copy
+):
     before = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()}
     with pytest.raises(SimulationError, match=says):
         sweep_to_zarr(finger, copy, axes, chunk)
@@ -238,9 +279,13 @@ DAMAGE = {
     "no pull": lambda path: shutil.rmtree(path / "pull"),
     "shape": field("vertices", "shape", [20, 7]),
     "a huge shape": field("vertices", "shape", [20, 10**15, 3]),
-    "codecs": field("pull", "codecs", [{"name": "bytes"}, {"name": "gzip", "configuration": {"level": 1}}]),
+    "codecs": field(
+        "pull", "codecs", [{"name": "bytes"}, {"name": "gzip", "configuration": {"level": 1}}]
+    ),
     "type": replaced("vertices", shape=(20, 5, 3), dtype="float64"),
-    "huge pieces": replaced("vertices", shape=(20, 10**9, 3), dtype="float32", chunks=(6, 10**9, 3)),
+    "huge pieces": replaced(
+        "vertices", shape=(20, 10**9, 3), dtype="float32", chunks=(6, 10**9, 3)
+    ),
     "other pieces": replaced("vertices", shape=(20, 5, 3), dtype="float32", chunks=(3, 5, 3)),
     "command": overwritten("command", 0, 99.0),
     "triangles": overwritten("triangles", 0, 10**6),
@@ -287,7 +332,10 @@ def test_what_is_no_store_is_left_alone(finger_file, tmp_path, capsys):
         sweep_to_zarr(FINGER, tmp_path / "mine.zarr", AXES)
     assert [file.name for file in (tmp_path / "mine.zarr").iterdir()] == ["notes.txt"]
     for argv, says in (
-        (["--out", str(tmp_path / "a.npz"), "--dask", "tcp://here:1"], "give a name that ends in .zarr"),
+        (
+            ["--out", str(tmp_path / "a.npz"), "--dask", "tcp://here:1"],
+            "give a name that ends in .zarr",
+        ),
         (["--out", str(tmp_path / "a.zarr"), "--chunk", "0"], "give 1 command or more"),
         (["--out", str(tmp_path / "none" / "a.zarr")], "make it first"),
     ):
@@ -295,7 +343,9 @@ def test_what_is_no_store_is_left_alone(finger_file, tmp_path, capsys):
         assert says in capsys.readouterr().err
 
 
-def test_without_the_training_package_one_line_says_what_to_install(finger_file, monkeypatch, tmp_path, capsys):
+def test_without_the_training_package_one_line_says_what_to_install(
+    finger_file, monkeypatch, tmp_path, capsys
+):
     monkeypatch.setitem(sys.modules, "softmap_training.sweeps", None)
     assert main(["model", "sweep", finger_file, "--out", str(tmp_path / "a.zarr")]) == 2
     said = capsys.readouterr().err

@@ -33,11 +33,16 @@ def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
 
 
 def test_demo_prints_one_document(tmp_path, capsys):
-    assert main(["demo", "--hide", "backlash", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
+    assert (
+        main(["demo", "--hide", "backlash", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
+    )
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.demo/1"
     assert [hidden["name"] for hidden in document["hidden"]] == ["backlash"]
-    assert all(1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"] for hidden in document["hidden"])
+    assert all(
+        1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"]
+        for hidden in document["hidden"]
+    )
     assert document["diagnosis"]["schema"] == "softmap.diagnosis/2"
     assert document["before_mm"] > document["after_mm"] > 0.9 * document["floor_mm"] > 0
 
@@ -51,7 +56,8 @@ def test_unknown_secret_lists_the_known(hide, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "argv", [["--seed", "-1"], ["--hide", "creep,creep"], ["--hide", "creep", "creep"], ["--seed", "x"]]
+    "argv",
+    [["--seed", "-1"], ["--hide", "creep,creep"], ["--hide", "creep", "creep"], ["--seed", "x"]],
 )
 def test_wrong_use(argv, capsys, tmp_path):
     assert main(["demo", *argv, "--out", str(tmp_path)]) == 2

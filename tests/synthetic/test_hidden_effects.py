@@ -1,6 +1,8 @@
-"""The promise of the whole tool: a hidden effect is named, its error falls on another run, and silence is kept.
+"""The promise of the whole tool: a hidden effect is named, its error falls on another run, and
+silence is kept.
 
-Truths never use the effect library. One seed of each runs in `make test`; ten seeds and thirty nulls in `make prove`.
+Truths never use the effect library. One seed of each runs in `make test`; ten seeds and thirty
+nulls in `make prove`.
 """
 
 from dataclasses import replace
@@ -31,7 +33,9 @@ def case(names, seed):
 
 def claimed(story):
     document = story.diagnosis.to_dict()
-    return [fault["name"] for fault in document["faults"]] + [effect["name"] for effect in document["effects"]]
+    return [fault["name"] for fault in document["faults"]] + [
+        effect["name"] for effect in document["effects"]
+    ]
 
 
 def first(story, name):
@@ -41,7 +45,12 @@ def first(story, name):
     if named[:1] == [name]:
         return True
     rivals = {member for rival in document["alternatives"] for member in rival["effects"]}
-    return bool(named) and document["verdict"] == "ambiguous" and FAMILY[named[0]] == FAMILY[name] and name in rivals
+    return (
+        bool(named)
+        and document["verdict"] == "ambiguous"
+        and FAMILY[named[0]] == FAMILY[name]
+        and name in rivals
+    )
 
 
 def fell(before, after, floor):
@@ -83,7 +92,11 @@ def test_nothing_hidden_nothing_claimed(seed):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "names", [pytest.param(("backlash", "creep"), marks=pytest.mark.prove), ("backlash", "creep", "payload")]
+    "names",
+    [
+        pytest.param(("backlash", "creep"), marks=pytest.mark.prove),
+        ("backlash", "creep", "payload"),
+    ],
 )
 def test_several_hidden_effects_are_found_whole(names):
     story = case(names, SEED)
@@ -104,5 +117,7 @@ def test_ten_seeds_of_each(name):
 @pytest.mark.prove
 def test_thirty_seeds_of_nothing():
     stories = [case((), seed) for seed in NULL_SEEDS]
-    wrong = [told(story) for story in stories if claimed(story) or story.diagnosis.verdict != "nothing"]
+    wrong = [
+        told(story) for story in stories if claimed(story) or story.diagnosis.verdict != "nothing"
+    ]
     assert len(wrong) <= 1, "\n".join(wrong)

@@ -1,6 +1,7 @@
-"""A doubt is settled: gravity or payload, seen in one orientation, cannot be told apart; the experiment that is
-suggested is recorded, and the right one of the two is identified. The truth is a finger of its own: another mesh,
-another batch of silicone, its weights solved in the finite elements; nothing of the effect library is in it.
+"""A doubt is settled: gravity or payload, seen in one orientation, cannot be told apart; the
+experiment that is suggested is recorded, and the right one of the two is identified. The truth is a
+finger of its own: another mesh, another batch of silicone, its weights solved in the finite
+elements; nothing of the effect library is in it.
 """
 
 import json
@@ -30,15 +31,28 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
     named = {e.name for e in doubt.effects}
     assert doubt.verdict == "ambiguous" and len(named & {"gravity", "payload"}) == 1
     other = ({"gravity", "payload"} - named).pop()
-    assert any(set(rival.effects) == named - {"gravity", "payload"} | {other} for rival in doubt.alternatives)
+    assert any(
+        set(rival.effects) == named - {"gravity", "payload"} | {other}
+        for rival in doubt.alternatives
+    )
 
     run.save(tmp_path / "old.npz")
     (tmp_path / "before.json").write_text(json.dumps(doubt.to_dict()))
-    argv = ["next", str(tmp_path / "before.json"), "--run", str(tmp_path / "old.npz"), "--minutes", "0.1"]
+    argv = [
+        "next",
+        str(tmp_path / "before.json"),
+        "--run",
+        str(tmp_path / "old.npz"),
+        "--minutes",
+        "0.1",
+    ]
     assert main([*argv, "--out", str(tmp_path / "c.csv"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["next"][0]["block"] == "another orientation" == told["blocks"][0]
-    assert set(told["next"][0]["settles"]) >= {"gravity", "payload"} and told["next"][0]["separation"] > 2 * SETTLED
+    assert (
+        set(told["next"][0]["settles"]) >= {"gravity", "payload"}
+        and told["next"][0]["separation"] > 2 * SETTLED
+    )
 
     new = truth.measure(read_commands(tmp_path / "c.csv")[0], seed=1)
     settled = diagnose(MODEL, [run, new])
@@ -46,5 +60,10 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
     rivals = {name for rival in settled.alternatives for name in rival.effects}
     assert settled.verdict == "identified" and twin not in rivals, settled.sentence
     (tmp_path / "after.json").write_text(json.dumps(settled.to_dict()))
-    assert main(["next", str(tmp_path / "after.json"), "--since", str(tmp_path / "before.json")]) == 0
-    assert "Settled" in (said := capsys.readouterr().out) and f"Now       {hidden} (identified)" in said
+    assert (
+        main(["next", str(tmp_path / "after.json"), "--since", str(tmp_path / "before.json")]) == 0
+    )
+    assert (
+        "Settled" in (said := capsys.readouterr().out)
+        and f"Now       {hidden} (identified)" in said
+    )

@@ -1,4 +1,6 @@
-"""The paper's Table II on few waypoints: one sequence on both fingers, a rival, effects undone; the workspace."""
+"""The paper's Table II on few waypoints: one sequence on both fingers, a rival, effects undone; the
+workspace.
+"""
 
 import json
 from dataclasses import replace
@@ -10,7 +12,14 @@ from softmap_edge import SoftmapError, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.shapes import family_from
-from softmap_edge.synthetic.table_two import COMPENSATED, OURS, PUBLISHED_ERRORS, RIVAL, table_two, text_of
+from softmap_edge.synthetic.table_two import (
+    COMPENSATED,
+    OURS,
+    PUBLISHED_ERRORS,
+    RIVAL,
+    table_two,
+    text_of,
+)
 from softmap_edge.synthetic.virtual_finger import virtual_finger
 
 FEW = {"figures": ["O"], "rate": 1.0, "duration": 6.0}
@@ -35,13 +44,18 @@ def worse(model):
 
 def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
     told = []
-    rows = {row.model: row for row in table_two(model, worse(model), progress=lambda name, _: told.append(name), **FEW)}
+    rows = {
+        row.model: row
+        for row in table_two(model, worse(model), progress=lambda name, _: told.append(name), **FEW)
+    }
     assert set(rows) == {OURS, RIVAL} and told == ["O, ours", "O, rival"]
     ours, rival = rows[OURS], rows[RIVAL]
     assert len(ours.simulator) == len(ours.stand_in) == 7 and ours.unreachable < 1e-3
-    assert ours.expected.max() < 0.01 and rival.expected.max() < 0.01  # each believes that it is there
+    # each believes that it is there
+    assert ours.expected.max() < 0.01 and rival.expected.max() < 0.01
     assert ours.simulator.mean() < 0.3 < 0.5 < rival.simulator.mean() < 1.5  # a tenth of 8 mm
-    assert ours.stand_in.mean() > 2 * ours.simulator.mean()  # what the stand-in has and the model lacks
+    # what the stand-in has and the model lacks
+    assert ours.stand_in.mean() > 2 * ours.simulator.mean()
     document = ours.to_dict()
     assert document["paper"]["simulation_mm"] == {"mean": 1.184, "sd": 0.182, "max": 1.499}
     assert document["paper"]["on"] == "other data" and document["simulator_mm"]["n"] == 7
@@ -54,7 +68,9 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
     sent = {}
     path = Simulator.path
     monkeypatch.setattr(
-        Simulator, "path", lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1]
+        Simulator,
+        "path",
+        lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1],
     )
     monkeypatch.setattr(
         module.VirtualFinger,
@@ -70,19 +86,34 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
 
 
 def test_effects_that_the_stand_in_has_are_undone(model):
-    """Its turned tendons and friction, as far as two effects of the library stand for them (docs/do/training.md, 5)."""
+    """Its turned tendons and friction, as far as two effects of the library stand for them
+    (docs/do/training.md, 5).
+    """
     turn = virtual_finger(1).phase_deg
     params = {"routing.phase[0]": turn, "routing.phase[1]": turn}
     params |= {"hysteresis.strength": 0.11, "hysteresis.reach": 4.3, "hysteresis.shape": 0.7}
-    rows = {row.model: row for row in table_two(model.with_effects(["hysteresis", "routing"], params), None, **FEW)}
+    rows = {
+        row.model: row
+        for row in table_two(model.with_effects(["hysteresis", "routing"], params), None, **FEW)
+    }
     assert set(rows) == {OURS, COMPENSATED} and rows[COMPENSATED].to_dict()["paper"] is None
     assert rows[COMPENSATED].stand_in.mean() < 0.6 * rows[OURS].stand_in.mean()
-    assert rows[COMPENSATED].simulator.mean() > 2 * rows[OURS].simulator.mean()  # which has none of them
+    # which has none of them
+    assert rows[COMPENSATED].simulator.mean() > 2 * rows[OURS].simulator.mean()
 
 
 def test_the_verb_prints_the_table_and_the_document_says_the_same(model, tmp_path, capsys):
     save_bundle(worse(model), tmp_path / "rival")
-    options = ["--table", "--rival", str(tmp_path / "rival"), "--rate", "1", "--duration", "2", "--json"]
+    options = [
+        "--table",
+        "--rival",
+        str(tmp_path / "rival"),
+        "--rate",
+        "1",
+        "--duration",
+        "2",
+        "--json",
+    ]
     assert main(["track", *options]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.table2/1" and document["method"] == "paper"
@@ -121,7 +152,11 @@ def test_the_workspace_says_what_is_in_it_and_how_far_another_point_is(model, tm
     assert told["schema"] == "softmap.workspace/1" and told["axes"] == "xyz"
     target = told["target"]
     apart = np.linalg.norm(np.subtract(target["target_mm"], target["nearest_mm"]))
-    assert not target["reached"] and target["distance_mm"] == pytest.approx(apart, abs=1e-6) and apart > 10
+    assert (
+        not target["reached"]
+        and target["distance_mm"] == pytest.approx(apart, abs=1e-6)
+        and apart > 10
+    )
     assert picture.read_bytes().startswith(b"<?xml")
     there = model.tip(np.array([[4.0, -2.0]]))[0]
     assert main([*argv, "--reach", *map(str, there)]) == 0

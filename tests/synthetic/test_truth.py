@@ -1,4 +1,6 @@
-"""Hidden truths: laws against closed forms, protocols, the camera, and truths solved by the finite elements."""
+"""Hidden truths: laws against closed forms, protocols, the camera, and truths solved by the finite
+elements.
+"""
 
 import ast
 from pathlib import Path
@@ -36,7 +38,8 @@ def test_no_strength_is_no_effect_and_strength_grows(name):
             + np.abs(there.seen(points) - points).max()
         )
 
-    rest = 0.25 if name == "latency" else 0.01  # one packet late at 5.6 mm/s; encoder steps of 1/280 mm
+    # one packet late at 5.6 mm/s; encoder steps of 1/280 mm
+    rest = 0.25 if name == "latency" else 0.01
     assert size(1e-9) < rest < size(0.5) < size(1.0)
 
 
@@ -126,7 +129,9 @@ def test_weights_and_mount():
     assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) == pytest.approx(np.sqrt(1400))
     points = np.random.default_rng(0).normal(size=(3, 7, 3))
     seen = truth_laws.AskewBase((0.0, 0.0, 90.0), (1.0, 0.0, 0.0)).seen(points)
-    assert seen == pytest.approx(np.stack([1 - points[..., 1], points[..., 0], points[..., 2]], axis=-1))
+    assert seen == pytest.approx(
+        np.stack([1 - points[..., 1], points[..., 0], points[..., 2]], axis=-1)
+    )
 
 
 def test_truths_never_touch_the_effect_library():
@@ -134,7 +139,11 @@ def test_truths_never_touch_the_effect_library():
     package = Path(truth_laws.__file__).parents[2]
     for name in ("robot/emulated/laws.py", "run/protocol.py", "synthetic/finger.py"):
         tree = ast.parse((package / name).read_text())
-        core = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "_core"}
+        core = {
+            n.attr
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "_core"
+        }
         imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         assert core <= {"Table"}
         assert not imported & {
@@ -197,17 +206,21 @@ def test_camera_noise_has_the_declared_size_and_memory():
     t = np.arange(4000) * 0.5
     seen = camera.look(np.zeros((t.size, 40, 3)), t, np.random.default_rng(0))
     drift = seen.mean(axis=1)[:, 0]
-    assert np.std(seen - seen.mean(axis=1, keepdims=True)) == pytest.approx(0.25 * np.sqrt(39 / 40), rel=0.01)
+    assert np.std(seen - seen.mean(axis=1, keepdims=True)) == pytest.approx(
+        0.25 * np.sqrt(39 / 40), rel=0.01
+    )
     assert np.std(drift) == pytest.approx(0.5, rel=0.1)
     assert np.corrcoef(drift[1:], drift[:-1])[0, 1] == pytest.approx(np.exp(-0.5), abs=0.05)
 
 
-long = pytest.mark.prove  # `hide` itself refuses what moves less or more; every law runs in test_hidden_effects.py
+# `hide` itself refuses what moves less or more; every law runs in test_hidden_effects.py
+long = pytest.mark.prove
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", ["mount", *(pytest.param(name, marks=long) for name in ("backlash", "latency", "payload"))]
+    "name",
+    ["mount", *(pytest.param(name, marks=long) for name in ("backlash", "latency", "payload"))],
 )
 def test_secret_moves_the_centroids_by_what_it_says(name):
     from softmap_edge.synthetic.finger import centroids, hide

@@ -1,4 +1,6 @@
-"""The virtual finger: how it differs from the model and by how much, what its run holds and what it does not."""
+"""The virtual finger: how it differs from the model and by how much, what its run holds and what it
+does not.
+"""
 
 import json
 from dataclasses import replace
@@ -23,7 +25,14 @@ from softmap_edge.robot.emulated.published_map import PUBLISHED
 from softmap_edge.run.protocol import Limits
 from softmap_edge.run.run import Run
 from softmap_edge.synthetic.finger import HiddenEffect, toured
-from softmap_edge.synthetic.virtual_finger import CAMERAS, LEAN, MEASURED, MODULUS, PHASE, virtual_finger
+from softmap_edge.synthetic.virtual_finger import (
+    CAMERAS,
+    LEAN,
+    MEASURED,
+    MODULUS,
+    PHASE,
+    virtual_finger,
+)
 from softmap_edge.synthetic.virtual_protocol import KINDS, virtual_protocol
 
 FINGER = Finger.builtin().replace(core=2, layers=12)
@@ -62,7 +71,9 @@ def test_the_truth_is_one_to_four_millimetres_from_the_nominal_model(virtual, me
 
 
 def test_each_difference_acts_and_nothing_else_does(virtual, measured):
-    """Without all of them only the elements are others: what is left is below the phase and the lean."""
+    """Without all of them only the elements are others: what is left is below the phase and the
+    lean.
+    """
     few = replace(PATHS, t_seen=PATHS.t_seen[[3, 6, 9]])
     shapes = virtual.shapes(few)
     without = {
@@ -71,9 +82,18 @@ def test_each_difference_acts_and_nothing_else_does(virtual, measured):
         "lean": {"lean_deg": (0.0, 0.0)},
         "modulus": {"modulus": 1.0},
     }
-    moved = {name: rms(shapes - replace(virtual, **change).shapes(few)) for name, change in without.items()}
-    assert min(moved["phase"], moved["lean"]) > 0.5 and moved["friction"] > 0.15 and moved["modulus"] > 0.05, moved
-    plain = replace(virtual, **{key: value for change in without.values() for key, value in change.items()})
+    moved = {
+        name: rms(shapes - replace(virtual, **change).shapes(few))
+        for name, change in without.items()
+    }
+    assert (
+        min(moved["phase"], moved["lean"]) > 0.5
+        and moved["friction"] > 0.15
+        and moved["modulus"] > 0.05
+    ), moved
+    plain = replace(
+        virtual, **{key: value for change in without.values() for key, value in change.items()}
+    )
     u = plain.truth.to_body(few)
     nominal = toured(Simulator(FINGER.replace(poisson=0.45)), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), u)
     left = rms(plain.shapes(few) - nominal)
@@ -83,9 +103,16 @@ def test_each_difference_acts_and_nothing_else_does(virtual, measured):
 def test_what_is_drawn_lies_where_it_is_said_to(virtual):
     drawn = [virtual_finger(seed, FINGER) for seed in range(40)]
     modulus, phase = np.array([d.modulus for d in drawn]), np.array([d.phase_deg for d in drawn])
-    lean, declared = np.array([d.lean_deg for d in drawn]), np.array([d.declared_deg for d in drawn])
+    lean, declared = (
+        np.array([d.lean_deg for d in drawn]),
+        np.array([d.declared_deg for d in drawn]),
+    )
     assert MODULUS[0] <= modulus.min() < 0.9 and 1.1 < modulus.max() <= MODULUS[1]
-    assert (np.abs(phase) >= PHASE[0]).all() and (np.abs(phase) <= PHASE[1]).all() and phase.min() < 0 < phase.max()
+    assert (
+        (np.abs(phase) >= PHASE[0]).all()
+        and (np.abs(phase) <= PHASE[1]).all()
+        and phase.min() < 0 < phase.max()
+    )
     assert 0.7 * LEAN < np.linalg.norm(lean, axis=1).max() <= LEAN
     off = np.linalg.norm(lean - declared, axis=1)
     assert (off > 0).all() and 0.7 * MEASURED < off.max() <= MEASURED
@@ -94,17 +121,24 @@ def test_what_is_drawn_lies_where_it_is_said_to(virtual):
 
 def test_friction_remembers_where_a_command_was_reached_from(virtual):
     protocol = virtual_protocol("grid", 3, LIMITS)
-    acting, told = virtual.truth.to_body(protocol), replace(virtual.truth, hidden=()).to_body(protocol)
+    acting, told = (
+        virtual.truth.to_body(protocol),
+        replace(virtual.truth, hidden=()).to_body(protocol),
+    )
     held_back = told - acting
     assert 0.3 < np.abs(held_back).max() < 2.0 and held_back.min() < -0.3 < 0.3 < held_back.max()
 
 
 def test_the_run_holds_what_hardware_gives_and_nothing_leaks(virtual, measured, tmp_path):
     run, truth = measured
-    assert run.command is None and run.vertices is None and run.markers is None and run.present is None
+    assert (
+        run.command is None and run.vertices is None and run.markers is None and run.present is None
+    )
     assert run.ticks.dtype == np.int64 and len(run.start) == run.frames + 1 == FRAMES + 1
     assert (
-        float(run.sigma) == CAMERAS.sigma_mm and run.robot == FINGER.name and "simulated" in str(run.extra["made_by"])
+        float(run.sigma) == CAMERAS.sigma_mm
+        and run.robot == FINGER.name
+        and "simulated" in str(run.extra["made_by"])
     )
     assert set(run.extra) == {"made_by"}
     apart = np.degrees(np.arccos(np.clip(run.gravity[0] @ truth["gravity"][0], -1.0, 1.0)))
@@ -123,11 +157,15 @@ def test_ticks_and_millimetres_go_round_within_half_a_tick(measured):
     assert np.array_equal(PUBLISHED.to_ticks(PUBLISHED.to_mm(run.ticks)), run.ticks)
     # Between rows commands are straight lines, and frames lie between rows.
     step = np.abs(np.diff(PATHS.command, axis=0)).max()
-    assert np.abs(PUBLISHED.to_mm(run.ticks[at]) - truth["command"]).max() <= step + 0.5 * tick.max()
+    assert (
+        np.abs(PUBLISHED.to_mm(run.ticks[at]) - truth["command"]).max() <= step + 0.5 * tick.max()
+    )
     noise = run.present_ticks - run.ticks
     assert 0.8 < noise.std() < 1.3 and abs(noise.mean()) < 0.05
     # The published numbers, by hand: 100 ticks of the first servo from home.
-    np.testing.assert_allclose(PUBLISHED.to_mm([1139.05, 1832.25]), [0.3106 - 1.363, -0.1511 + 0.758])
+    np.testing.assert_allclose(
+        PUBLISHED.to_mm([1139.05, 1832.25]), [0.3106 - 1.363, -0.1511 + 0.758]
+    )
     with pytest.raises(SoftmapError, match="7794 ticks from home; the servos take ±7000"):
         PUBLISHED.to_ticks([18.0, 18.0])
 
@@ -146,7 +184,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(virtual, measur
 
 
 def test_clouds_lie_on_the_true_surface_within_their_noise(measured):
-    """All but the outliers, which lie anywhere near; of a tilted surface only the noise across it shows."""
+    """All but the outliers, which lie anywhere near; of a tilted surface only the noise across it
+    shows.
+    """
     run, truth = measured
     for k in range(run.frames):
         cloud = run.points[run.start[k] : run.start[k + 1]]
@@ -164,7 +204,9 @@ def tetrahedra_volume(mesh):
 
 def surface_volume(mesh):
     """By the divergence theorem over the outer faces of bricks, each of two triangles."""
-    faces = mesh.cells[:, [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]]
+    faces = mesh.cells[
+        :, [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    ]
     corners = mesh.nodes[faces.reshape(-1, 4)]
     triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
     return np.einsum("ij,ij->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6.0
@@ -180,23 +222,47 @@ def surface_volume(mesh):
     ],
 )
 def test_tetrahedra_fill_the_bricks_and_agree_on_their_faces(solid):
-    """A face that two neighbours cut differently would leave nodes that only one of them has: a surface inside."""
+    """A face that two neighbours cut differently would leave nodes that only one of them has: a
+    surface inside.
+    """
     ends = [0.0, 40.0]
     bricks, cut = Cut(solid).bricks(ends), Cut(solid).cells(ends)
     assert cut.cells.shape == (6 * len(bricks.cells), 10)
     assert tetrahedra_volume(cut) == pytest.approx(surface_volume(bricks), rel=0.02)
     assert tetrahedra_volume(cut) == pytest.approx(surface_volume(solid.cells(ends)), rel=0.02)
-    # A node in the middle of an inner face's diagonal belongs to both of its bricks: counted, none is alone.
+    # A node in the middle of an inner face's diagonal belongs to both of its bricks: counted, none
+    # is alone.
     corners, edges = len(bricks.nodes), set()
     for cell in np.asarray(cut.cells)[:, :4]:
         edges |= {tuple(sorted((int(cell[i]), int(cell[j])))) for i in range(4) for j in range(i)}
-    faces = {tuple(sorted(int(n) for n in face)) for cell in bricks.cells for face in cell[FACES_OF_A_BRICK]}
+    faces = {
+        tuple(sorted(int(n) for n in face))
+        for cell in bricks.cells
+        for face in cell[FACES_OF_A_BRICK]
+    }
     sides = {tuple(sorted((int(c[i]), int(c[j])))) for c in bricks.cells for i, j in SIDES}
-    assert len(cut.nodes) == corners + len(edges) and len(edges) == len(sides) + len(faces) + len(bricks.cells)
+    assert len(cut.nodes) == corners + len(edges) and len(edges) == len(sides) + len(faces) + len(
+        bricks.cells
+    )
 
 
-FACES_OF_A_BRICK = np.array([[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
-SIDES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
+FACES_OF_A_BRICK = np.array(
+    [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+)
+SIDES = [
+    (0, 1),
+    (1, 2),
+    (2, 3),
+    (3, 0),
+    (4, 5),
+    (5, 6),
+    (6, 7),
+    (7, 4),
+    (0, 4),
+    (1, 5),
+    (2, 6),
+    (3, 7),
+]
 
 
 def test_the_template_is_embedded_in_the_tetrahedra(virtual):
@@ -221,7 +287,9 @@ def test_a_mesh_made_elsewhere_is_turned_as_it_is():
     made = virtual_finger(0, finger)
     assert made.body.finger.solid == finger.solid
     for tendon, turned in zip(finger.tendons, made.body.finger.tendons):
-        np.testing.assert_allclose(turned.points, np.array(tendon.points) @ rotation((0, 0, made.phase_deg)).T)
+        np.testing.assert_allclose(
+            turned.points, np.array(tendon.points) @ rotation((0, 0, made.phase_deg)).T
+        )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -229,12 +297,16 @@ def test_a_protocol_stays_within_the_limits_and_comes_back_from_its_file(kind, t
     made = virtual_protocol(kind, 0, LIMITS)
     assert (made.command >= LIMITS.low - 1e-9).all() and (made.command <= LIMITS.high + 1e-9).all()
     step = np.abs(np.diff(made.command, axis=0)) / np.diff(made.t)[:, None]
-    assert (step <= np.maximum(LIMITS.fast, 2 * LIMITS.slow) * 1.001).all() and (np.diff(made.t_seen) > 0).all()
+    assert (step <= np.maximum(LIMITS.fast, 2 * LIMITS.slow) * 1.001).all() and (
+        np.diff(made.t_seen) > 0
+    ).all()
     write_commands(tmp_path / "f.csv", made, FINGER.name)
     again, robot = read_commands(tmp_path / "f.csv")
     assert robot == FINGER.name and again.frames == made.frames
     np.testing.assert_allclose(again.command, made.command, atol=1e-4)
-    assert not np.array_equal(virtual_protocol(kind, 1, LIMITS).command[: len(made.t)], made.command)
+    assert not np.array_equal(
+        virtual_protocol(kind, 1, LIMITS).command[: len(made.t)], made.command
+    )
 
 
 def test_the_grid_is_whole_and_each_command_reached_from_a_neighbour():
@@ -251,9 +323,9 @@ def test_the_grid_is_whole_and_each_command_reached_from_a_neighbour():
         same = np.abs(way[last::-1] - way[last]).max(axis=1) < 1e-9
         came.append(made.command[last - np.argmin(same) + 1] - made.command[k])
     np.testing.assert_allclose(np.abs(came).max(axis=1), 4.0)  # mm between nodes
-    assert {tuple(np.round(c / 4.0).astype(int)) for c in came} == {(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)} - {
-        (0, 0)
-    }
+    assert {tuple(np.round(c / 4.0).astype(int)) for c in came} == {
+        (a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)
+    } - {(0, 0)}
     held = np.stack([np.interp(made.t_seen - 0.5, made.t, c) for c in made.command.T], axis=1)
     np.testing.assert_allclose(held, seen)
 
@@ -275,26 +347,54 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     out = {name: str(tmp_path / name) for name in ("grid.csv", "few.csv", "run.npz", "truth.npz")}
     assert main(["next", "--protocol", "grid", "--out", out["grid.csv"]]) == 0
     told = capsys.readouterr().out
-    assert "49 frames" in told and "its --seed draws the finger, not the commands: one for all its runs" in told
+    assert (
+        "49 frames" in told
+        and "its --seed draws the finger, not the commands: one for all its runs" in told
+    )
     made, robot = read_commands(out["grid.csv"])
     write_commands(out["few.csv"], thinned(made, 3), robot)
-    argv = ["record", out["few.csv"], "--sim", "--virtual", "--finger", str(tmp_path / "finger.toml"), "--seed", "4"]
+    argv = [
+        "record",
+        out["few.csv"],
+        "--sim",
+        "--virtual",
+        "--finger",
+        str(tmp_path / "finger.toml"),
+        "--seed",
+        "4",
+    ]
     assert main([*argv, "--out", out["run.npz"], "--truth", out["truth.npz"], "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["virtual"] and told["simulated"] and told["truth"] == out["truth.npz"]
     run, truth = Run.load(out["run.npz"]), read_npz(tmp_path / "truth.npz")
     assert _ahead(made, False) == "a recording of 1.8 minutes; solving its 49 frames one by one"
     assert main([*argv, "--out", str(tmp_path / "spoken.npz")]) == 0
-    assert "a recording of 1.8 minutes; solving its 3 frames one by one\n" in capsys.readouterr().err
+    assert (
+        "a recording of 1.8 minutes; solving its 3 frames one by one\n" in capsys.readouterr().err
+    )
     assert _ahead(made, True).endswith(
         "finding how strong the hidden effects are, then solving its 49 frames one by one"
     )
-    assert truth["vertices"].shape == (3, len(truth["rest"]), 3) and run.frames == 3 and run.command is None
-    assert json.loads(str(truth["drawn"]))["seed"] == 4 and str(truth["schema"]) == "softmap.virtual/1"
+    assert (
+        truth["vertices"].shape == (3, len(truth["rest"]), 3)
+        and run.frames == 3
+        and run.command is None
+    )
+    assert (
+        json.loads(str(truth["drawn"]))["seed"] == 4 and str(truth["schema"]) == "softmap.virtual/1"
+    )
     for wrong, says in (
         ([*argv, "--out", out["run.npz"], "--truth", out["run.npz"]], "a run stands there"),
         (
-            ["record", out["few.csv"], "--sim", "--out", str(tmp_path / "b.npz"), "--truth", out["truth.npz"]],
+            [
+                "record",
+                out["few.csv"],
+                "--sim",
+                "--out",
+                str(tmp_path / "b.npz"),
+                "--truth",
+                out["truth.npz"],
+            ],
             "--virtual",
         ),
         (["next", "--protocol", "grid", "--standard"], "two protocols"),

@@ -30,7 +30,8 @@ def test_laplacian_coordinates_are_undone():
     told = encodings.laplacian(SURFACE.rest, SURFACE.triangles, SURFACE.held, POINTS[:5])
     back = told.mean + told.codes @ told.modes
     assert np.abs(back - POINTS[:5]).max() < 0.02  # clamped vertices are held softly
-    assert np.abs(told.codes.reshape(5, -1, 3).sum(axis=1)).max() < 1e-6  # differences: they know no place
+    # differences: they know no place
+    assert np.abs(told.codes.reshape(5, -1, 3).sum(axis=1)).max() < 1e-6
 
 
 def test_rotations_give_a_rigid_motion_back_exactly_and_a_bent_shape_nearly():
@@ -40,7 +41,9 @@ def test_rotations_give_a_rigid_motion_back_exactly_and_a_bent_shape_nearly():
     moved = ((rest - rest[0]) @ turn.T + rest[0]).ravel()[None]
     told = encodings.arap(rest, SURFACE.triangles, SURFACE.held[:1], moved)
     np.testing.assert_allclose(
-        told.codes[0, : 9 * len(rest)].reshape(-1, 3, 3), np.broadcast_to(turn, (len(rest), 3, 3)), atol=1e-9
+        told.codes[0, : 9 * len(rest)].reshape(-1, 3, 3),
+        np.broadcast_to(turn, (len(rest), 3, 3)),
+        atol=1e-9,
     )
     one = encodings.arap(rest, SURFACE.triangles, np.array([0]), moved)
     np.testing.assert_allclose(one.mean + one.codes[0] @ one.modes, moved[0], atol=1e-6)
@@ -78,11 +81,16 @@ def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
         from softmap_training.evaluate import on_shapes
 
         mean = np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].shape)
-        told = [on_shapes(name, lambda u, p=p: p[: len(u)], COMMANDS[TEST], POINTS[TEST], {}) for p in (found, mean)]
+        told = [
+            on_shapes(name, lambda u, p=p: p[: len(u)], COMMANDS[TEST], POINTS[TEST], {})
+            for p in (found, mean)
+        ]
         assert told[0].errors["chamfer"].mean() < told[1].errors["chamfer"].mean()
     else:
         assert vertex_error(found, POINTS[TEST]) < (0.6 if name == "xgboost" else 0.1) * MEAN
-    np.testing.assert_array_equal(found, fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(COMMANDS[TEST]))
+    np.testing.assert_array_equal(
+        found, fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(COMMANDS[TEST])
+    )
 
 
 @pytest.mark.parametrize("name", ["table", "gp", "xgboost"])
@@ -90,9 +98,12 @@ def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path)
     if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
         pytest.skip("xgboost-cpu is not installed")
     made = fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), name)
-    model = load_bundle(save_bundle(with_prior(BASE, made, COMMANDS[TEST[20:]], POINTS[TEST[20:]]), tmp_path / name))
+    model = load_bundle(
+        save_bundle(with_prior(BASE, made, COMMANDS[TEST[20:]], POINTS[TEST[20:]]), tmp_path / name)
+    )
     assert model.kind == "table" and model.made_from["prior"]["kind"] == name
-    assert not holds_shapes_of(model, tensor_grid(model.prior.axes))  # taught by a part, it is judged on the rest
+    # taught by a part, it is judged on the rest
+    assert not holds_shapes_of(model, tensor_grid(model.prior.axes))
     nodes = tensor_grid(model.prior.axes)[::17]
     alone = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(nodes)
     np.testing.assert_allclose(model.prior.evaluate(nodes), alone, atol=2e-3)
@@ -108,14 +119,21 @@ def test_what_is_no_prior_is_said():
         fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "deepsoro")
     with pytest.raises(TrainingError, match="same finger"):
         fit_prior(BASE, COMMANDS[:, :1], POINTS, (TRAIN, TEST[:20], TEST[20:]), "gp")
-    other = np.asarray(BASE.prior.evaluate(np.ascontiguousarray(COMMANDS[:, ::-1])))  # tendons at other sides
+    # tendons at other sides
+    other = np.asarray(BASE.prior.evaluate(np.ascontiguousarray(COMMANDS[:, ::-1])))
     damaged = np.where(np.arange(len(POINTS))[:, None] == 3, 1e30, POINTS)
     parts = TRAIN, TEST[:20], TEST[20:]
-    for points, said in ((other, "another finger or material"), (damaged, "is damaged"), (0 * POINTS, "mm from those")):
+    for points, said in (
+        (other, "another finger or material"),
+        (damaged, "is damaged"),
+        (0 * POINTS, "mm from those"),
+    ):
         with pytest.raises(TrainingError, match=said):
             fit_prior(BASE, COMMANDS, points, parts, "gp")
     with pytest.raises(TrainingError, match="4, 0 and 1 samples"):
-        fit_prior(BASE, COMMANDS[:5], POINTS[:5], (np.arange(4), np.arange(0), np.arange(4, 5)), "gp")
+        fit_prior(
+            BASE, COMMANDS[:5], POINTS[:5], (np.arange(4), np.arange(0), np.arange(4, 5)), "gp"
+        )
 
 
 def test_a_prior_replaced_again_has_the_error_of_the_last_alone_and_no_wider_range():
@@ -124,7 +142,9 @@ def test_a_prior_replaced_again_has_the_error_of_the_last_alone_and_no_wider_ran
     judged = COMMANDS[parts[2]], POINTS[parts[2]]
     made = fit_prior(BASE, COMMANDS, POINTS, parts, "table")
     once = with_prior(BASE, made, *judged)
-    bad = with_prior(BASE, fit_prior(BASE, COMMANDS, POINTS, (near[:3], *parts[1:]), "table"), *judged)
+    bad = with_prior(
+        BASE, fit_prior(BASE, COMMANDS, POINTS, (near[:3], *parts[1:]), "table"), *judged
+    )
     assert bad.vertex_error_mm > 2 * once.vertex_error_mm
     again = with_prior(bad, made, *judged)
     assert again.vertex_error_mm == pytest.approx(once.vertex_error_mm)

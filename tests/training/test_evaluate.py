@@ -1,5 +1,5 @@
-"""The tables of `softmap evaluate`: figures that are known, what is fitted beside them, and the words beside the
-paper's.
+"""The tables of `softmap evaluate`: figures that are known, what is fitted beside them, and the
+words beside the paper's.
 """
 
 import json
@@ -43,7 +43,9 @@ CAMERAS = replace(TWO, points=800)
 
 
 def recorded(rows, seed):
-    """Held commands, seen as clouds of a finger whose first command is off by 1 mm; and the true vertices."""
+    """Held commands, seen as clouds of a finger whose first command is off by 1 mm; and the true
+    vertices.
+    """
     rng = np.random.default_rng(seed)
     t = 3.0 * np.arange(float(rows))
     run = Run(t=t, command=rng.uniform(-8, 8, (rows, 2)), t_seen=t, robot=MODEL.robot)
@@ -55,11 +57,15 @@ def recorded(rows, seed):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A folder with a small simulated set, a run that teaches, and one that judges with its truth."""
+    """A folder with a small simulated set, a run that teaches, and one that judges with its
+    truth.
+    """
     folder = tmp_path_factory.mktemp("evaluate")
     finger = Finger.builtin().replace(core=2, layers=12)
     axis = np.linspace(-16.0, 16.0, 7)
-    Simulator(finger, template=Simulator(Finger.builtin()).template).sweep([axis, axis]).save(folder / "s.npz")
+    Simulator(finger, template=Simulator(Finger.builtin()).template).sweep([axis, axis]).save(
+        folder / "s.npz"
+    )
     recorded(32, 1)[0].save(folder / "teaches.npz")
     run, true = recorded(4, 2)
     run.save(folder / "run.npz")
@@ -71,8 +77,13 @@ def test_a_shift_has_the_vertex_error_of_the_shift_and_no_shift_has_none():
     u = np.random.default_rng(0).uniform(-8, 8, (6, 2))
     points = np.asarray(MODEL.prior.evaluate(u))
     shifted = points + np.tile([0.0, 0.3, 0.4], points.shape[1] // 3)
-    exact, off = (on_shapes("x", lambda v, p=p: p[: len(v)], u, points, {}) for p in (points, shifted))
-    assert off.errors["vertex"] == pytest.approx(np.full((1, 6), 0.5)) and exact.errors["vertex"].max() == 0.0
+    exact, off = (
+        on_shapes("x", lambda v, p=p: p[: len(v)], u, points, {}) for p in (points, shifted)
+    )
+    assert (
+        off.errors["vertex"] == pytest.approx(np.full((1, 6), 0.5))
+        and exact.errors["vertex"].max() == 0.0
+    )
     assert off.errors["chamfer"] == pytest.approx(np.full((1, 6), 1.0), rel=0.05)
     assert exact.errors["chamfer"].max() < 1e-6
     assert fall(off, exact)["vertex"] == pytest.approx(1.0)
@@ -85,9 +96,15 @@ def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
     shape = np.asarray(MODEL.prior.evaluate(np.array([[6.0, -3.0]]))).reshape(1, -1, 3)
     run = Run(t=t, command=np.array([[6.0, -3.0]]), t_seen=t)
     two = replace(TWO, outliers=0.0, sigma_mm=0.0)
-    clouds = [cameras.look(shape[0], MODEL.triangles, rng) for cameras in (two, replace(FULL, sigma_mm=0.0))]
+    clouds = [
+        cameras.look(shape[0], MODEL.triangles, rng)
+        for cameras in (two, replace(FULL, sigma_mm=0.0))
+    ]
     runs = [replace(run, points=cloud, start=np.array([0, len(cloud)])) for cloud in clouds]
-    seen, whole = (Recording.of(one, MODEL, shape).evaluate_shapes("x", shape, MODEL.triangles).errors for one in runs)
+    seen, whole = (
+        Recording.of(one, MODEL, shape).evaluate_shapes("x", shape, MODEL.triangles).errors
+        for one in runs
+    )
     assert seen["surface"][0, 0] < 0.02 and seen["chamfer"][0, 0] > 1.5
     assert whole["chamfer"][0, 0] < seen["chamfer"][0, 0] - 0.5
     assert seen["visible"][0, 0] < seen["chamfer"][0, 0] - 0.5  # what nobody saw asks for nothing
@@ -95,10 +112,17 @@ def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
 
 
 def test_seeds_are_told_as_a_mean_and_how_far_it_moves():
-    rows = [Row("x", {"vertex": np.array([[1.0, 3.0]]) + shift}, {"seconds": 2.0 + shift}) for shift in (0.0, 1.0, 2.0)]
+    rows = [
+        Row("x", {"vertex": np.array([[1.0, 3.0]]) + shift}, {"seconds": 2.0 + shift})
+        for shift in (0.0, 1.0, 2.0)
+    ]
     said = Row.of_seeds(rows).to_dict()
     assert said["seeds"] == 3 and said["seconds"] == 3.0
-    assert said["vertex_mm"]["mean"] == 3.0 and said["vertex_mm"]["sd"] == 1.0 and said["vertex_mm"]["sd_of_seeds"] == 1
+    assert (
+        said["vertex_mm"]["mean"] == 3.0
+        and said["vertex_mm"]["sd"] == 1.0
+        and said["vertex_mm"]["sd_of_seeds"] == 1
+    )
     assert rows[0].to_dict()["vertex_mm"]["sd_of_seeds"] is None
 
 
@@ -111,15 +135,22 @@ def test_a_table_is_judged_where_it_was_told_nothing():
     step = axis[1] - axis[0]
     np.testing.assert_allclose(np.abs(moved - nodes), step / 2, rtol=1e-6)
     assert (np.abs(moved) <= 16.0).all()
-    off = np.linalg.norm((MODEL.prior.evaluate(moved) - shapes).reshape(3, -1, 3), axis=2).mean(axis=1)
-    away = np.linalg.norm((MODEL.prior.evaluate(nodes) - shapes).reshape(3, -1, 3), axis=2).mean(axis=1)
+    off = np.linalg.norm((MODEL.prior.evaluate(moved) - shapes).reshape(3, -1, 3), axis=2).mean(
+        axis=1
+    )
+    away = np.linalg.norm((MODEL.prior.evaluate(nodes) - shapes).reshape(3, -1, 3), axis=2).mean(
+        axis=1
+    )
     assert (off < 0.1).all() and (away > 5 * off).all()
 
 
 def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once(files):
     data = SimulatedSet.load(files / "s.npz")
     plan = Plan((0, 1), 3)
-    rows = [fitted_to_set(name, data, Surface.of(MODEL), plan, lambda what, share: None) for name in ("modes", "table")]
+    rows = [
+        fitted_to_set(name, data, Surface.of(MODEL), plan, lambda what, share: None)
+        for name in ("modes", "table")
+    ]
     assert [len(row.errors["vertex"]) for row in rows] == [2, 1]
     assert rows[0].errors["vertex"][0].mean() != rows[0].errors["vertex"][1].mean()
 
@@ -130,7 +161,9 @@ def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(f
     assert [len(part) for part in parts] == [4, 8, 16, 32]
     for small, large in zip(parts[:-1], parts[1:]):
         assert set(small) < set(large)
-    assert all(set(block) <= set(parts[1]) or not set(block) & set(parts[1]) for block in lesson.blocks)
+    assert all(
+        set(block) <= set(parts[1]) or not set(block) & set(parts[1]) for block in lesson.blocks
+    )
     assert set(lesson.share(0.25, 4)) != set(parts[1])
     run, true = recorded(4, 2)
     judge = Recording.of(run, MODEL, true)
@@ -140,7 +173,9 @@ def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(f
     assert found[-1].errors["vertex"].mean() < 0.6 * before
     # From its checkpoints a training ends as it did.
     plan = Plan((0,), 3, tmp_path)
-    once, again = (residuals(lesson, judge, "modes", plan, lambda what, share: None) for _ in range(2))
+    once, again = (
+        residuals(lesson, judge, "modes", plan, lambda what, share: None) for _ in range(2)
+    )
     assert len(list(tmp_path.iterdir())) == 2 and once[-1].details["kind"] == "modes"
     np.testing.assert_array_equal(once[-1].errors["vertex"], again[-1].errors["vertex"])
 
@@ -168,9 +203,14 @@ def test_runs_that_teach_together_are_one_lesson_a_minute_apart(files):
     hidden[:, 7] = False
     sigma = np.array(0.4)
     shapes = replace(bare, vertices=MODEL.predict(run) + 1.0, sigma=sigma, visible=hidden)
-    later = replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0, temperature=20.0)  # need not be recorded alike
+    # need not be recorded alike
+    later = replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0, temperature=20.0)
     both = Lesson.of(MODEL, [later, shapes])
-    assert len(both) == 2 * run.frames and not both.of_clouds and both.runs == [later.hash(), shapes.hash()]
+    assert (
+        len(both) == 2 * run.frames
+        and not both.of_clouds
+        and both.runs == [later.hash(), shapes.hash()]
+    )
     assert both.times[run.frames] - both.times[run.frames - 1] == pytest.approx(60.0)
     np.testing.assert_array_equal(np.concatenate(both.clouds), run.points)
     np.testing.assert_allclose(both.points[run.frames :], MODEL.predict(run))
@@ -191,16 +231,43 @@ def test_a_run_of_another_robot_among_those_that_teach_is_told():
     mine, other = (replace(recorded(40, seed)[0], points=None, start=None) for seed in (1, 2))
     rest = MODEL.prior.evaluate(np.zeros((1, 2))).reshape(-1, 3)
     bent = 0.001 * rest[:, 2:] ** 2 * np.array([1.0, 0.5, 0.0])
-    shapes = [replace(run, vertices=MODEL.predict(run) + sign * bent) for run, sign in ((mine, 1.0), (other, -1.0))]
+    shapes = [
+        replace(run, vertices=MODEL.predict(run) + sign * bent)
+        for run, sign in ((mine, 1.0), (other, -1.0))
+    ]
     said = Lesson.of(MODEL, shapes).remarks
-    assert len(said) == 2 and "run 1 of 2" in said[0] and "another robot, load or orientation" in said[1]
-    assert Lesson.of(MODEL, [shapes[0], replace(other, vertices=MODEL.predict(other) + 0.8 * bent)]).remarks == []
+    assert (
+        len(said) == 2
+        and "run 1 of 2" in said[0]
+        and "another robot, load or orientation" in said[1]
+    )
+    assert (
+        Lesson.of(
+            MODEL, [shapes[0], replace(other, vertices=MODEL.predict(other) + 0.8 * bent)]
+        ).remarks
+        == []
+    )
     assert learn_residual(MODEL, shapes)[1]["warnings"] == said
 
 
 def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
-    assert main(["evaluate", "--set", "s.npz", "--model", "table", "--run", "run.npz", "--truth", "truth.npz"]) == 0
+    assert (
+        main(
+            [
+                "evaluate",
+                "--set",
+                "s.npz",
+                "--model",
+                "table",
+                "--run",
+                "run.npz",
+                "--truth",
+                "truth.npz",
+            ]
+        )
+        == 0
+    )
     text = capsys.readouterr().out
     assert "built-in" in text and "other data" in text and "±" in text and "surface" in text
     assert main(["evaluate", "--run", "run.npz", "--truth", "truth.npz", "--json"]) == 0
@@ -208,26 +275,51 @@ def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatc
     row, run = said["recorded"][0], Run.load("run.npz")
     exact = np.linalg.norm(MODEL.predict(run) - np.load("truth.npz")["vertices"], axis=2).mean()
     assert row["vertex_mm"]["mean"] == pytest.approx(exact) and row["surface_mm"]["mean"] > 0
-    assert said["schema"] == "softmap.evaluation/1" and said["simulated"] == [] and said["samples"] == []
+    assert (
+        said["schema"] == "softmap.evaluation/1"
+        and said["simulated"] == []
+        and said["samples"] == []
+    )
 
 
 def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
-    assert main(["train", "prior", "s.npz", "--model", "deepsoro", "--epochs", "1", "--out", "rival"]) == 0
+    assert (
+        main(["train", "prior", "s.npz", "--model", "deepsoro", "--epochs", "1", "--out", "rival"])
+        == 0
+    )
     save_bundle(MODEL, "finger")
     capsys.readouterr()
     laid = []
     for order in (["rival", "finger"], ["finger", "rival"]):
-        options = ["--set", "s.npz", "--run", "run.npz", "--truth", "truth.npz", "--json", "--trust-onnx"]
+        options = [
+            "--set",
+            "s.npz",
+            "--run",
+            "run.npz",
+            "--truth",
+            "truth.npz",
+            "--json",
+            "--trust-onnx",
+        ]
         assert main(["evaluate", *order, *options]) == 0
         said = json.loads(capsys.readouterr().out)
         rows = {row["name"]: row for row in said["recorded"]}
-        assert set(rows) == {"rival", "finger, without residual"} and rows["rival"]["what"] == "deepsoro"
+        assert (
+            set(rows) == {"rival", "finger, without residual"}
+            and rows["rival"]["what"] == "deepsoro"
+        )
         assert "vertex_mm" not in rows["rival"] and "visible_mm" not in rows["rival"]
-        assert rows["rival"]["whole_mm"]["mean"] > rows["finger, without residual"]["whole_mm"]["mean"]
+        assert (
+            rows["rival"]["whole_mm"]["mean"] > rows["finger, without residual"]["whole_mm"]["mean"]
+        )
         laid.append(rows["finger, without residual"]["visible_mm"])
         learned = load_bundle("rival", trust_onnx=True).made_from["prior"]["parameters"]
-        assert {row["parameters"] for row in (rows["rival"], *said["simulated"]) if row["name"] == "rival"} == {learned}
+        assert {
+            row["parameters"]
+            for row in (rows["rival"], *said["simulated"])
+            if row["name"] == "rival"
+        } == {learned}
     assert laid[0] == laid[1]  # clouds are laid by the finger, whichever comes first
     for options in (["--run", "run.npz"], ["--set", "s.npz", "--model", "table"]):
         assert main(["evaluate", "rival", *options, "--trust-onnx"]) == 2
@@ -237,26 +329,59 @@ def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, c
 def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
-    argv = ["--run", "run.npz", "--truth", "truth.npz", "--train", "teaches.npz", "--seeds", "2", "--epochs", "6"]
+    argv = [
+        "--run",
+        "run.npz",
+        "--truth",
+        "truth.npz",
+        "--train",
+        "teaches.npz",
+        "--seeds",
+        "2",
+        "--epochs",
+        "6",
+    ]
     assert main(["evaluate", *argv, "--set", "s.npz", "--html", "page.html", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     rows = {row["name"]: row for row in said["recorded"]}
-    assert list(rows) == ["DeepSoRo", "built-in, without residual", "residual, ours", "residual, published"]
+    assert list(rows) == [
+        "DeepSoRo",
+        "built-in, without residual",
+        "residual, ours",
+        "residual, published",
+    ]
     assert rows["DeepSoRo"]["seeds"] == 2 and "vertex_mm" not in rows["DeepSoRo"]
-    assert rows["residual, ours"]["vertex_mm"]["mean"] < rows["built-in, without residual"]["vertex_mm"]["mean"]
+    assert (
+        rows["residual, ours"]["vertex_mm"]["mean"]
+        < rows["built-in, without residual"]["vertex_mm"]["mean"]
+    )
     falls = {(row["name"], row["against"]): row for row in said["falls"]}
     one = falls["residual, ours", "built-in, without residual"]
-    means = [rows[name]["vertex_mm"]["mean"] for name in ("residual, ours", "built-in, without residual")]
-    assert one["vertex_share"] == pytest.approx(1 - means[0] / means[1]) and one["paper_chamfer_share"] == 0.334
+    means = [
+        rows[name]["vertex_mm"]["mean"] for name in ("residual, ours", "built-in, without residual")
+    ]
+    assert (
+        one["vertex_share"] == pytest.approx(1 - means[0] / means[1])
+        and one["paper_chamfer_share"] == 0.334
+    )
     assert falls["residual, published", "DeepSoRo"]["paper_chamfer_share"] == 0.407
     assert [row["frames"] for row in said["samples"]] == 2 * [16, 32]
     page = (files / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/") == 4 and "http:" not in page and "<script" not in page
-    for text in ("other data", "DeepSoRo", "number of real samples", "s of training", "over 2 seeds", "−40.7 %"):
+    for text in (
+        "other data",
+        "DeepSoRo",
+        "number of real samples",
+        "s of training",
+        "over 2 seeds",
+        "−40.7 %",
+    ):
         assert text in page, text
 
 
-def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files, capsys, monkeypatch):
+def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(
+    files, capsys, monkeypatch
+):
     monkeypatch.chdir(files)
     data = SimulatedSet.load("s.npz")
     near = np.flatnonzero((np.abs(data.command) < 12.0).all(axis=1))
@@ -270,7 +395,10 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files,
     outside = ((test < low - 0.05 * (high - low)) | (test > high + 0.05 * (high - low))).any(axis=1)
     assert 0 < outside.sum() < len(test)
     (said,) = json.loads(capsys.readouterr().out)["warnings"]
-    assert f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught the prior" in said
+    assert (
+        f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught "
+        "the prior" in said
+    )
     # Of a recording, by the residual that it teaches.
     run, _ = recorded(40, 1)
     run.at(np.flatnonzero((np.abs(run.command) < 5.0).all(axis=1))).save("narrow.npz")
@@ -289,15 +417,25 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files,
     assert main(["evaluate", *argv]) == 0
     said = json.loads(capsys.readouterr().out)
     early, *warnings = said["warnings"]
-    assert "--epochs 2" in early and [row["name"] for row in said["recorded"]][-1] == "residual, ours"
+    assert (
+        "--epochs 2" in early and [row["name"] for row in said["recorded"]][-1] == "residual, ours"
+    )
     assert not any(row["what"] == "deepsoro" for row in said["recorded"])
-    assert warnings and all("taught the residual" in text and "frames:" in text for text in warnings)
+    assert warnings and all(
+        "taught the residual" in text and "frames:" in text for text in warnings
+    )
 
 
 def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(files):
-    """So that what is compared is the shape, and the true vertices, which are in that frame, fit."""
+    """So that what is compared is the shape, and the true vertices, which are in that frame,
+    fit.
+    """
     run, true = recorded(24, 5)
-    stood = in_frame(run, RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
+    stood = in_frame(
+        run,
+        RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])),
+        np.zeros(6),
+    )
     there, moved = (Recording.of(one, MODEL, true) for one in (run, stood))
     assert there.remarks == [] and "softmap run align" in moved.remarks[0]
     exact = [judge.evaluate("x", OFF).errors["surface"].mean() for judge in (there, moved)]
@@ -305,7 +443,9 @@ def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(file
 
 
 def test_the_papers_figures_are_those_of_its_table():
-    assert PUBLISHED["published"] == ((0.389, 0.188), (0.196, 0.098)) and PUBLISHED["linear"][1] == (2.620, 1.143)
+    assert PUBLISHED["published"] == ((0.389, 0.188), (0.196, 0.098)) and PUBLISHED["linear"][
+        1
+    ] == (2.620, 1.143)
 
 
 @pytest.mark.parametrize(
@@ -328,6 +468,8 @@ def test_wrong_use_is_said_before_the_work(argv, says, capsys):
 
 def test_a_truth_of_another_run_is_refused():
     t = np.arange(2.0)
-    run = Run(t=t, command=np.zeros((2, 2)), t_seen=t, points=MODEL.rest[:2], start=np.array([0, 1, 2]))
+    run = Run(
+        t=t, command=np.zeros((2, 2)), t_seen=t, points=MODEL.rest[:2], start=np.array([0, 1, 2])
+    )
     with pytest.raises(TrainingError, match="give that of this run"):
         Recording.of(run, MODEL, np.zeros((3, 548, 3)))

@@ -1,4 +1,6 @@
-"""Training on a small finger's shapes: layers, export, checkpoints, the loss, and bundles that hold the result."""
+"""Training on a small finger's shapes: layers, export, checkpoints, the loss, and bundles that hold
+the result.
+"""
 
 import shutil
 import subprocess
@@ -29,8 +31,11 @@ torch.set_num_threads(1)
 RNG = np.random.default_rng(3)
 BASE = builtin_model()
 LOW, HIGH = BASE.command_range.T
-GRID = np.stack(np.meshgrid(*(np.linspace(a, b, 21) for a, b in zip(LOW, HIGH)), indexing="ij"), axis=-1).reshape(-1, 2)
-POINTS = np.asarray(BASE.prior.evaluate(GRID))  # a table's own shapes: what a network of a bundle has to learn
+GRID = np.stack(
+    np.meshgrid(*(np.linspace(a, b, 21) for a, b in zip(LOW, HIGH)), indexing="ij"), axis=-1
+).reshape(-1, 2)
+# a table's own shapes: what a network of a bundle has to learn
+POINTS = np.asarray(BASE.prior.evaluate(GRID))
 ORDER = np.random.default_rng(0).permutation(len(GRID))
 PARTS = tuple(np.sort(part) for part in np.split(ORDER, [350, 395]))
 QUICK = choices.PRIOR.with_(epochs=150, batch=64)
@@ -44,7 +49,10 @@ def quick():
 def stirred(network):
     """Give every number that training would move another value, running means of BatchNorm too."""
     with torch.no_grad():
-        for number in [*network.parameters(), *(b for n, b in network.named_buffers() if "running" in n)]:
+        for number in [
+            *network.parameters(),
+            *(b for n, b in network.named_buffers() if "running" in n),
+        ]:
             if number.dtype == torch.float32:
                 number.add_((0.2 * number.abs() + 0.001) * torch.rand_like(number))
     return network.eval()
@@ -68,12 +76,16 @@ def test_export_gives_what_torch_gives_in_onnxruntime_and_in_the_core(name):
 
 def test_a_layer_that_no_bundle_holds_is_refused():
     with pytest.raises(TrainingError, match="Tanh"):
-        to_onnx(torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Tanh(), torch.nn.Linear(3, 6)), 2)
+        to_onnx(
+            torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.Tanh(), torch.nn.Linear(3, 6)), 2
+        )
 
 
 def test_our_prior_learns_and_a_mean_shape_does_not(quick):
     train, _, test = PARTS
-    mean = vertex_error(np.broadcast_to(POINTS[train].mean(axis=0), POINTS[test].shape), POINTS[test])
+    mean = vertex_error(
+        np.broadcast_to(POINTS[train].mean(axis=0), POINTS[test].shape), POINTS[test]
+    )
     assert quick.report["test_vertex_mm"] < 0.1 * mean
     assert isinstance(quick.network[-1], Modes)
 
@@ -86,7 +98,8 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
     assert again.vertex_error_mm > BASE.vertex_error_mm
     assert set(again.fields) == set(BASE.fields) and again.structure.cables is not None
     assert again.made_from["prior"]["kind"] == "modes"
-    # Fits see features through a table of the network: no farther from it than the network is from its set.
+    # Fits see features through a table of the network: no farther from it than the network is from
+    # its set.
     run = _run(RNG.uniform(0.8 * LOW, 0.8 * HIGH, (40, 2)))
     seen = again.structure.feature_map(np.asarray(again.predict(run)))
     assert np.abs(seen - again.features(run)).max() < 0.02
@@ -95,7 +108,9 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
 def test_a_residual_of_another_prior_goes(quick):
     from softmap_edge.adaptation.residual import learn_residual
 
-    taught = learn_residual(BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5))[0]
+    taught = learn_residual(
+        BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5)
+    )[0]
     assert taught.residual is not None
     assert with_prior(taught, quick, GRID[PARTS[2]], POINTS[PARTS[2]]).residual is None
 
@@ -103,7 +118,9 @@ def test_a_residual_of_another_prior_goes(quick):
 def test_a_damaged_or_foreign_network_is_refused(quick, tmp_path):
     from softmap_edge.errors import BundleError
 
-    folder = save_bundle(with_prior(BASE, quick, GRID[PARTS[2]], POINTS[PARTS[2]]), tmp_path / "network")
+    folder = save_bundle(
+        with_prior(BASE, quick, GRID[PARTS[2]], POINTS[PARTS[2]]), tmp_path / "network"
+    )
     content = (folder / "prior.onnx").read_bytes()
     (folder / "prior.onnx").write_bytes(content[:-100] + bytes(100))
     with pytest.raises(BundleError, match="hash"):
@@ -124,8 +141,14 @@ def test_a_network_of_another_finger_is_refused(quick):
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(quick):
     again = train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3))
-    assert again.content == train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3)).content
-    assert again.content != train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3, seed=1)).content
+    assert (
+        again.content
+        == train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3)).content
+    )
+    assert (
+        again.content
+        != train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3, seed=1)).content
+    )
 
 
 KILLED = """
@@ -148,7 +171,14 @@ def test_a_killed_training_goes_on_and_ends_as_if_it_had_not_been_killed(tmp_pat
     assert len((tmp_path / "killed/log.csv").read_text().splitlines()) == 1 + 6
     epochs = []
     resumed = train_prior(
-        GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "killed", lambda share, line: epochs.append(line)
+        GRID,
+        POINTS,
+        PARTS,
+        "modes",
+        None,
+        recipe,
+        tmp_path / "killed",
+        lambda share, line: epochs.append(line),
     )
     assert len(epochs) == 4 and resumed.content == whole.content
     lines = [
@@ -178,7 +208,9 @@ def test_early_stopping_keeps_the_best_epoch():
         weights.append(net[0].weight.item())
         return next(values)
 
-    task = fit.Task(network, 4, lambda net, some: net(torch.ones(len(some), 1)).square().mean(), validate)
+    task = fit.Task(
+        network, 4, lambda net, some: net(torch.ones(len(some), 1)).square().mean(), validate
+    )
     log = fit.fit(task, choices.Recipe(epochs=7, batch=2, rate=0.1, patience=3))
     assert len(log) == 5
     assert network[0].weight.item() == weights[1]

@@ -27,20 +27,35 @@ SHORTER = {
 def test_every_command_works_and_both_errors_fall(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for language, text in blocks(PAGE):
-        if language == "text":  # minutes; tests/adaptation/test_adaptation.py runs it on fewer frames
+        # minutes; tests/adaptation/test_adaptation.py runs it on fewer frames
+        if language == "text":
             continue
         for words in lines(text):
-            more = next((more for verb, more in SHORTER.items() if " ".join(words[1:]).startswith(verb)), [])
+            more = next(
+                (more for verb, more in SHORTER.items() if " ".join(words[1:]).startswith(verb)), []
+            )
             assert words[0] == "softmap" and main([*words[1:], *more]) == 0, words
     prior = load_bundle("prior")
     assert prior.kind == "network" and prior.made_from["prior"]["test_vertex_mm"] < 0.7
     run, truth = Run.load("grid.npz"), np.load("grid_truth.npz")["vertices"]
     assert run.vertices is None and run.command is None  # nothing of the truth is in it
     off = [
-        np.linalg.norm(load_bundle(name).predict(run) - truth, axis=2).mean() for name in ("calibrated", "corrected")
+        np.linalg.norm(load_bundle(name).predict(run) - truth, axis=2).mean()
+        for name in ("calibrated", "corrected")
     ]
     assert off[1] < 0.8 * off[0], off
-    assert main(["train", "prior", "sim.zarr", "--model", "gp", "--bundle", "calibrated", "--out", "gp"]) == 0
+    assert (
+        main(
+            ["train", "prior", "sim.zarr", "--model", "gp", "--bundle", "calibrated", "--out", "gp"]
+        )
+        == 0
+    )
     assert load_bundle("gp").kind == "table" and load_bundle("gp").calibration is not None
-    assert main(["train", "prior", "sim.zarr", "--model", "deepsoro", "--epochs", "1", "--out", "d"]) == 0
-    assert load_bundle("d", trust_onnx=True).made_from["through_onnxruntime"]["prior"]["table_off_mm"] < 0.2
+    assert (
+        main(["train", "prior", "sim.zarr", "--model", "deepsoro", "--epochs", "1", "--out", "d"])
+        == 0
+    )
+    assert (
+        load_bundle("d", trust_onnx=True).made_from["through_onnxruntime"]["prior"]["table_off_mm"]
+        < 0.2
+    )

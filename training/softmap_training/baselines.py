@@ -1,11 +1,17 @@
 """Regressors to compare with the networks: commands (n, C) mm to points (n, 3N) mm.
 
-xgboost    gradient-boosted trees to the weights of the leading modes of the training shapes (Chen & Guestrin 2016)
-gp         a Gaussian process on each mode: squared-exponential kernel, a length for each command, one noise; lengths
-           and noise by the marginal likelihood of all modes (Rasmussen & Williams 2006, ch. 2 and 5)
-table      ours: radial basis functions with a linear tail on the modes, kernel and smoothing by leaving out
-deepsoro   in the manner of DeepSoRo (Wang et al. 2020): a code of the command folds a grid of points, twice, onto the
-           body; taught by the Chamfer distance, so its points are no vertices, and are compared as they come
+xgboost    gradient-boosted trees to the weights of the leading modes of the training shapes (Chen &
+           Guestrin 2016)
+gp         a Gaussian process on each mode: squared-exponential kernel, a length for each command,
+           one noise; lengths
+           and noise by the marginal likelihood of all modes (Rasmussen & Williams 2006, ch. 2 and
+           5)
+table      ours: radial basis functions with a linear tail on the modes, kernel and smoothing by
+           leaving out
+deepsoro   in the manner of DeepSoRo (Wang et al. 2020): a code of the command folds a grid of
+           points, twice, onto the
+           body; taught by the Chamfer distance, so its points are no vertices, and are compared as
+           they come
 
 What the paper does not say of them (all of it but the names) stands in `choices.py`. Pinned by
 tests/training/test_baselines.py.
@@ -35,8 +41,8 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned; `triangles`
-    (F, 3) and the ONNX file `onnx` where its points are no vertices.
+    """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were
+    learned; `triangles` (F, 3) and the ONNX file `onnx` where its points are no vertices.
     """
 
     predict: Callable[[Floats], Floats]
@@ -102,7 +108,9 @@ def _xgboost(commands: Floats, weights: Floats, seed: int) -> Regressor:
     try:
         import xgboost
     except ImportError:
-        raise TrainingError("xgboost is not installed: pip install 'softmap-training[baselines]'") from None
+        raise TrainingError(
+            "xgboost is not installed: pip install 'softmap-training[baselines]'"
+        ) from None
     trees = xgboost.XGBRegressor(random_state=seed, n_jobs=1, **choices.XGBOOST)
     trees.fit(commands, weights)
     nodes = sum(tree.count("\n") for tree in trees.get_booster().get_dump())
@@ -115,7 +123,8 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
 
     middle, half = commands.mean(axis=0), half_range(commands)
     q, scale = (commands - middle) / half, weights.std(axis=0)
-    y = weights / scale  # the first modes are signal, the last round-off: these show no length scales
+    # the first modes are signal, the last round-off: these show no length scales
+    y = weights / scale
     leading = y[:, : choices.GP_MODES]
     some = np.random.default_rng(seed).permutation(len(q))[: choices.GP_SOME]
 
@@ -124,7 +133,9 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
         return np.asarray(np.exp(-0.5 * apart.sum(axis=2)))
 
     def cost(logs: Floats) -> float:
-        k = kernel(q[some], q[some], np.exp(logs[:-1])) + (np.exp(logs[-1]) ** 2 + 1e-9) * np.eye(len(some))
+        k = kernel(q[some], q[some], np.exp(logs[:-1])) + (np.exp(logs[-1]) ** 2 + 1e-9) * np.eye(
+            len(some)
+        )
         try:
             lower = np.linalg.cholesky(k)
         except np.linalg.LinAlgError:
@@ -134,8 +145,12 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
 
     start = np.array([*[np.log(0.5)] * q.shape[1], np.log(1e-2)])
     bounds = [*[(np.log(0.02), np.log(20.0))] * q.shape[1], (np.log(1e-4), np.log(1.0))]
-    logs = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": choices.GP_STEPS}).x
+    logs = minimize(
+        cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": choices.GP_STEPS}
+    ).x
     lengths = np.exp(logs[:-1])
-    lower = np.linalg.cholesky(kernel(q, q, lengths) + (np.exp(logs[-1]) ** 2 + 1e-9) * np.eye(len(q)))
+    lower = np.linalg.cholesky(
+        kernel(q, q, lengths) + (np.exp(logs[-1]) ** 2 + 1e-9) * np.eye(len(q))
+    )
     alpha = cho_solve((lower, True), y) * scale
     return lambda u: kernel((u - middle) / half, q, lengths) @ alpha, alpha.size

@@ -1,7 +1,9 @@
-"""The Chamfer distance as a loss: the compiled core finds nearest points and slopes, torch only carries them on.
+"""The Chamfer distance as a loss: the compiled core finds nearest points and slopes, torch only
+carries them on.
 
-CD(V, P) = mean over V of the distance to P + mean over P of the distance to V, not squared, in mm (as in the paper's
-tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by tests/training/test_training.py.
+CD(V, P) = mean over V of the distance to P + mean over P of the distance to V, not squared, in mm
+(as in the paper's tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by
+tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ Floats = NDArray[np.float64]
 
 class _Chamfer(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, points: Tensor, clouds: Sequence[Floats], seen: Sequence[Floats | None]) -> Tensor:
+    def forward(
+        ctx: Any, points: Tensor, clouds: Sequence[Floats], seen: Sequence[Floats | None]
+    ) -> Tensor:
         places = points.detach().cpu().numpy().astype(np.float64)
         found = [_core.chamfer(v, cloud, s) for v, cloud, s in zip(places, clouds, seen)]
         slopes = np.array([one["gradient"] for one in found])
@@ -35,7 +39,9 @@ class _Chamfer(torch.autograd.Function):
         return outer[0][:, None, None] * slopes, None, None
 
 
-def chamfer(points: Tensor, clouds: Sequence[Floats], seen: Sequence[Floats | None] | None = None) -> Tensor:
+def chamfer(
+    points: Tensor, clouds: Sequence[Floats], seen: Sequence[Floats | None] | None = None
+) -> Tensor:
     """Return the Chamfer distance (B,) mm of points (B, N, 3) and a cloud (M, 3) each.
 
     seen: weights (N,) of the points of each, None for all alike.

@@ -1,8 +1,10 @@
-"""Everything about training that the paper does not say, chosen here. None of these numbers is in the paper.
+"""Everything about training that the paper does not say, chosen here. None of these numbers is in
+the paper.
 
-What it says: widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets, mean squared error;
-LayerNorm, GELU and dropout of the residual, Chamfer + λ_l2 · mean |Δ|² + λ_lap · mean over edges |Δᵢ − Δⱼ|².
-What its authors' released files add: widths, dropout and both weights of the residual.
+What it says: widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets,
+mean squared error; LayerNorm, GELU and dropout of the residual, Chamfer + λ_l2 · mean |Δ|² + λ_lap
+· mean over edges |Δᵢ − Δⱼ|². What its authors' released files add: widths, dropout and both weights
+of the residual.
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-PriorKind = Literal["modes", "published", "published_without_dropout", "laplacian", "arap", "linear"]
+PriorKind = Literal[
+    "modes", "published", "published_without_dropout", "laplacian", "arap", "linear"
+]
 ResidualKind = Literal["modes", "published"]
 PRIORS: tuple[PriorKind, ...] = get_args(PriorKind)
 RESIDUALS: tuple[ResidualKind, ...] = get_args(ResidualKind)
@@ -18,10 +22,12 @@ RESIDUALS: tuple[ResidualKind, ...] = get_args(ResidualKind)
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained: Adam with a cosine down to `last` of the rate; the best epoch by validation is kept.
+    """How a network is trained: Adam with a cosine down to `last` of the rate; the best epoch by
+    validation is kept.
 
-    `patience`: epochs without a better validation after which training ends · `decay`: of weights (decoupled) ·
-    `passes`: how often an epoch goes through all samples; after each epoch a checkpoint is written.
+    `patience`: epochs without a better validation after which training ends · `decay`: of weights
+    (decoupled) · `passes`: how often an epoch goes through all samples; after each epoch a
+    checkpoint is written.
     """
 
     epochs: int
@@ -51,7 +57,8 @@ LAMBDA_L2, LAMBDA_LAP = 0.1, 0.05  # released
 # Ours: a few modes of what registration shows beyond the prior.
 RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, passes=10)
 
-# Its Chamfer over the vertices seen: weight in mm, of a squared distance; clouds of a batch, and points of a cloud.
+# Its Chamfer over the vertices seen: weight in mm, of a squared distance; clouds of a batch, and
+# points of a cloud.
 LAMBDA_SEEN, SEEN_FRAMES, SEEN_SAMPLES = 0.1, 8, 500
 RESIDUAL_MODES, OUR_RESIDUAL_WIDTHS = 6, (32, 32)
 HELD_OUT = 4  # every so many of the eight blocks of a recording
@@ -60,11 +67,14 @@ SPLIT_SEED = 548  # of the frozen split of a simulated set, 80 / 10 / 10 (`simul
 SAMPLES = 2000  # points of a cloud that Chamfer looks at while it trains
 
 # Baselines: the paper gives their names alone.
-XGBOOST = {"n_estimators": 300, "max_depth": 6, "learning_rate": 0.1, "tree_method": "hist"}  # its own common values
-GP_SOME, GP_STEPS, GP_MODES = 400, 40, 6  # shapes, steps of the search and modes that lengths and noise are found on
+# its own common values
+XGBOOST = {"n_estimators": 300, "max_depth": 6, "learning_rate": 0.1, "tree_method": "hist"}
+# shapes, steps of the search and modes that lengths and noise are found on
+GP_SOME, GP_STEPS, GP_MODES = 400, 40, 6
 DEEPSORO_CODE, DEEPSORO_WIDTH = 64, 128
 DEEPSORO = Recipe(epochs=60, batch=16, rate=1e-3)
-DEEPSORO_DRAWN = 1000  # bodies that an epoch goes through at least: few clouds are shown again and again
+# bodies that an epoch goes through at least: few clouds are shown again and again
+DEEPSORO_DRAWN = 1000
 # The error against the number of real samples: shares of the blocks of a recording that teach.
 SHARES = (0.125, 0.25, 0.5, 1.0)
 

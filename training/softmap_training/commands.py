@@ -9,7 +9,10 @@ def verbs() -> list[Command]:
     """Return the commands to add."""
     return [
         Command(
-            "train", "make or change a model", "train a prior or a residual network", "softmap_training.train_verb"
+            "train",
+            "make or change a model",
+            "train a prior or a residual network",
+            "softmap_training.train_verb",
         ),
         Command(
             "evaluate",

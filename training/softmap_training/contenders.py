@@ -1,8 +1,10 @@
 """What `softmap evaluate` fits itself, for one seed or several, and evaluates with the bundles.
 
     on a simulated set    priors and baselines, taught by its training part
-    on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's calibrated commands;
-                          residuals on top of the model, also on growing parts of the recording, complete blocks of it
+    on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's
+                          calibrated commands;
+                          residuals on top of the model, also on growing parts of the recording,
+                          complete blocks of it
 
 Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by
 tests/training/test_evaluate.py.
@@ -38,7 +40,9 @@ TITLES = {"modes": "residual, ours", "published": "residual, published"}
 
 @dataclass(frozen=True)
 class Plan:
-    """How contenders are fitted: by which seeds, for how many epochs (None: as usual), and where checkpoints lie."""
+    """How contenders are fitted: by which seeds, for how many epochs (None: as usual), and where
+    checkpoints lie.
+    """
 
     seeds: tuple[int, ...] = (0,)
     epochs: int | None = None
@@ -53,30 +57,45 @@ class Plan:
         return None if self.work is None else self.work / "-".join(map(str, name))
 
 
-def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, bar: Progress) -> Row:
+def fitted_to_set(
+    name: str, data: SimulatedSet, surface: Surface, plan: Plan, bar: Progress
+) -> Row:
     """Fit a prior or a baseline to the training part of a set, and evaluate it on the test part.
 
     Raises:
         TrainingError: the set is too small, or what it needs is not installed.
     """
     parts = data.split(choices.SPLIT_SEED)
-    points = data.shapes(np.arange(len(data.command))).reshape(len(data.command), -1).astype(np.float64)
+    points = (
+        data.shapes(np.arange(len(data.command))).reshape(len(data.command), -1).astype(np.float64)
+    )
     u, rows = np.ascontiguousarray(data.command), []
     for seed in plan.seeds[:1] if name in NO_CHANCE else plan.seeds:
         say, folder = partial(bar, name), plan.folder(name, seed)
         if name in choices.PRIORS:
             recipe = plan.of(choices.prior_recipe(name), seed)
             trained = train_prior(
-                u, points, (parts.train, parts.validation, parts.test), name, surface, recipe, folder,
+                u,
+                points,
+                (parts.train, parts.validation, parts.test),
+                name,
+                surface,
+                recipe,
+                folder,
                 lambda share, _, say=say: say(share),
-            )  # fmt: skip
+            )
             network = _core.Network(trained.content)
             predict, triangles = network.evaluate, surface.triangles
             took = {"seconds": trained.report["seconds"], "parameters": network.parameters}
         else:
             train = parts.train
-            made = baselines.fit_baseline(name, u[train], points[train], seed, say, plan.epochs, folder)
-            predict, triangles = made.predict, surface.triangles if made.triangles is None else made.triangles
+            made = baselines.fit_baseline(
+                name, u[train], points[train], seed, say, plan.epochs, folder
+            )
+            predict, triangles = (
+                made.predict,
+                surface.triangles if made.triangles is None else made.triangles,
+            )
             took = {"seconds": made.seconds, "parameters": made.numbers}
         details = {"what": name, "seed": seed, **took}
         rows.append(on_shapes(name, predict, u[parts.test], points[parts.test], details, triangles))
@@ -87,21 +106,38 @@ def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> 
     """Fit a decoder to the clouds of a lesson, and evaluate it."""
     base, rows = lesson.base, []
     clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
-    held, asked = lesson.parts[0][1], base.effective_commands(recording.run)  # held out as for a residual
+    # held out as for a residual
+    held, asked = lesson.parts[0][1], base.effective_commands(recording.run)
     for seed in plan.seeds:
         made = fit_deepsoro(
-            lesson.commands, clouds, len(base.rest), seed, held, plan.epochs,
-            plan.folder("recording", "deepsoro", seed), partial(bar, "DeepSoRo"),
-        )  # fmt: skip
-        details = {"what": "deepsoro", "seed": seed, "seconds": made.seconds, "parameters": made.numbers}
+            lesson.commands,
+            clouds,
+            len(base.rest),
+            seed,
+            held,
+            plan.epochs,
+            plan.folder("recording", "deepsoro", seed),
+            partial(bar, "DeepSoRo"),
+        )
+        details = {
+            "what": "deepsoro",
+            "seed": seed,
+            "seconds": made.seconds,
+            "parameters": made.numbers,
+        }
         details |= {"milliseconds": milliseconds(made.predict, asked), "frames": len(lesson)}
         shapes = made.predict(asked).reshape(len(asked), -1, 3)
-        rows.append(recording.evaluate_shapes("DeepSoRo", shapes, made.triangles, details, body=False))
+        rows.append(
+            recording.evaluate_shapes("DeepSoRo", shapes, made.triangles, details, body=False)
+        )
     return Row.of_seeds(rows)
 
 
-def residuals(lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress) -> list[Row]:
-    """Train a residual on growing parts of a lesson, and evaluate each; the last row is taught by all of it.
+def residuals(
+    lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress
+) -> list[Row]:
+    """Train a residual on growing parts of a lesson, and evaluate each; the last row is taught by
+    all of it.
 
     A part that is too small for a residual is left out.
     """
@@ -117,9 +153,14 @@ def residuals(lesson: Lesson, recording: Recording, kind: choices.ResidualKind, 
             folder = plan.folder("recording", "residual", kind, f"{share:g}", seed)
             model, report = train_residual(lesson.base, lesson.at(some), kind, recipe, folder)
             details = took(model) | {
-                "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
-                "frames": len(some), "outside": training_extrapolation(model, recording.run),
-            }  # fmt: skip
+                "what": "with residual",
+                "kind": kind,
+                "seed": seed,
+                "seconds": report["seconds"],
+                "share": share,
+                "frames": len(some),
+                "outside": training_extrapolation(model, recording.run),
+            }
             rows.append(recording.evaluate(TITLES[kind], model, details))
         if rows:
             found.append(Row.of_seeds(rows))

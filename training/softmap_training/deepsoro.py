@@ -1,11 +1,14 @@
-"""A decoder in the manner of DeepSoRo: a code of the command folds a grid of points onto the body, twice.
+"""A decoder in the manner of DeepSoRo: a code of the command folds a grid of points onto the body,
+twice.
 
-    code = g(u),  p' = f₁(grid, code),  p = f₂(p', code)          (FoldingNet, Yang et al. 2018, arXiv:1712.07262)
+    code = g(u),  p' = f₁(grid, code),  p = f₂(p', code)  (FoldingNet, Yang et al. 2018,
+                                                          arXiv:1712.07262)
 
-Wang et al. 2020 (doi:10.1109/LRA.2020.2976320) take the code from a camera inside the robot; here it comes from the
-command, as in the paper's comparison. It is taught by the Chamfer distance to points of the body: all vertices of a
-simulated shape, or the cloud of a recording. Its own surface is the grid, folded. Widths and training are ours
-(`choices.py`). Units: mm. Pinned by tests/training/test_baselines.py.
+Wang et al. 2020 (doi:10.1109/LRA.2020.2976320) take the code from a camera inside the robot; here
+it comes from the command, as in the paper's comparison. It is taught by the Chamfer distance to
+points of the body: all vertices of a simulated shape, or the cloud of a recording. Its own surface
+is the grid, folded. Widths and training are ours (`choices.py`). Units: mm. Pinned by
+tests/training/test_baselines.py.
 """
 
 from __future__ import annotations
@@ -40,17 +43,30 @@ class Folding(nn.Module):
         across = np.linspace(-1.0, 1.0, _side(count))
         grid = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)[:count]
         fixed = {
-            "middle_u": commands.mean(axis=0), "size_u": spread(commands),
-            "middle": every.mean(axis=0), "size": np.array(every.std()), "grid": grid,
-        }  # fmt: skip
+            "middle_u": commands.mean(axis=0),
+            "size_u": spread(commands),
+            "middle": every.mean(axis=0),
+            "size": np.array(every.std()),
+            "grid": grid,
+        }
         for name, value in fixed.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
-        self.code = nn.Sequential(nn.Linear(commands.shape[1], wide), nn.ReLU(), nn.Linear(wide, code))
+        self.code = nn.Sequential(
+            nn.Linear(commands.shape[1], wide), nn.ReLU(), nn.Linear(wide, code)
+        )
         self.first = nn.Sequential(
-            nn.Linear(2 + code, wide), nn.ReLU(), nn.Linear(wide, wide), nn.ReLU(), nn.Linear(wide, 3)
+            nn.Linear(2 + code, wide),
+            nn.ReLU(),
+            nn.Linear(wide, wide),
+            nn.ReLU(),
+            nn.Linear(wide, 3),
         )
         self.second = nn.Sequential(
-            nn.Linear(3 + code, wide), nn.ReLU(), nn.Linear(wide, wide), nn.ReLU(), nn.Linear(wide, 3)
+            nn.Linear(3 + code, wide),
+            nn.ReLU(),
+            nn.Linear(wide, wide),
+            nn.ReLU(),
+            nn.Linear(wide, 3),
         )
 
     def forward(self, u: Tensor) -> Tensor:
@@ -75,8 +91,10 @@ def fit_deepsoro(
     Args:
         commands, bodies, count: as above.
         seed: draws the first weights and the order.
-        held: which of them teach nothing and say which epoch is best; without them those that teach say it.
-        epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or more.
+        held: which of them teach nothing and say which epoch is best; without them those that teach
+            say it.
+        epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or
+            more.
         folder: where checkpoints and the log are kept.
         progress: called with the share done.
     """
@@ -95,7 +113,9 @@ def fit_deepsoro(
     def validate(net: nn.Module) -> float:
         return float(off(net, tested))
 
-    recipe = choices.DEEPSORO.with_(seed=seed, epochs=epochs, passes=math.ceil(choices.DEEPSORO_DRAWN / len(taught)))
+    recipe = choices.DEEPSORO.with_(
+        seed=seed, epochs=epochs, passes=math.ceil(choices.DEEPSORO_DRAWN / len(taught))
+    )
     task = Task(network, len(taught), loss, validate, [commands, *bodies, taught])
     log = fit(task, recipe, folder, (lambda share, _: progress(share)) if progress else None)
 
@@ -105,14 +125,17 @@ def fit_deepsoro(
         return np.asarray(found.numpy().reshape(len(v), -1), np.float64)
 
     numbers = sum(p.numel() for p in network.parameters())
-    return Fitted(predict, sum(row["seconds"] for row in log), numbers, _cells(count), to_graph(network))
+    return Fitted(
+        predict, sum(row["seconds"] for row in log), numbers, _cells(count), to_graph(network)
+    )
 
 
 def to_graph(network: Folding) -> bytes:
     """Return the ONNX file of a decoder: commands (n, C) → points (n, 3N) mm.
 
-    A layer of (grid point, code) is one of the grid point plus one of the code, so that nothing is laid side by side.
-    It is no chain of layers: the core does not read it, onnxruntime does (`softmap_edge.model.onnx`).
+    A layer of (grid point, code) is one of the grid point plus one of the code, so that nothing is
+    laid side by side. It is no chain of layers: the core does not read it, onnxruntime does
+    (`softmap_edge.model.onnx`).
     """
     graph = Graph()
     graph.add("Sub", _numbers(network.middle_u))

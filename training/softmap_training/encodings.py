@@ -1,13 +1,18 @@
 """Shapes described by differences: what a network predicts, and the linear map from it to places.
 
-laplacian   δ = L v, the cotangent Laplacian of the vertices (Sorkine et al. 2004, doi:10.1145/1057432.1057456); back:
-            the v of least |L v − δ|² + w² |v_h − q_h|² with the clamped vertices h at their places q
-arap        nine numbers R_i a vertex, the rotation that takes its edges at rest to where they are (Sorkine & Alexa
-            2007), and the places of a few handle vertices, since rotations know nothing of a body that is compressed;
-            back: the v of least Σ w_ij |(v_i − v_j) − ½(R_i + R_j)(v⁰_i − v⁰_j)|² + w² |v_h − q_h|²
+laplacian   δ = L v, the cotangent Laplacian of the vertices (Sorkine et al. 2004,
+            doi:10.1145/1057432.1057456); back:
+            the v of least |L v − δ|² + w² |v_h − q_h|² with the clamped vertices h at their places
+            q
+arap        nine numbers R_i a vertex, the rotation that takes its edges at rest to where they are
+            (Sorkine & Alexa
+            2007), and the places of a few handle vertices, since rotations know nothing of a body
+            that is compressed; back: the v of least Σ w_ij |(v_i − v_j) − ½(R_i + R_j)(v⁰_i −
+            v⁰_j)|² + w² |v_h − q_h|²
 
-Both are linear in what is predicted, so that they end a network as a fixed layer. Which vertices are held, the handles,
-and that R is predicted number by number, is not in the paper. Units: mm. Pinned by tests/training/test_baselines.py.
+Both are linear in what is predicted, so that they end a network as a fixed layer. Which vertices
+are held, the handles, and that R is predicted number by number, is not in the paper. Units: mm.
+Pinned by tests/training/test_baselines.py.
 """
 
 from __future__ import annotations
@@ -36,34 +41,46 @@ class Encoding:
     modes: Floats
 
 
-def laplacian(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats) -> Encoding:
+def laplacian(
+    rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats
+) -> Encoding:
     """Return points (S, 3N) mm as Laplacian coordinates, and back."""
     matrix, _ = _laplacian(rest, triangles, held)
     shapes = points.reshape(len(points), -1, 3)
     codes = np.einsum("ij,sjc->sic", matrix, shapes).reshape(len(points), -1)
     hold = np.zeros(len(rest))
     hold[held] = HELD**2
-    back = np.linalg.solve(matrix.T @ matrix + np.diag(hold), np.column_stack([matrix.T, np.diag(hold)]))
+    back = np.linalg.solve(
+        matrix.T @ matrix + np.diag(hold), np.column_stack([matrix.T, np.diag(hold)])
+    )
     return Encoding(codes, (back[:, len(rest) :] @ rest).ravel(), _each_axis(back[:, : len(rest)]))
 
 
 def arap(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats) -> Encoding:
-    """Return points (S, 3N) mm as a rotation of each vertex, nine numbers, then handles, three each, and back."""
+    """Return points (S, 3N) mm as a rotation of each vertex, nine numbers, then handles, three
+    each, and back.
+    """
     matrix, (first, other, weight) = _laplacian(rest, triangles, held)
     edge = rest[first] - rest[other]
     shapes = points.reshape(len(points), -1, 3)
     now = shapes[:, first] - shapes[:, other]
     ends = _ends(first, other, len(rest))
-    outer = (weight[:, None, None] * now[..., :, None] * edge[:, None, :]).reshape(len(points), len(weight), 9)
+    outer = (weight[:, None, None] * now[..., :, None] * edge[:, None, :]).reshape(
+        len(points), len(weight), 9
+    )
     spread = np.stack([ends @ one for one in outer]).reshape(len(points), len(rest), 3, 3)
     left, _, right = np.linalg.svd(spread)
     flip = np.ones((*spread.shape[:2], 3))
     flip[..., 2] = np.sign(np.linalg.det(left @ right))
     handles = _apart(rest, HANDLES)
     codes = np.column_stack(
-        [((left * flip[..., None, :]) @ right).reshape(len(points), -1), shapes[:, handles].reshape(len(points), -1)]
+        [
+            ((left * flip[..., None, :]) @ right).reshape(len(points), -1),
+            shapes[:, handles].reshape(len(points), -1),
+        ]
     )
-    # The right side of vertex i: Σ_j ½ w_ij (R_i + R_j)(v⁰_i − v⁰_j), written on the nine numbers of each R.
+    # The right side of vertex i: Σ_j ½ w_ij (R_i + R_j)(v⁰_i − v⁰_j), written on the nine numbers
+    # of each R.
     count = len(rest)
     on = np.zeros((count, count, 3))  # on[i, k]: what R_k is applied to, for vertex i
     half = 0.5 * weight[:, None] * edge
@@ -81,14 +98,18 @@ def arap(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floa
         modes[:, r, :, :, r] = solved.transpose(1, 2, 0)
     mean = (system[:, held] * HELD**2 @ rest[held]).ravel()
     modes = modes.reshape(9 * count, 3 * count)
-    return Encoding(codes, mean, np.concatenate([modes, _each_axis(system[:, handles] * HANDLE**2)]))
+    return Encoding(
+        codes, mean, np.concatenate([modes, _each_axis(system[:, handles] * HANDLE**2)])
+    )
 
 
 def _laplacian(
     rest: Floats, triangles: NDArray[np.int32], held: Indices
 ) -> tuple[Floats, tuple[Indices, Indices, Floats]]:
     """Return the cotangent Laplacian (N, N), and the edges with their weights."""
-    first, other, weight = _core.Registration(rest, np.asarray(triangles).tolist(), held.tolist()).edges()
+    first, other, weight = _core.Registration(
+        rest, np.asarray(triangles).tolist(), held.tolist()
+    ).edges()
     matrix = np.zeros((len(rest), len(rest)))
     matrix[first, other] = matrix[other, first] = -weight
     matrix[np.arange(len(rest)), np.arange(len(rest))] = -matrix.sum(axis=1)
@@ -96,7 +117,9 @@ def _laplacian(
 
 
 def _apart(places: Floats, count: int) -> Indices:
-    """Return which vertices lie far apart: each the farthest from those before, the first the highest."""
+    """Return which vertices lie far apart: each the farthest from those before, the first the
+    highest.
+    """
     chosen = [int(np.argmax(places[:, 2]))]
     near = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(count, len(places)):
@@ -109,9 +132,14 @@ def _ends(first: Indices, other: Indices, count: int) -> csr_array:
     """Return the map (N, E) that gives each vertex the sum over its edges."""
     edges = np.arange(len(first))
     ones = np.ones(2 * len(first))
-    return csr_array((ones, (np.concatenate([first, other]), np.concatenate([edges, edges]))), (count, len(first)))
+    return csr_array(
+        (ones, (np.concatenate([first, other]), np.concatenate([edges, edges]))),
+        (count, len(first)),
+    )
 
 
 def _each_axis(back: Floats) -> Floats:
-    """Return a map (N, m) of one coordinate as one of all, (3m, 3N) from codes to points, row by row of the codes."""
+    """Return a map (N, m) of one coordinate as one of all, (3m, 3N) from codes to points, row by
+    row of the codes.
+    """
     return np.asarray(np.kron(back.T, np.eye(3)))

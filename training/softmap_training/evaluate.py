@@ -1,16 +1,19 @@
 """The paper's Table I and ours: on simulated shapes of one frozen split, and on a recording.
 
-    chamfer    mean distance from prediction to target + mean distance back, not squared, mm (as in the paper's tables)
-    visible    the same, of the vertices alone that registration finds in the cloud: unseen vertices do not count
+    chamfer    mean distance from prediction to target + mean distance back, not squared, mm (as in
+               the paper's tables)
+    visible    the same, of the vertices alone that registration finds in the cloud: unseen vertices
+               do not count
     surface    mean distance from each point of a cloud to the predicted surface, mm: one-sided
     `whole`    Chamfer to the true vertices of a recording, where they are known: no view is missing
     vertex     mean distance from each vertex to where it should be, mm
 
-Every figure is a mean ± standard deviation over frames; of what is drawn by chance, a mean over seeds and the standard
-deviation of that mean from seed to seed. Two views show 55 to 70 % of a body, so that the exact shape scores
-1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, distinguish shapes there. The
-points of a decoder are no vertices: it has neither `visible` nor, on a recording, `vertex`.
-The published figures are those of another finger, simulator and camera. Pinned by tests/training/test_evaluate.py.
+Every figure is a mean ± standard deviation over frames; of what is drawn by chance, a mean over
+seeds and the standard deviation of that mean from seed to seed. Two views show 55 to 70 % of a
+body, so that the exact shape scores 1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the
+truth is known `vertex`, distinguish shapes there. The points of a decoder are no vertices: it has
+neither `visible` nor, on a recording, `vertex`. The published figures are those of another finger,
+simulator and camera. Pinned by tests/training/test_evaluate.py.
 """
 
 from __future__ import annotations
@@ -46,8 +49,13 @@ PUBLISHED = {
     "arap": ((0.867, 0.53), (0.438, 0.274)),
     "published": ((0.389, 0.188), (0.196, 0.098)),
 }
-PUBLISHED_REAL = {"deepsoro": (6.386, 1.367), "without residual": (5.681, 0.939), "with residual": (3.786, 0.61)}
-FALLS = {"without residual": 0.334, "deepsoro": 0.407}  # of the Chamfer distance with the residual, against these
+PUBLISHED_REAL = {
+    "deepsoro": (6.386, 1.367),
+    "without residual": (5.681, 0.939),
+    "with residual": (3.786, 0.61),
+}
+# of the Chamfer distance with the residual, against these
+FALLS = {"without residual": 0.334, "deepsoro": 0.407}
 ERRORS = ("chamfer", "visible", "surface", "whole", "vertex")
 TIMES = ("seconds", "milliseconds")
 NODE_MM = 1e-6
@@ -58,8 +66,8 @@ TIMED = 50  # single commands that are timed
 class Row:
     """One model on one set or recording of K frames.
 
-    `errors` (S, K) mm of S seeds by name · `details` what it is and what it took · `shapes` (K, N, 3) mm of the first
-    seed with their `triangles`, and what was `seen` of each, for pictures.
+    `errors` (S, K) mm of S seeds by name · `details` what it is and what it took · `shapes` (K, N,
+    3) mm of the first seed with their `triangles`, and what was `seen` of each, for pictures.
     """
 
     name: str
@@ -70,29 +78,48 @@ class Row:
     seen: Sequence[Floats] = field(default=(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return means and standard deviations in mm (over frames, and of the mean from seed to seed where there are
-        several), the worst frame, and the details.
+        """Return means and standard deviations in mm (over frames, and of the mean from seed to
+        seed where there are several), the worst frame, and the details.
         """
         found = {
-            f"{name}_mm": {"mean": float(np.nanmean(e)), "sd": float(np.nanstd(e, axis=1).mean()),
-                           "sd_of_seeds": float(np.nanmean(e, axis=1).std(ddof=1)) if len(e) > 1 else None,
-                           "worst": float(np.nanmax(e[0])), "worst_frame": int(np.nanargmax(e[0]))}
+            f"{name}_mm": {
+                "mean": float(np.nanmean(e)),
+                "sd": float(np.nanstd(e, axis=1).mean()),
+                "sd_of_seeds": float(np.nanmean(e, axis=1).std(ddof=1)) if len(e) > 1 else None,
+                "worst": float(np.nanmax(e[0])),
+                "worst_frame": int(np.nanargmax(e[0])),
+            }
             for name, e in self.errors.items()
-        }  # fmt: skip
-        return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.details}
+        }
+        return {
+            "name": self.name,
+            "seeds": len(next(iter(self.errors.values()))),
+            **found,
+            **self.details,
+        }
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
-        """Return rows that differ by their seed as one: their errors together, of times the mean."""
-        errors = {name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors}
+        """Return rows that differ by their seed as one: their errors together, of times the
+        mean.
+        """
+        errors = {
+            name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors
+        }
         details = dict(rows[0].details)
-        details |= {key: float(np.mean([row.details[key] for row in rows])) for key in TIMES if key in details}
+        details |= {
+            key: float(np.mean([row.details[key] for row in rows]))
+            for key in TIMES
+            if key in details
+        }
         return replace(rows[0], errors=errors, details=details)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording for validation: clouds, vertices laid onto them (K, N), and the true ones if known."""
+    """A recording for validation: clouds, vertices laid onto them (K, N), and the true ones if
+    known.
+    """
 
     run: Run
     clouds: list[Floats]
@@ -102,7 +129,8 @@ class Recording:
 
     @classmethod
     def of(cls, run: Run, model: Model, truth: Floats | None = None) -> Recording:
-        """Return that of a run of clouds, in the frame of its base; a model without its residual finds what they show.
+        """Return that of a run of clouds, in the frame of its base; a model without its residual
+        finds what they show.
 
         Args:
             run: that taught nothing.
@@ -114,7 +142,9 @@ class Recording:
         """
         shape = (run.frames, *model.rest.shape)
         if truth is not None and truth.shape != shape:
-            raise TrainingError(f"a truth of shape {truth.shape} for {shape} predicted; give that of this run")
+            raise TrainingError(
+                f"a truth of shape {truth.shape} for {shape} predicted; give that of this run"
+            )
         base = model.with_residual(None)
         run, stood = in_base(run, base)
         remarks = [] if stood is None else [base_stood_off(stood.pose)]
@@ -128,7 +158,9 @@ class Recording:
     def evaluate(self, name: str, model: Model, details: Mapping[str, Any] | None = None) -> Row:
         """Evaluate a model."""
         shapes = np.asarray(model.predict(self.run))
-        return self.evaluate_shapes(name, shapes, model.triangles, details, body=not is_decoder(model))
+        return self.evaluate_shapes(
+            name, shapes, model.triangles, details, body=not is_decoder(model)
+        )
 
     def evaluate_shapes(
         self,
@@ -138,14 +170,17 @@ class Recording:
         details: Mapping[str, Any] | None = None,
         body: bool = True,
     ) -> Row:
-        """Evaluate shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
+        """Evaluate shapes (K, N, 3) mm and their surface; those of no `body` have points that are
+        no vertices.
+        """
         found = {
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
             "surface": [_to_surface(s, c, triangles) for s, c in zip(shapes, self.clouds)],
         }
         if body and self.visible.any():
             each = zip(shapes, self.clouds, self.visible)
-            found["visible"] = [_chamfer(s, c, v) if v.any() else np.nan for s, c, v in each]  # NaN: a doubtful frame
+            # NaN: a doubtful frame
+            found["visible"] = [_chamfer(s, c, v) if v.any() else np.nan for s, c, v in each]
         if self.truth is not None:
             found["whole"] = [_chamfer(s, t) for s, t in zip(shapes, self.truth)]
         if self.truth is not None and body:
@@ -183,20 +218,25 @@ def on_shapes(
 
 
 def holds_shapes_of(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table whose own nodes all these commands (n, C) are: it holds their shapes.
+    """Return whether a model is a table whose own nodes all these commands (n, C) are: it holds
+    their shapes.
 
     One that was learned has the nodes, but was taught by the training part alone.
     """
     if not isinstance(model.prior, _core.Table) or not len(u) or "prior" in model.made_from:
         return False
-    return all(np.abs(u[:, c, None] - axis).min(axis=1).max() < NODE_MM for c, axis in enumerate(model.prior.axes))
+    return all(
+        np.abs(u[:, c, None] - axis).min(axis=1).max() < NODE_MM
+        for c, axis in enumerate(model.prior.axes)
+    )
 
 
 def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
-    """Return commands (n, C) half a cell from the nodes u of a table, towards the middle, and their shapes (n, 3N) mm.
+    """Return commands (n, C) half a cell from the nodes u of a table, towards the middle, and their
+    shapes (n, 3N) mm.
 
-    The finger is simulated there, so that a table that holds all nodes is evaluated where it has to interpolate, as
-    far from its nodes as can be.
+    The finger is simulated there, so that a table that holds all nodes is evaluated where it has to
+    interpolate, as far from its nodes as can be.
     """
     moved = np.empty_like(u)
     for c, axis in enumerate(model.prior.axes):
@@ -210,7 +250,9 @@ def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
 
 
 def fall(before: Row, after: Row) -> dict[str, float]:
-    """Return by what share each error that both rows have fell from one to the other, of its mean."""
+    """Return by what share each error that both rows have fell from one to the other, of its
+    mean.
+    """
     return {
         name: 1.0 - float(np.nanmean(after.errors[name]) / np.nanmean(before.errors[name]))
         for name in before.errors
@@ -219,7 +261,9 @@ def fall(before: Row, after: Row) -> dict[str, float]:
 
 
 def is_decoder(model: Model) -> bool:
-    """Return whether a model's points are no vertices of its finger (`softmap train prior --model deepsoro`)."""
+    """Return whether a model's points are no vertices of its finger (`softmap train prior --model
+    deepsoro`).
+    """
     return (model.made_from.get("prior") or {}).get("kind") == "deepsoro"
 
 
@@ -227,9 +271,14 @@ def size_of(model: Model) -> int:
     """Return how many numbers make a model's shapes: of its prior and of its residual."""
     if is_decoder(model):  # its table is only what onnxruntime makes of them
         return int(model.made_from["prior"]["parameters"])
-    shapes = [(model.arrays["prior"], model.prior), (model.arrays.get("residual", {}), model.residual)]
+    shapes = [
+        (model.arrays["prior"], model.prior),
+        (model.arrays.get("residual", {}), model.residual),
+    ]
     return sum(
-        shape.parameters if isinstance(shape, _core.Network) else sum(np.size(array) for array in arrays.values())
+        shape.parameters
+        if isinstance(shape, _core.Network)
+        else sum(np.size(array) for array in arrays.values())
         for arrays, shape in shapes
     )
 

@@ -1,7 +1,9 @@
-"""The pictures of `softmap evaluate --html`: shapes over clouds, the error over frames, and over what taught.
+"""The pictures of `softmap evaluate --html`: shapes over clouds, the error over frames, and over
+what taught.
 
-Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of triangles); the same
-numbers give the same bytes. Lengths in mm, times in s. Needs matplotlib; imported by `evaluate_page.py` only.
+Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
+triangles); the same numbers give the same bytes. Lengths in mm, times in s. Needs matplotlib;
+imported by `evaluate_page.py` only.
 """
 
 from __future__ import annotations
@@ -27,12 +29,20 @@ Floats = NDArray[np.float64]
 
 COLOURS = (AFTER, "#7b5ea7", "#b8860b", INK, "#5c8001")  # of models with a residual
 BODY = np.array([0.90, 0.92, 0.94])
-AWAY = LinearSegmentedColormap.from_list("away", [AFTER, "#8fb9a8", "#e9c46a", "#e76f51", "#6a1b1a"])
+AWAY = LinearSegmentedColormap.from_list(
+    "away", [AFTER, "#8fb9a8", "#e9c46a", "#e76f51", "#6a1b1a"]
+)
 ACROSS = 4  # panels next to each other
 PANEL, TALL = 2.2, 3.1  # inches: how wide a panel is, and how tall at most
 DRAWN = 1500  # points of a cloud in a picture
 TOP = 90.0  # percentile of the distances that ends the colours: outliers are beyond
-NAMES: Any = {"frameon": False, "borderaxespad": 0.2, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5}
+NAMES: Any = {
+    "frameon": False,
+    "borderaxespad": 0.2,
+    "loc": "lower left",
+    "bbox_to_anchor": (0.0, 1.0),
+    "ncols": 5,
+}
 AXIS = {
     "chamfer": "Chamfer", "visible": "Chamfer, visible", "surface": "cloud → surface",
     "whole": "Chamfer, complete body",
@@ -41,8 +51,13 @@ AXIS = {
 
 
 def colours(rows: Sequence[Row]) -> dict[str, str]:
-    """Return a colour for each row, by name: those without a residual and the decoder as everywhere."""
-    fixed, left = {"deepsoro": FLOOR, "without residual": BEFORE}, iter(COLOURS * (1 + len(rows) // len(COLOURS)))
+    """Return a colour for each row, by name: those without a residual and the decoder as
+    everywhere.
+    """
+    fixed, left = (
+        {"deepsoro": FLOOR, "without residual": BEFORE},
+        iter(COLOURS * (1 + len(rows) // len(COLOURS))),
+    )
     used: dict[str, str] = {}
     for row in rows:
         colour = fixed.get(row.details["what"])
@@ -51,12 +66,15 @@ def colours(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
-    """Draw predicted surfaces, and what was seen of each, coloured by its distance from the surface (PNG).
+    """Draw predicted surfaces, and what was seen of each, coloured by its distance from the surface
+    (PNG).
 
     panels: what stands above, the row, and which of its frames.
     """
     found = [_apart(row, frame) for _, row, frame in panels]
-    scale = Normalize(0.0, float(np.percentile(np.concatenate([away for _, away in found]), TOP)) or 1.0)
+    scale = Normalize(
+        0.0, float(np.percentile(np.concatenate([away for _, away in found]), TOP)) or 1.0
+    )
     rows = -(-len(panels) // ACROSS)
     limits = _limits([row.shapes[frame] for _, row, frame in panels])
     (left, right), (low, high) = limits
@@ -71,15 +89,29 @@ def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
             across, up, _ = view()
             order = np.argsort(away)
             seen = points[order]
-            axes.scatter(seen @ across, seen @ up, c=away[order], s=2.6, cmap=AWAY, norm=scale, linewidths=0, zorder=3)
+            axes.scatter(
+                seen @ across,
+                seen @ up,
+                c=away[order],
+                s=2.6,
+                cmap=AWAY,
+                norm=scale,
+                linewidths=0,
+                zorder=3,
+            )
             axes.set(aspect="equal", xlim=limits[0], ylim=limits[1])
             axes.set_axis_off()
             axes.set_title(name, fontsize=8)
         used = grid.ravel()[: len(panels)].tolist()
         bar = figure.colorbar(
-            matplotlib.cm.ScalarMappable(scale, AWAY), ax=used, shrink=0.5, aspect=30, pad=0.03, extend="max",
+            matplotlib.cm.ScalarMappable(scale, AWAY),
+            ax=used,
+            shrink=0.5,
+            aspect=30,
+            pad=0.03,
+            extend="max",
             label="from the surface, mm",
-        )  # fmt: skip
+        )
         bar.outline.set_visible(False)
         return png(figure)
 
@@ -89,10 +121,18 @@ def over_frames(rows: Sequence[Row], errors: Sequence[str], t: Floats) -> bytes:
     used = colours(rows)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 0.5 + 2.2 * len(errors)), layout="constrained")
-        for axes, error in zip(figure.subplots(len(errors), 1, sharex=True, squeeze=False)[:, 0], errors):
+        for axes, error in zip(
+            figure.subplots(len(errors), 1, sharex=True, squeeze=False)[:, 0], errors
+        ):
             for row in rows:
                 if error in row.errors:
-                    axes.plot(t, row.errors[error].mean(axis=0), color=used[row.name], linewidth=1.1, label=row.name)
+                    axes.plot(
+                        t,
+                        row.errors[error].mean(axis=0),
+                        color=used[row.name],
+                        linewidth=1.1,
+                        label=row.name,
+                    )
             axes.set(ylabel=f"{AXIS[error]}, mm", ylim=(0, None))
             _tidy(axes)
         axes.set_xlabel("time, s")
@@ -101,7 +141,9 @@ def over_frames(rows: Sequence[Row], errors: Sequence[str], t: Floats) -> bytes:
 
 
 def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str]) -> bytes:
-    """Draw errors against the number of frames that taught a residual, mean ± sd over seeds, and without it (SVG)."""
+    """Draw errors against the number of frames that taught a residual, mean ± sd over seeds, and
+    without it (SVG).
+    """
     used = colours(rows)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 3.3), layout="constrained")
@@ -112,9 +154,21 @@ def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str
                 means = [row.errors[error].mean(axis=1) for row in some]
                 y = [mean.mean() for mean in means]
                 spread = [mean.std(ddof=1) if len(mean) > 1 else 0.0 for mean in means]
-                axes.errorbar(x, y, spread, color=used[name], marker="o", markersize=4, linewidth=1.3, capsize=3)
+                axes.errorbar(
+                    x,
+                    y,
+                    spread,
+                    color=used[name],
+                    marker="o",
+                    markersize=4,
+                    linewidth=1.3,
+                    capsize=3,
+                )
             for row in rows:
-                if row.details["what"] == "without residual" and row.details["base"] == curve[0].details["base"]:
+                if (
+                    row.details["what"] == "without residual"
+                    and row.details["base"] == curve[0].details["base"]
+                ):
                     level = float(row.errors[error].mean())
                     axes.axhline(level, color=BEFORE, linewidth=1.1, linestyle=(0, (4, 3)))
                     axes.annotate(
@@ -134,7 +188,11 @@ def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str
             axes.set(xlabel="frames that taught", ylabel=f"{AXIS[error]}, mm")
             axes.margins(y=0.25)
             _tidy(axes)
-        _named(figure.axes[0], [row for row in rows if any(row.name == one.name for one in curve)], used)
+        _named(
+            figure.axes[0],
+            [row for row in rows if any(row.name == one.name for one in curve)],
+            used,
+        )
         return svg(figure)
 
 
@@ -152,10 +210,14 @@ def _tidy(axes: Axes) -> None:
 
 
 def _apart(row: Row, frame: int) -> tuple[Floats, Floats]:
-    """Return some of what was seen of a frame (M, 3), and how far each is from the predicted surface (M,) mm."""
+    """Return some of what was seen of a frame (M, 3), and how far each is from the predicted
+    surface (M,) mm.
+    """
     cloud = row.seen[frame]
     cloud = np.ascontiguousarray(cloud[:: max(1, len(cloud) // DRAWN)])
-    surface = _core.Surface(np.ascontiguousarray(row.shapes[frame]), np.asarray(row.triangles).tolist())
+    surface = _core.Surface(
+        np.ascontiguousarray(row.shapes[frame]), np.asarray(row.triangles).tolist()
+    )
     return cloud, np.asarray(surface.nearest(cloud)[1])
 
 
@@ -176,9 +238,13 @@ def _surface(axes: Axes, shape: Floats, triangles: NDArray[np.int32]) -> None:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     normal *= np.where(normal @ towards < 0, -1.0, 1.0)[:, None]
-    light = np.stack([normal @ right, normal @ up, normal @ towards], axis=1) @ (LIGHT / np.linalg.norm(LIGHT))
+    light = np.stack([normal @ right, normal @ up, normal @ towards], axis=1) @ (
+        LIGHT / np.linalg.norm(LIGHT)
+    )
     rgb = BODY * np.clip(0.72 + 0.34 * light, 0.0, 1.1)[:, None]
     order = np.argsort((corners @ towards).mean(axis=1))
     flat = np.stack([corners @ right, corners @ up], axis=2)
     colour = np.clip(rgb, 0.0, 1.0)[order]
-    axes.add_collection(PolyCollection(list(flat[order]), facecolors=colour, edgecolors=colour, linewidths=0.3))
+    axes.add_collection(
+        PolyCollection(list(flat[order]), facecolors=colour, edgecolors=colour, linewidths=0.3)
+    )

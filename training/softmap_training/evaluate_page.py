@@ -1,6 +1,8 @@
-"""The HTML page of `softmap evaluate`: tables with the paper's figures, shapes over clouds, errors, costs.
+"""The HTML page of `softmap evaluate`: tables with the paper's figures, shapes over clouds, errors,
+costs.
 
-Its text is in `templates/evaluation.html`, its frame that of all reports (`softmap_edge/report/pages.py`).
+Its text is in `templates/evaluation.html`, its frame that of all reports
+(`softmap_edge/report/pages.py`).
 """
 
 from __future__ import annotations
@@ -142,7 +144,10 @@ def _cards(document: Document) -> list[Card]:
             share = row[f"{main}_share"]
             label = f"{main} error with {row['name']}"
             paper = _change(row["paper_chamfer_share"])
-            note = f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, other data: {paper})"
+            note = (
+                f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, "
+                f"other data: {paper})"
+            )
             rows.append(Card(label, _change(share), note, "after" if share > 0 else "before"))
     return rows
 
@@ -157,7 +162,9 @@ def _sentence(document: Document) -> str:
 
 
 def _main(document: Document) -> str:
-    """Return the most informative error of a recording: to the true vertices where they are known."""
+    """Return the most informative error of a recording: to the true vertices where they are
+    known.
+    """
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 
@@ -178,12 +185,24 @@ def _recorded(
     if figures is not None:
         found.append(_shapes(rows, main, t, figures))
         image = figures.over_frames(rows, errors, t)
-        found.append(_drawn("Error over frames", image, "Error of each frame over time", "Mean over the seeds, mm."))
+        found.append(
+            _drawn(
+                "Error over frames",
+                image,
+                "Error of each frame over time",
+                "Mean over the seeds, mm.",
+            )
+        )
     if curve:
         name, alt = "Error against the number of real samples", "Error against frames that taught"
-        picture = None if figures is None else Picture(name, figures.over_samples(curve, rows, errors), alt)
+        picture = (
+            None
+            if figures is None
+            else Picture(name, figures.over_samples(curve, rows, errors), alt)
+        )
         note = (
-            "Complete blocks of the recording that teaches, validated on the other; bars: standard deviation of seeds"
+            "Complete blocks of the recording that teaches, validated on the other; bars: "
+            "standard deviation of seeds"
         )
         found.append(Section(name, note, _table(document["samples"], RECORDED, samples), picture))
     return found
@@ -201,8 +220,9 @@ def _shapes(rows: Sequence[Row], main: str, t: NDArray[np.float64], figures: Mod
         for row in shown
     ]
     note = (
-        f"Predicted surfaces, and the points of the cloud by their distance from them (outliers and a hole belong to "
-        f"it), their mean above. Typical and worst by {COLUMN_TITLES.get(main, main)} of “{row.name}”."
+        "Predicted surfaces, and the points of the cloud by their distance from them (outliers "
+        "and a hole belong to it), their mean above. Typical and worst by "
+        f"{COLUMN_TITLES.get(main, main)} of “{row.name}”."
     )
     return _drawn("Shapes over clouds", figures.shapes_over(panels), "Shapes over clouds", note)
 
@@ -211,7 +231,9 @@ def _drawn(name: str, image: bytes, alt: str, note: str) -> Section:
     return Section(name, note, picture=Picture(name, image, alt))
 
 
-def _simulated(document: Document, rows: Sequence[Row], figures: ModuleType | None) -> list[Section]:
+def _simulated(
+    document: Document, rows: Sequence[Row], figures: ModuleType | None
+) -> list[Section]:
     table = _table(document["simulated"], SIMULATED, title)
     name = "Simulated shapes that taught nothing"
     found = [Section(name, f"{_meaning(document['simulated'])}; {OTHER}.", table)]
@@ -222,7 +244,10 @@ def _simulated(document: Document, rows: Sequence[Row], figures: ModuleType | No
         worst = int(row.errors["chamfer"][0].argmax())
         panels.append((f"{row.name}: {mm(float(row.errors['chamfer'][0, worst]))} mm", row, worst))
     name = "The worst simulated shape of each model"
-    note = "Predicted surfaces, and the true vertices by their distance from them; above each its Chamfer distance."
+    note = (
+        "Predicted surfaces, and the true vertices by their distance from them; above each its "
+        "Chamfer distance."
+    )
     return [*found, _drawn(name, figures.shapes_over(panels), name, note)]
 
 
@@ -244,7 +269,9 @@ def _table(
         if row.get("paper"):
             body.append(_grey("the paper, other data", row["paper"], shown))
     body += [_grey(f"{name}, other data", one, shown) for name, one in paper]
-    return Table(["mm, mean ± sd over frames", *(COLUMN_TITLES.get(error, error) for error in shown)], body)
+    return Table(
+        ["mm, mean ± sd over frames", *(COLUMN_TITLES.get(error, error) for error in shown)], body
+    )
 
 
 def _spread(row: Document, error: str) -> str:
@@ -263,7 +290,9 @@ def _falls(rows: Sequence[Document]) -> Table:
         paper = Cell(f"{_change(row['paper_chamfer_share'])}, other data", grey=True)
         cells = [Cell(_change(row.get(f"{error}_share"))) for error in errors]
         body.append(TableRow(row["name"], [*cells, paper], f"against {row['against']}"))
-    return Table(["", *(COLUMN_TITLES.get(error, error) for error in (*errors, "the paper's chamfer"))], body)
+    return Table(
+        ["", *(COLUMN_TITLES.get(error, error) for error in (*errors, "the paper's chamfer"))], body
+    )
 
 
 def _change(share: float | None) -> str:

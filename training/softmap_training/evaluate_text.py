@@ -10,7 +10,11 @@ from softmap_training.evaluate import ERRORS
 
 Document = Mapping[str, Any]
 
-PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
+PAPER = (
+    ("deepsoro", "DeepSoRo"),
+    ("without residual", "without residual"),
+    ("with residual", "with residual"),
+)
 SIMULATED, RECORDED = ("chamfer", "vertex"), ERRORS
 COLUMN_TITLES = {"whole": "complete body"}  # what a column is called, where that is not its key
 MEANING = {
@@ -40,12 +44,23 @@ def lines(document: Document) -> list[str]:
     if document["falls"]:
         found += _falls(document["falls"])
     if document["samples"]:
-        found += _table("The residual against the number of real samples", document["samples"], RECORDED, samples)
+        found += _table(
+            "The residual against the number of real samples",
+            document["samples"],
+            RECORDED,
+            samples,
+        )
     every = {row["name"]: row for row in (*document["simulated"], *document["recorded"])}
     wide = _wide(every)
-    found += ["", "What it takes", f"  {'':<{wide}}{'ms a shape':>12}{'numbers':>12}{'s of training':>15}"]
+    found += [
+        "",
+        "What it takes",
+        f"  {'':<{wide}}{'ms a shape':>12}{'numbers':>12}{'s of training':>15}",
+    ]
     for name, row in every.items():
-        found.append(f"  {name:<{wide}}" + "".join(f"{c:>{w}}" for c, w in zip(cost(row), (12, 12, 15))))
+        found.append(
+            f"  {name:<{wide}}" + "".join(f"{c:>{w}}" for c, w in zip(cost(row), (12, 12, 15)))
+        )
     return found[1:]
 
 
@@ -82,16 +97,24 @@ def there(rows: Sequence[Document], errors: Sequence[str]) -> list[str]:
     return [error for error in errors if any(f"{error}_mm" in row for row in rows)]
 
 
-def _table(head: str, rows: Sequence[Document], errors: Sequence[str], called: Any = title) -> list[str]:
+def _table(
+    head: str, rows: Sequence[Document], errors: Sequence[str], called: Any = title
+) -> list[str]:
     shown = there(rows, errors)
     found = ["", f"{head} (mm, mean ± sd over frames)"]
     wide = _wide(map(called, rows))
-    found.append(f"  {'':<{wide}}" + "".join(f"{COLUMN_TITLES.get(error, error):>{CELL}}" for error in shown))
+    found.append(
+        f"  {'':<{wide}}" + "".join(f"{COLUMN_TITLES.get(error, error):>{CELL}}" for error in shown)
+    )
     for row in rows:
-        found.append(f"  {called(row):<{wide}}" + "".join(f"{cell(row, error):>{CELL}}" for error in shown))
+        found.append(
+            f"  {called(row):<{wide}}" + "".join(f"{cell(row, error):>{CELL}}" for error in shown)
+        )
         if row["seeds"] > 1:
             spread = [row.get(f"{error}_mm", {}).get("sd_of_seeds") for error in shown]
-            cells = "".join(f"{'' if value is None else '± ' + mm(value):>{CELL}}" for value in spread)
+            cells = "".join(
+                f"{'' if value is None else '± ' + mm(value):>{CELL}}" for value in spread
+            )
             found.append(f"  {'   from seed to seed, ' + str(row['seeds']):<{wide}}{cells}")
         if row.get("judged"):
             found.append(f"     {row['judged']}")
@@ -106,9 +129,15 @@ def _falls(rows: Sequence[Document]) -> list[str]:
     head = "".join(f"{COLUMN_TITLES.get(error, error):>{SHARE}}" for error in errors)
     names = [f"{row['name']} against {row['against']}" for row in rows]
     wide = _wide(names)
-    found = ["", "What the residual changes", f"  {'':<{wide}}{head}   the paper's chamfer, other data"]
+    found = [
+        "",
+        "What the residual changes",
+        f"  {'':<{wide}}{head}   the paper's chamfer, other data",
+    ]
     for name, row in zip(names, rows):
         shares = [row.get(f"{error}_share") for error in errors]
-        cells = "".join(f"{'–' if share is None else f'{-100 * share:+.1f} %':>{SHARE}}" for share in shares)
+        cells = "".join(
+            f"{'–' if share is None else f'{-100 * share:+.1f} %':>{SHARE}}" for share in shares
+        )
         found.append(f"  {name:<{wide}}{cells}   {-100 * row['paper_chamfer_share']:+.1f} %")
     return found

@@ -1,4 +1,6 @@
-"""The command evaluate: bundles, and what is fitted for comparison, on simulated shapes and on a recording."""
+"""The command evaluate: bundles, and what is fitted for comparison, on simulated shapes and on a
+recording.
+"""
 
 from __future__ import annotations
 
@@ -49,31 +51,64 @@ BETWEEN = "given all nodes of its grid, so validated halfway between them"
 def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
     parser.add_argument(
-        "bundles", nargs="*", metavar="BUNDLE", help="models to validate; the built-in finger without any"
+        "bundles",
+        nargs="*",
+        metavar="BUNDLE",
+        help="models to validate; the built-in finger without any",
     )
     effects_argument(parser)
-    parser.add_argument("--set", metavar="SET", help="simulated shapes (.zarr or .npz): validated on their test part")
     parser.add_argument(
-        "--model", nargs="+", default=[], metavar="NAME",
+        "--set",
+        metavar="SET",
+        help="simulated shapes (.zarr or .npz): validated on their test part",
+    )
+    parser.add_argument(
+        "--model",
+        nargs="+",
+        default=[],
+        metavar="NAME",
         help=f"fit to the rest of the set and validate alongside: {', '.join(MODELS)}, or all",
-    )  # fmt: skip
+    )
     parser.add_argument("--run", metavar="RUN", help="a recording of clouds that taught nothing")
-    parser.add_argument("--truth", metavar="FILE", help="its true vertices, of `softmap record --virtual --truth`")
     parser.add_argument(
-        "--train", nargs="+", default=[], metavar="RUN",
-        help="recordings of clouds that teach a decoder, and residuals on the first BUNDLE from growing parts of them",
-    )  # fmt: skip
+        "--truth", metavar="FILE", help="its true vertices, of `softmap record --virtual --truth`"
+    )
     parser.add_argument(
-        "--residual", nargs="+", choices=choices.RESIDUALS, default=list(choices.RESIDUALS),
+        "--train",
+        nargs="+",
+        default=[],
+        metavar="RUN",
+        help=(
+            "recordings of clouds that teach a decoder, and residuals on the first BUNDLE from "
+            "growing parts of them"
+        ),
+    )
+    parser.add_argument(
+        "--residual",
+        nargs="+",
+        choices=choices.RESIDUALS,
+        default=list(choices.RESIDUALS),
         help="which of these residuals to train: ours (modes), the published one; both without it",
-    )  # fmt: skip
-    parser.add_argument("--no-decoder", action="store_true", help="no decoder alongside; it takes longest")
-    parser.add_argument("--seed", type=int, default=0, help="the first that draws what is fitted here (0)")
-    parser.add_argument("--seeds", type=int, default=1, help="how many: mean ± standard deviation over them (1)")
-    parser.add_argument("--epochs", type=int, help="another number of epochs for the networks that are trained here")
-    parser.add_argument("--work", metavar="DIR", help="keep checkpoints there: after a kill the same line goes on")
+    )
     parser.add_argument(
-        "--html", metavar="PAGE", help="write a page of tables and pictures; pictures need softmap-edge[report]"
+        "--no-decoder", action="store_true", help="no decoder alongside; it takes longest"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="the first that draws what is fitted here (0)"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="how many: mean ± standard deviation over them (1)"
+    )
+    parser.add_argument(
+        "--epochs", type=int, help="another number of epochs for the networks that are trained here"
+    )
+    parser.add_argument(
+        "--work", metavar="DIR", help="keep checkpoints there: after a kill the same line goes on"
+    )
+    parser.add_argument(
+        "--html",
+        metavar="PAGE",
+        help="write a page of tables and pictures; pictures need softmap-edge[report]",
     )
 
 
@@ -83,8 +118,13 @@ def evaluate(args: argparse.Namespace) -> int:
     load_own(args)
     names = [Path(path).name for path in args.bundles]
     if len(set(names)) < len(names):
-        raise TrainingError(f"bundles {', '.join(names)}: two of one name would be one row; rename one of the folders")
-    models = {Path(path).name: open_model(path) for path in args.bundles} or {"built-in": open_model(None)}
+        raise TrainingError(
+            f"bundles {', '.join(names)}: two of one name would be one row; rename one of the "
+            "folders"
+        )
+    models = {Path(path).name: open_model(path) for path in args.bundles} or {
+        "built-in": open_model(None)
+    }
     shapes: list[Row] = []
     seen: list[Row] = []
     curve: list[Row] = []
@@ -107,15 +147,30 @@ def evaluate(args: argparse.Namespace) -> int:
         "recorded": [row.to_dict() for row in seen],
         "falls": _falls(seen),
         "samples": [row.to_dict() for row in curve],
-        "paper": {"recorded": {n: {"chamfer_mm": {"mean": m, "sd": s}} for n, (m, s) in PUBLISHED_REAL.items()}},
+        "paper": {
+            "recorded": {
+                n: {"chamfer_mm": {"mean": m, "sd": s}} for n, (m, s) in PUBLISHED_REAL.items()
+            }
+        },
         "warnings": warnings,
         "made_from": made_from,
     }
     if args.html is not None:
         from softmap_training.evaluate_page import write_page
 
-        write_page(args.html, document, shapes, seen, curve, None if run is None else np.asarray(run.t_seen))
-    print(json.dumps(document) if args.json else "\n".join([*lines(document), *(f"  ! {w}" for w in warnings)]))
+        write_page(
+            args.html,
+            document,
+            shapes,
+            seen,
+            curve,
+            None if run is None else np.asarray(run.t_seen),
+        )
+    print(
+        json.dumps(document)
+        if args.json
+        else "\n".join([*lines(document), *(f"  ! {w}" for w in warnings)])
+    )
     return 0
 
 
@@ -131,7 +186,11 @@ def _checked(args: argparse.Namespace) -> list[str]:
         raise TrainingError(f"--model {wrong[0]}: there are {', '.join(MODELS)}, and all")
     if asked and args.set is None:
         raise TrainingError("--model fits models to simulated shapes; give --set SET")
-    for name, low, high in (("seeds", 1, MOST_SEEDS), ("epochs", 1, 1_000_000), ("seed", 0, 2**32 - MOST_SEEDS)):
+    for name, low, high in (
+        ("seeds", 1, MOST_SEEDS),
+        ("epochs", 1, 1_000_000),
+        ("seed", 0, 2**32 - MOST_SEEDS),
+    ):
         value = getattr(args, name)
         if value is not None and not low <= value <= high:
             raise TrainingError(f"--{name} {value}: give {low} to {high}")
@@ -150,8 +209,8 @@ def _first(models: dict[str, Any], what: str) -> tuple[str, Any]:
     found = next(((name, model) for name, model in models.items() if not is_decoder(model)), None)
     if found is None:
         raise TrainingError(
-            f"{what} needs the finger's own vertices, and {', '.join(models)} has points of its own (a decoder); give "
-            "a bundle of the finger too"
+            f"{what} needs the finger's own vertices, and {', '.join(models)} has points of its "
+            "own (a decoder); give a bundle of the finger too"
         )
     return found
 
@@ -167,25 +226,34 @@ def _plan(args: argparse.Namespace) -> Any:
 
 
 def _on_set(
-    args: argparse.Namespace, models: dict[str, Any], asked: list[str], bar: Callable[[str, float], None],
+    args: argparse.Namespace,
+    models: dict[str, Any],
+    asked: list[str],
+    bar: Callable[[str, float], None],
     warnings: list[str],
-) -> list[Row]:  # fmt: skip
+) -> list[Row]:
     from softmap_edge.fem.finger import Finger
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
     test = data.split(choices.SPLIT_SEED).test
-    u, true = np.ascontiguousarray(data.command[test]), data.shapes(test).reshape(len(test), -1).astype(np.float64)
+    u, true = (
+        np.ascontiguousarray(data.command[test]),
+        data.shapes(test).reshape(len(test), -1).astype(np.float64),
+    )
     rows = []
     for k, (name, model) in enumerate(models.items()):
         bar("simulated", k / len(models))
         if model.rest.size != true.shape[1] or model.channels != u.shape[1]:
             raise TrainingError(
-                f"{name}: {model.channels} commands and {len(model.rest)} points, the set has {u.shape[1]} and "
-                f"{true.shape[1] // 3}; recording it on a sweep of its own finger"
+                f"{name}: {model.channels} commands and {len(model.rest)} points, the set has "
+                f"{u.shape[1]} and {true.shape[1] // 3}; recording it on a sweep of its own finger"
             )
         trained = dict(model.made_from.get("prior") or {})
-        details = {"what": trained.get("kind", model.kind), "parameters": size_of(model.with_residual(None))}
+        details = {
+            "what": trained.get("kind", model.kind),
+            "parameters": size_of(model.with_residual(None)),
+        }
         details |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
         at, shapes = u, true
         if holds_shapes_of(model, u):
@@ -213,18 +281,24 @@ def _on_run(
     bar: Callable[[str, float], None],
     warnings: list[str],
 ) -> tuple[list[Row], list[Row]]:
-    """Return the rows of the recording, and those of residuals from growing parts of what teaches."""
+    """Return the rows of the recording, and those of residuals from growing parts of what
+    teaches.
+    """
     from softmap_training.contenders import decoder, residuals, took
     from softmap_training.recordings import Lesson
 
     truth = None if args.truth is None else read_npz(Path(args.truth), SoftmapError).get("vertices")
     if args.truth is not None and truth is None:
-        raise TrainingError(f"{args.truth}: no `vertices` in it; give what `softmap record --virtual --truth` wrote")
+        raise TrainingError(
+            f"{args.truth}: no `vertices` in it; give what `softmap record --virtual --truth` wrote"
+        )
     bar("registering", 0.0)
     first, model = _first(models, "--run")
     recording = Recording.of(run, model, truth)
     warnings += [f"--run: {note}" for note in recording.remarks]
-    warnings += [f"{first}: {note}" for note in shape_mismatch(model, match(model, recording.laid).mae_mm)]
+    warnings += [
+        f"{first}: {note}" for note in shape_mismatch(model, match(model, recording.laid).mae_mm)
+    ]
     rows: list[Row] = []
     curve: list[Row] = []
     for k, (name, one) in enumerate(models.items()):
@@ -238,37 +312,53 @@ def _on_run(
         if one.residual is not None:
             details = took(one) | {"what": "with residual", "base": name}
             learned = one.made_from.get("residual") or {}
-            details |= {key: learned[key] for key in ("seconds", "seed", "frames") if key in learned}
+            details |= {
+                key: learned[key] for key in ("seconds", "seed", "frames") if key in learned
+            }
             rows.append(recording.evaluate(name, one, details))
     if not taught:
         return rows, curve
     lesson = Lesson.of(model, taught)
     if not lesson.of_clouds:
-        raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
+        raise TrainingError(
+            "--train: a run without clouds (`points`, `start`); give recordings of clouds"
+        )
     warnings += [f"--train: {note}" for note in lesson.remarks]
     if args.epochs is not None:
-        warnings.append(f"--epochs {args.epochs}: what is trained here has other epochs than its recipe asks for")
+        warnings.append(
+            f"--epochs {args.epochs}: what is trained here has other epochs than its recipe asks "
+            "for"
+        )
     if not args.no_decoder:
         rows.insert(0, decoder(lesson, recording, _plan(args), bar))
     for kind in dict.fromkeys(args.residual):
         parts = residuals(lesson, recording, kind, _plan(args), bar)
         for row in parts:
             row.details["base"] = first
-            warnings += [f"{samples(row.details | {'name': row.name})}: {note}" for note in row.details["outside"]]
+            warnings += [
+                f"{samples(row.details | {'name': row.name})}: {note}"
+                for note in row.details["outside"]
+            ]
         curve += parts
         rows.append(parts[-1])
     return rows, curve
 
 
 def _falls(rows: list[Row]) -> list[dict[str, Any]]:
-    """Return by what share each error falls with a residual, against none and against the decoder, and the paper's."""
+    """Return by what share each error falls with a residual, against none and against the decoder,
+    and the paper's.
+    """
     found = []
     for row in rows:
         if row.details["what"] != "with residual":
             continue
         for other in rows:
             what = other.details["what"]
-            if what == "deepsoro" or what == "without residual" and other.details["base"] == row.details["base"]:
+            if (
+                what == "deepsoro"
+                or what == "without residual"
+                and other.details["base"] == row.details["base"]
+            ):
                 shares = {f"{error}_share": share for error, share in fall(other, row).items()}
                 details = {"name": row.name, "against": other.name, "what": what}
                 found.append(details | shares | {"paper_chamfer_share": FALLS[what]})

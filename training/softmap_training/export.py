@@ -1,7 +1,8 @@
-"""Trained networks to ONNX: layers in a row, BatchNorm folded into the linear layer before it, dropout left out.
+"""Trained networks to ONNX: layers in a row, BatchNorm folded into the linear layer before it,
+dropout left out.
 
-The graph is written layer by layer, so that it is the same whatever the version of torch; opset and IR are those that
-onnxruntime and the compiled core read. Pinned by tests/training/test_training.py.
+The graph is written layer by layer, so that it is the same whatever the version of torch; opset and
+IR are those that onnxruntime and the compiled core read. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ Floats = NDArray[np.float64]
 
 
 def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | None = None) -> bytes:
-    """Return the ONNX file of a network as training made it: commands (n, C) → points (n, 3N), n free.
+    """Return the ONNX file of a network as training made it: commands (n, C) → points (n, 3N), n
+    free.
 
     metadata: written into the file.
 
@@ -51,13 +53,21 @@ def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | No
             graph.add(first, size if layer.back else shift)
             graph.add(then, shift if layer.back else size)
         elif isinstance(layer, nn.LayerNorm):
-            graph.add("LayerNormalization", _numbers(layer.weight), _numbers(layer.bias), axis=-1, epsilon=layer.eps)
+            graph.add(
+                "LayerNormalization",
+                _numbers(layer.weight),
+                _numbers(layer.bias),
+                axis=-1,
+                epsilon=layer.eps,
+            )
         elif isinstance(layer, nn.ReLU):
             graph.add("Relu")
         elif isinstance(layer, nn.GELU) and layer.approximate == "none":
             graph.add("Gelu")
         elif not isinstance(layer, nn.Dropout):
-            raise TrainingError(f"a layer {type(layer).__name__} cannot be exported; a bundle holds no such layer")
+            raise TrainingError(
+                f"a layer {type(layer).__name__} cannot be exported; a bundle holds no such layer"
+            )
     if linear is not None:
         graph.linear(*linear)
     return graph.file(channels, metadata or {})
@@ -72,10 +82,15 @@ def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
     network.eval()
     with torch.no_grad():
         trained = network(torch.as_tensor(commands, dtype=torch.float32)).numpy()
-    others = run_onnxruntime(content, commands), np.asarray(_core.Network(content).evaluate(commands))
+    others = (
+        run_onnxruntime(content, commands),
+        np.asarray(_core.Network(content).evaluate(commands)),
+    )
     apart = max(float(np.abs(trained - other).max()) for other in others)
     if not apart < AGREE_MM:
-        raise TrainingError(f"the exported network is {apart:.2g} mm off the trained one, allowed is {AGREE_MM:g}")
+        raise TrainingError(
+            f"the exported network is {apart:.2g} mm off the trained one, allowed is {AGREE_MM:g}"
+        )
     return apart
 
 
@@ -91,7 +106,9 @@ class Graph:
         """Add a node whose further inputs are constants."""
         number = len(self.nodes)
         names = [f"c{number}_{k}" for k in range(len(constants))]
-        self.constants += [numpy_helper.from_array(c.astype(np.float32), name) for c, name in zip(constants, names)]
+        self.constants += [
+            numpy_helper.from_array(c.astype(np.float32), name) for c, name in zip(constants, names)
+        ]
         self.also(kind, *names, **attributes)
 
     def integers(self, numbers: list[int]) -> str:
@@ -104,7 +121,9 @@ class Graph:
         """Add a node whose further inputs are known by name."""
         number = len(self.nodes)
         self.nodes.append(
-            helper.make_node(kind, [self.at, *names], [f"x{number}"], name=f"{kind}_{number}", **attributes)
+            helper.make_node(
+                kind, [self.at, *names], [f"x{number}"], name=f"{kind}_{number}", **attributes
+            )
         )
         self.at = f"x{number}"
 
@@ -113,7 +132,9 @@ class Graph:
         self.add("Gemm", weights, bias, transB=1)
 
     def file(self, channels: int, metadata: dict[str, str], size: int | None = None) -> bytes:
-        """Return the file: commands (n, channels) → numbers (n, size), by default as many as its last constant has."""
+        """Return the file: commands (n, channels) → numbers (n, size), by default as many as its
+        last constant has.
+        """
         size = self.constants[-1].dims[0] if size is None else size
         given = helper.make_tensor_value_info("command", TensorProto.FLOAT, ["n", channels])
         found = helper.make_tensor_value_info(self.at, TensorProto.FLOAT, ["n", size])
@@ -128,10 +149,14 @@ class Graph:
 
 
 def _folded(linear: tuple[Floats, Floats], norm: nn.BatchNorm1d) -> tuple[Floats, Floats]:
-    """Return the linear layer that does what it does with a BatchNorm in its evaluating mode behind it."""
+    """Return the linear layer that does what it does with a BatchNorm in its evaluating mode behind
+    it.
+    """
     weights, bias = linear
     factor = _numbers(norm.weight) / np.sqrt(_numbers(norm.running_var) + norm.eps)
-    return weights * factor[:, None], (bias - _numbers(norm.running_mean)) * factor + _numbers(norm.bias)
+    return weights * factor[:, None], (bias - _numbers(norm.running_mean)) * factor + _numbers(
+        norm.bias
+    )
 
 
 def _numbers(tensor: Any) -> Floats:

@@ -1,8 +1,10 @@
-"""The loop that trains any network: seeds, checkpoints after every epoch, early stopping, a log that others can read.
+"""The loop that trains any network: seeds, checkpoints after every epoch, early stopping, a log
+that others can read.
 
-A folder holds `checkpoint.pt` (weights only: tensors and numbers, nothing that runs), `log.csv`, and with
-`tensorboard=True` the events of TensorBoard. The same call goes on where it was stopped and ends with the same weights
-as without the stop; a call with other numbers or data is refused. Pinned by tests/training/test_training.py.
+A folder holds `checkpoint.pt` (weights only: tensors and numbers, nothing that runs), `log.csv`,
+and with `tensorboard=True` the events of TensorBoard. The same call goes on where it was stopped
+and ends with the same weights as without the stop; a call with other numbers or data is refused.
+Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ COLUMNS = ("epoch", "training_loss", "validation_mm", "rate", "seconds")
 
 @dataclass
 class Task:
-    """What is trained on what: `loss(network, some)` of the samples `some` (B,), and `validate(network)` in mm.
+    """What is trained on what: `loss(network, some)` of the samples `some` (B,), and
+    `validate(network)` in mm.
 
     `data` is hashed, so that a checkpoint goes on with its own data only.
     """
@@ -68,7 +71,8 @@ def fit(
         progress: called with the share done and a line after every epoch.
         device: "cpu" or "cuda"; on a GPU matrices are multiplied in bfloat16.
         tensorboard: write its events too.
-        until: end with this many epochs of the recipe's and keep the last, whatever validation says.
+        until: end with this many epochs of the recipe's and keep the last, whatever validation
+            says.
 
     Raises:
         TrainingError: a checkpoint of something else, or numbers that are no longer finite.
@@ -76,7 +80,9 @@ def fit(
     network = task.network.to(device)
     optimizer = torch.optim.AdamW(network.parameters(), lr=recipe.rate, weight_decay=recipe.decay)
     steps = math.ceil(task.samples / recipe.batch) * recipe.epochs * recipe.passes
-    falls = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _cosine(step / steps, recipe.last))
+    falls = torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: _cosine(step / steps, recipe.last)
+    )
     draw = torch.Generator().manual_seed(recipe.seed)
     state = _State(math.inf, network.state_dict(), [])
     if folder is not None:
@@ -94,13 +100,16 @@ def fit(
             value = task.validate(network)
         if not math.isfinite(value) or not math.isfinite(total):
             raise TrainingError(
-                f"epoch {epoch}: the error is {value:g} mm and the loss {total:g}; a rate of {recipe.rate:g} is too "
-                "large for these data"
+                f"epoch {epoch}: the error is {value:g} mm and the loss {total:g}; a rate of "
+                f"{recipe.rate:g} is too large for these data"
             )
         numbers = (epoch, total, value, falls.get_last_lr()[0], time.perf_counter() - ahead)
         state.log.append(dict(zip(COLUMNS, map(float, numbers))))
         if value < state.best or until is not None:
-            state.best, state.weights = value, {k: v.detach().clone() for k, v in network.state_dict().items()}
+            state.best, state.weights = (
+                value,
+                {k: v.detach().clone() for k, v in network.state_dict().items()},
+            )
         if folder is not None:
             _keep(folder, task.key(recipe), state, network, optimizer, falls, draw)
         if writer is not None:
@@ -162,7 +171,9 @@ def _cosine(part: float, last: float) -> float:
     return last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(1.0, part)))
 
 
-def _keep(folder: Path, key: str, state: _State, network: Any, optimizer: Any, falls: Any, draw: Any) -> None:
+def _keep(
+    folder: Path, key: str, state: _State, network: Any, optimizer: Any, falls: Any, draw: Any
+) -> None:
     """Write checkpoint and log completely or not at all."""
     content = {
         "key": key,
@@ -178,15 +189,21 @@ def _keep(folder: Path, key: str, state: _State, network: Any, optimizer: Any, f
     partial = folder / "checkpoint.pt.part"
     torch.save(content, partial)
     partial.replace(folder / "checkpoint.pt")
-    with (folder / "log.csv").open("a" if len(state.log) > 1 else "w", newline="", encoding="utf-8") as file:
+    with (folder / "log.csv").open(
+        "a" if len(state.log) > 1 else "w", newline="", encoding="utf-8"
+    ) as file:
         rows = csv.DictWriter(file, COLUMNS)
         if len(state.log) == 1:
             rows.writeheader()
         rows.writerow(state.log[-1])
 
 
-def _resume(folder: Path, key: str, network: Any, optimizer: Any, falls: Any, draw: Any) -> _State | None:
-    """Return where a training of this key stands, everything put back there; None if it has not begun."""
+def _resume(
+    folder: Path, key: str, network: Any, optimizer: Any, falls: Any, draw: Any
+) -> _State | None:
+    """Return where a training of this key stands, everything put back there; None if it has not
+    begun.
+    """
     file = folder / "checkpoint.pt"
     if not file.is_file():
         return None
@@ -194,7 +211,8 @@ def _resume(folder: Path, key: str, network: Any, optimizer: Any, falls: Any, dr
         kept = torch.load(file, weights_only=True)
         if kept["key"] != key:
             raise TrainingError(
-                f"{folder}: a training of other data or with other numbers; choose another folder, or remove it"
+                f"{folder}: a training of other data or with other numbers; choose another "
+                "folder, or remove it"
             )
         network.load_state_dict(kept["network"])
         optimizer.load_state_dict(kept["optimizer"])
@@ -206,7 +224,9 @@ def _resume(folder: Path, key: str, network: Any, optimizer: Any, falls: Any, dr
         raise
     # Whatever a damaged file makes torch raise.
     except Exception as fault:
-        raise TrainingError(f"{file}: cannot be read ({type(fault).__name__}); remove it to train again") from None
+        raise TrainingError(
+            f"{file}: cannot be read ({type(fault).__name__}); remove it to train again"
+        ) from None
     with (folder / "log.csv").open("w", newline="", encoding="utf-8") as log:
         rows = csv.DictWriter(log, COLUMNS)
         rows.writeheader()

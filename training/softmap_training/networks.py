@@ -1,9 +1,11 @@
-"""The networks, as layers in a row so that each can be written to ONNX: commands (n, C) mm to points (n, 3N) mm.
+"""The networks, as layers in a row so that each can be written to ONNX: commands (n, C) mm to
+points (n, 3N) mm.
 
-Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs normalised one by one.
-Ours: a few GELU layers to weights of the leading modes of the training shapes, one scale for all outputs, so that the
-loss is the error in mm. Residuals: as published (LayerNorm, GELU, dropout), or ours, to modes that leave the clamp
-alone. All have the same face. Pinned by tests/training/test_training.py.
+Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs
+normalised one by one. Ours: a few GELU layers to weights of the leading modes of the training
+shapes, one scale for all outputs, so that the loss is the error in mm. Residuals: as published
+(LayerNorm, GELU, dropout), or ours, to modes that leave the clamp alone. All have the same face.
+Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ class Modes(nn.Module):
 
 
 def spread(commands: Floats) -> Floats:
-    """Return the standard deviation of each command (S, C); 1 for one that never moves, which has no information."""
+    """Return the standard deviation of each command (S, C); 1 for one that never moves, which has
+    no information.
+    """
     size = commands.std(axis=0)
     return np.where(size > NARROW, size + EPSILON, 1.0)
 
@@ -68,8 +72,12 @@ def published_prior(commands: Floats, points: Floats, dropout: float = 0.1) -> n
     return nn.Sequential(*layers)
 
 
-def mode_prior(commands: Floats, points: Floats, widths: Sequence[int], count: int) -> nn.Sequential:
-    """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm over commands (S, C) mm."""
+def mode_prior(
+    commands: Floats, points: Floats, widths: Sequence[int], count: int
+) -> nn.Sequential:
+    """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm over commands
+    (S, C) mm.
+    """
     mean = points.mean(axis=0)
     _, size, modes = np.linalg.svd(points - mean, full_matrices=False)
     count = min(count, len(modes))
@@ -77,8 +85,12 @@ def mode_prior(commands: Floats, points: Floats, widths: Sequence[int], count: i
     return to_modes(commands, mean, reach * modes[:count], widths)
 
 
-def published_residual(commands: Floats, size: int, widths: Sequence[int], dropout: float) -> nn.Sequential:
-    """Return the residual as its authors released it: 64-256-256-64, LayerNorm, GELU, dropout, to 3N numbers in mm."""
+def published_residual(
+    commands: Floats, size: int, widths: Sequence[int], dropout: float
+) -> nn.Sequential:
+    """Return the residual as its authors released it: 64-256-256-64, LayerNorm, GELU, dropout, to
+    3N numbers in mm.
+    """
     layers: list[nn.Module] = [Scale(commands.mean(axis=0), spread(commands))]
     width = commands.shape[1]
     for wide in widths:
@@ -91,7 +103,9 @@ def published_residual(commands: Floats, size: int, widths: Sequence[int], dropo
 
 
 def to_modes(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int]) -> nn.Sequential:
-    """Return GELU layers of `widths` from commands (S, C) mm to weights of `modes` (m, 3N) mm about `mean` (3N,)."""
+    """Return GELU layers of `widths` from commands (S, C) mm to weights of `modes` (m, 3N) mm about
+    `mean` (3N,).
+    """
     half, middle = half_range(commands), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
     layers: list[nn.Module] = [Scale(middle, half)]
     width = commands.shape[1]

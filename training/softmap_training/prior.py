@@ -1,18 +1,24 @@
-"""Train a prior on a simulated set and put it into a bundle in place of the table: the paper's network, or ours.
+"""Train a prior on a simulated set and put it into a bundle in place of the table: the paper's
+network, or ours.
 
-    û = f_θ(u),   loss = mean over the set of |f_θ(ũ) − ỹ|², ỹ what the last, fixed layer makes the outputs of
+    û = f_θ(u),   loss = mean over the set of |f_θ(ũ) − ỹ|², ỹ what the last, fixed layer makes the
+                  outputs of
 
-modes       ours: weights of the leading modes of the training shapes, all in one unit: the loss is the error in mm²
+modes       ours: weights of the leading modes of the training shapes, all in one unit: the loss is
+            the error in mm²
 published   the paper's, each output by its own mean and spread; also without its dropout
-laplacian, arap   the paper's layers to the shapes as `encodings.py` describes them, each number by its own mean and
+laplacian, arap   the paper's layers to the shapes as `encodings.py` describes them, each number by
+                  its own mean and
 spread
 linear      least squares, no training
-table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is evaluated
-deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices (`decoder_model`)
+table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is
+                     what is evaluated
+deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices
+            (`decoder_model`)
 
-Errors are reported on the test part of one frozen split, at commands that are not in the training part. The rest of the
-bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
-Pinned by tests/training/test_training.py.
+Errors are reported on the test part of one frozen split, at commands that are not in the training
+part. The rest of the bundle (fields, tendons, effects) stays as it was; a residual goes, it was
+learned on another prior. Units: mm. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -50,13 +56,16 @@ Indices = NDArray[np.int64]
 
 PUBLISHED_DROPOUT = 0.1
 NODES = 41  # of an axis, where a bundle has none
-COMPARED, OWN = 64, 3.0  # shapes that are compared with the bundle's, and times its own error that they may be off more
+# shapes that are compared with the bundle's, and times its own error that they may be off more
+COMPARED, OWN = 64, 3.0
 BIGGEST = 10.0  # times the robot's length from its base: a point there is none
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), the vertices that are held."""
+    """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), the vertices
+    that are held.
+    """
 
     rest: Floats
     triangles: NDArray[np.int32]
@@ -128,11 +137,17 @@ def train_prior(
 
     def loss(net: nn.Sequential, some: Tensor) -> Tensor:
         chosen = rows.to(some.device)[some]
-        return (net[:-fixed](u.to(some.device)[chosen]) - target.to(some.device)[chosen]).square().mean()
+        return (
+            (net[:-fixed](u.to(some.device)[chosen]) - target.to(some.device)[chosen])
+            .square()
+            .mean()
+        )
 
     def validate(net: nn.Sequential) -> float:
         at = next(net.parameters()).device
-        return vertex_error(net(u[torch.as_tensor(validation)].to(at)).cpu().numpy(), points[validation])
+        return vertex_error(
+            net(u[torch.as_tensor(validation)].to(at)).cpu().numpy(), points[validation]
+        )
 
     task = Task(network, len(train), loss, validate, [commands, points, train])
     log = [] if kind == "linear" else fit(task, recipe, folder, progress, device, tensorboard)
@@ -153,21 +168,36 @@ def train_prior(
 
 
 def fit_prior(
-    base: Model, commands: Floats, points: Floats, parts: tuple[Indices, Indices, Indices], kind: str, seed: int = 0
+    base: Model,
+    commands: Floats,
+    points: Floats,
+    parts: tuple[Indices, Indices, Indices],
+    kind: str,
+    seed: int = 0,
 ) -> Tabulated:
-    """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it at the nodes of a model's axes.
+    """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it at the nodes of
+    a model's axes.
 
     Raises:
-        TrainingError: its points are no vertices, another finger's set, or what it needs is not installed.
+        TrainingError: its points are no vertices, another finger's set, or what it needs is not
+            installed.
     """
     if kind == "deepsoro":
-        raise TrainingError("the points of 'deepsoro' are no vertices, so it joins no bundle; see `decoder_model`")
+        raise TrainingError(
+            "the points of 'deepsoro' are no vertices, so it joins no bundle; see `decoder_model`"
+        )
     check_set(base, commands, points)
     _enough(parts)
     train, _, test = parts
-    fitted = baselines.fit_baseline(cast(baselines.Name, kind), commands[train], points[train], seed)
+    fitted = baselines.fit_baseline(
+        cast(baselines.Name, kind), commands[train], points[train], seed
+    )
     table = unpacked(base.arrays["prior"])
-    axes = [np.asarray(table[f"axis{c}"], np.float64) for c in range(base.channels) if f"axis{c}" in table]
+    axes = [
+        np.asarray(table[f"axis{c}"], np.float64)
+        for c in range(base.channels)
+        if f"axis{c}" in table
+    ]
     axes = axes or [np.linspace(low, high, NODES) for low, high in base.command_range]
     mean, modes, weights = baselines.reduced(fitted.predict(tensor_grid(axes)))
     arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
@@ -180,17 +210,25 @@ def fit_prior(
 
 
 def decoder_model(
-    base: Model, commands: Floats, points: Floats, parts: tuple[Indices, Indices, Indices], epochs: int | None = None,
-    seed: int = 0, folder: Path | None = None, progress: Callable[[float], None] | None = None,
-) -> tuple[Model, dict[str, Any]]:  # fmt: skip
-    """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a report.
+    base: Model,
+    commands: Floats,
+    points: Floats,
+    parts: tuple[Indices, Indices, Indices],
+    epochs: int | None = None,
+    seed: int = 0,
+    folder: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Model, dict[str, Any]]:
+    """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a
+    report.
 
-    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move
-    most.
-    Nothing else of the base's is in it: no fields, effects, calibration. It is evaluated by half the Chamfer distance.
+    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of
+    them that move most. Nothing else of the base's is in it: no fields, effects, calibration. It is
+    evaluated by half the Chamfer distance.
 
     Args:
-        base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the usual number.
+        base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the
+            usual number.
         seed: draws first weights. folder: of checkpoints. progress: called with the share done.
 
     Raises:
@@ -203,7 +241,9 @@ def decoder_model(
     some = np.sort(np.concatenate([train, validation]))
     held = np.searchsorted(some, validation)
     bodies = [np.ascontiguousarray(shape) for shape in shapes[some]]
-    fitted = fit_deepsoro(commands[some], bodies, len(base.rest), seed, held, epochs, folder, progress)
+    fitted = fit_deepsoro(
+        commands[some], bodies, len(base.rest), seed, held, epochs, folder, progress
+    )
     content = fitted.onnx or b""
     found = run_onnxruntime(content, commands)
     sheet = found.reshape(len(found), -1, 3)
@@ -264,7 +304,9 @@ def _evaluated(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
 def _made(
     kind: PriorKind, commands: Floats, points: Floats, train: Indices, surface: Surface | None
 ) -> tuple[nn.Sequential, Floats, int]:
-    """Return a network, what it is to give (S, m) before its last layers, and how many of these are fixed."""
+    """Return a network, what it is to give (S, m) before its last layers, and how many of these are
+    fixed.
+    """
     if kind == "modes":
         network = mode_prior(commands[train], points[train], PRIOR_WIDTHS, PRIOR_MODES)
         last = network[-1]
@@ -276,13 +318,17 @@ def _made(
         return nn.Sequential(Modes(found[-1], found[:-1])), points, 1
     if kind in ("laplacian", "arap"):
         if surface is None:
-            raise TrainingError(f"'{kind}' needs the surface of shapes; give the model of the finger")
+            raise TrainingError(
+                f"'{kind}' needs the surface of shapes; give the model of the finger"
+            )
         encode = encodings.laplacian if kind == "laplacian" else encodings.arap
         codes = encode(surface.rest, surface.triangles, surface.held, points)
         network = published_prior(commands[train], codes.codes[train], PUBLISHED_DROPOUT)
         network.append(Modes(codes.mean, codes.modes))
         return network, _normalised(network[-2], codes.codes), 2
-    network = published_prior(commands[train], points[train], PUBLISHED_DROPOUT if kind == "published" else 0.0)
+    network = published_prior(
+        commands[train], points[train], PUBLISHED_DROPOUT if kind == "published" else 0.0
+    )
     return network, _normalised(network[-1], points), 1
 
 
@@ -291,8 +337,11 @@ def _normalised(last: Any, values: Floats) -> Floats:
     return np.asarray((values - last.shift.numpy()) / last.size.numpy())
 
 
-def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats) -> Model:
-    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` are the test part.
+def with_prior(
+    base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats
+) -> Model:
+    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` are
+    the test part.
 
     Its own error grows by that of what was trained, in squares.
 
@@ -303,9 +352,12 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
     core, table = family_from(trained.arrays), base.arrays["prior"]
     base = base.with_residual(None)
     kept = {
-        name: array for name, array in table.items() if name.startswith("axis") or name.removesuffix("_step") == "pull"
+        name: array
+        for name, array in table.items()
+        if name.startswith("axis") or name.removesuffix("_step") == "pull"
     }
-    form = np.asarray(table.get("form_before", base.form_error), np.float64)  # its own, not that of one trained earlier
+    # its own, not that of one trained earlier
+    form = np.asarray(table.get("form_before", base.form_error), np.float64)
     error = float(table.get("error_before_mm", base.vertex_error_mm))
     kept |= {"form_before": form, "error_before_mm": np.array(error)}
     arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
@@ -327,27 +379,33 @@ def check_set(base: Model, commands: Floats, points: Floats) -> None:
     channels, size = commands.shape[1], points.shape[1]
     if size != base.rest.size or channels != base.channels or base.kind == "rod":
         raise TrainingError(
-            f"the prior maps {channels} commands to {size // 3} points, the bundle of '{base.robot}' "
-            f"({base.kind}) {base.channels} to {len(base.rest)}; train it on a sweep of the same finger"
+            f"the prior maps {channels} commands to {size // 3} points, the bundle of "
+            f"'{base.robot}' ({base.kind}) {base.channels} to {len(base.rest)}; train it on a "
+            "sweep of the same finger"
         )
     some = np.unique(np.linspace(0, len(points) - 1, COMPARED).astype(int))
-    missed = (base.prior.evaluate(np.ascontiguousarray(commands[some])) - points[some]).reshape(len(some), -1, 3)
+    missed = (base.prior.evaluate(np.ascontiguousarray(commands[some])) - points[some]).reshape(
+        len(some), -1, 3
+    )
     off = float(np.median(np.linalg.norm(missed, axis=2).mean(axis=1)))
     length = float(np.linalg.norm(base.rest, axis=1).max())
     most = UNLIKE * length + OWN * base.vertex_error_mm
     if not off <= most:
         raise TrainingError(
-            f"the shapes are {off:.3g} mm from those of '{base.robot}' at the same commands (median of {len(some)}), "
-            f"up to {most:.2g} mm are its own: another finger or material; build the bundle of theirs (`softmap build`)"
+            f"the shapes are {off:.3g} mm from those of '{base.robot}' at the same commands "
+            f"(median of {len(some)}), up to {most:.2g} mm are its own: another finger or "
+            "material; build the bundle of theirs (`softmap build`)"
         )
     largest = float(np.abs(points).max())
     if not largest < BIGGEST * length:
         raise TrainingError(
-            f"a point of the set is {largest:.3g} mm from the base of a robot of {length:.3g} mm: it is damaged; make "
-            "it again (`softmap model sweep`)"
+            f"a point of the set is {largest:.3g} mm from the base of a robot of {length:.3g} mm: "
+            "it is damaged; make it again (`softmap model sweep`)"
         )
     if not np.ptp(points, axis=0).any():
-        raise TrainingError(f"all {len(points)} shapes of the set are the same; sweep commands that move the finger")
+        raise TrainingError(
+            f"all {len(points)} shapes of the set are the same; sweep commands that move the finger"
+        )
 
 
 def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
@@ -357,7 +415,9 @@ def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
 
 
 def _taught(base: Model, taught: Floats) -> Floats:
-    """Return the range (C, 2) of commands of a bundle, cut to what taught its prior where that is clearly narrower."""
+    """Return the range (C, 2) of commands of a bundle, cut to what taught its prior where that is
+    clearly narrower.
+    """
     low, high = base.command_range.T
     slack = BEYOND * (high - low)
     return np.column_stack(

@@ -1,8 +1,9 @@
-"""Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and what was seen.
+"""Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and
+what was seen.
 
-Clouds are brought into the frame of their base where it is clearly displaced (`alignment/base_in_clouds.py`), and the
-template is laid onto them, run by run. Units: mm. Pinned by tests/training/test_evaluate.py and
-tests/adaptation/test_residual_network.py.
+Clouds are brought into the frame of their base where it is clearly displaced
+(`alignment/base_in_clouds.py`), and the template is laid onto them, run by run. Units: mm. Pinned
+by tests/training/test_evaluate.py and tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ ROWS = ("commands", "points", "vertices", "weight", "times")  # of a lesson, one
 class Lesson:
     """What K frames teach on top of `base`, a model without its residual.
 
-    `commands` (K, C) act, and the model makes `points` (K, N, 3) mm of them. `clouds` (m, 3) mm were seen, empty where
-    vertices were recorded; `vertices` (K, N, 3) mm are these or those laid onto clouds, each with its `weight` (K, N)
-    in 1/mm², 0 where it was not seen. `times` (K,) s are of all runs, whose hashes are `runs`; `remarks`: to be
-    reported.
+    `commands` (K, C) act, and the model makes `points` (K, N, 3) mm of them. `clouds` (m, 3) mm
+    were seen, empty where vertices were recorded; `vertices` (K, N, 3) mm are these or those laid
+    onto clouds, each with its `weight` (K, N) in 1/mm², 0 where it was not seen. `times` (K,) s are
+    of all runs, whose hashes are `runs`; `remarks`: to be reported.
     """
 
     base: Model
@@ -65,17 +66,25 @@ class Lesson:
         base, every = model.with_residual(None), [runs] if isinstance(runs, Run) else list(runs)
         frames = sum(run.frames for run in every)
         if frames < LEAST_FRAMES:
-            raise TrainingError(f"{frames} frames, at least {LEAST_FRAMES} are needed to learn a residual; record more")
+            raise TrainingError(
+                f"{frames} frames, at least {LEAST_FRAMES} are needed to learn a residual; record "
+                "more"
+            )
         each = [_of_run(base, run) for run in every]
         begins = np.cumsum([0.0, *(float(np.ptp(one.times)) + APART for one in each[:-1])])
         times = [one.times - one.times[0] + begin for one, begin in zip(each, begins)]
         rows = {name: np.concatenate([getattr(one, name) for one in each]) for name in ROWS}
-        missed = [(one.commands, (one.vertices - one.points).reshape(len(one), -1), one.weight > 0) for one in each]
+        missed = [
+            (one.commands, (one.vertices - one.points).reshape(len(one), -1), one.weight > 0)
+            for one in each
+        ]
         return cls(
-            base, **rows | {"times": np.concatenate(times)}, clouds=[cloud for one in each for cloud in one.clouds],
+            base,
+            **rows | {"times": np.concatenate(times)},
+            clouds=[cloud for one in each for cloud in one.clouds],
             runs=[run.hash() for run in every],
             remarks=[remark for one in each for remark in one.remarks] + strangers(missed),
-        )  # fmt: skip
+        )
 
     def __len__(self) -> int:
         return len(self.commands)
@@ -92,7 +101,9 @@ class Lesson:
 
     @property
     def parts(self) -> Folds:
-        """Frames that teach and those that are held out, `choices.HELD_OUT` times: every so many blocks."""
+        """Frames that teach and those that are held out, `choices.HELD_OUT` times: every so many
+        blocks.
+        """
         folds, found = run_folds(self.times), []
         for number in range(min(choices.HELD_OUT, len(folds))):
             train, some = np.arange(len(self)), folds[number :: choices.HELD_OUT]
@@ -103,20 +114,32 @@ class Lesson:
 
     def at(self, rows: Indices) -> Lesson:
         """Return the lesson of some frames."""
-        return replace(self, clouds=[self.clouds[k] for k in rows], **{n: getattr(self, n)[rows] for n in ROWS})
+        return replace(
+            self, clouds=[self.clouds[k] for k in rows], **{n: getattr(self, n)[rows] for n in ROWS}
+        )
 
     def share(self, share: float, seed: int) -> Indices:
-        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its smaller ones."""
+        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its
+        smaller ones.
+        """
         blocks = self.blocks
         order = np.random.default_rng(seed).permutation(len(blocks))
-        return np.sort(np.concatenate([blocks[k] for k in order[: max(1, round(share * len(order)))]]))
+        return np.sort(
+            np.concatenate([blocks[k] for k in order[: max(1, round(share * len(order)))]])
+        )
 
 
 def _of_run(base: Model, run: Run) -> Lesson:
     """Return what one run teaches."""
     if not run.frames or run.markers is not None or (run.points is None and run.vertices is None):
-        shown = "markers, which do not show the surface" if run.markers is not None else "no clouds and no vertices"
-        raise TrainingError(f"a run of {run.frames} frames shows {shown}; a residual network is learned from these")
+        shown = (
+            "markers, which do not show the surface"
+            if run.markers is not None
+            else "no clouds and no vertices"
+        )
+        raise TrainingError(
+            f"a run of {run.frames} frames shows {shown}; a residual network is learned from these"
+        )
     there, stood = in_base(run, base)
     points = np.asarray(base.predict(there))
     if there.points is None:
@@ -128,5 +151,13 @@ def _of_run(base: Model, run: Run) -> Lesson:
         vertices, weight = found.vertices, weighted(base, found.run(there))[1]
     remarks = [] if stood is None else [base_stood_off(stood.pose)]
     return Lesson(
-        base, base.effective_commands(there), points, clouds, vertices, weight, there.t_seen, [run.hash()], remarks
+        base,
+        base.effective_commands(there),
+        points,
+        clouds,
+        vertices,
+        weight,
+        there.t_seen,
+        [run.hash()],
+        remarks,
     )

@@ -2,14 +2,15 @@
 
     points(u) = model(u) + Δ(u)
 
-Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 · mean |Δᵢ|² + λ_lap · mean over edges
-|Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and moves what a clamp holds. Ours is
-taught by the registered vertices, each by how well it was seen, and by the Chamfer distance of those that were seen
-(which changes little): Δ is a few modes of what they show beyond the model, none of which moves a clamped vertex,
-weighted by a small network of the command. Validation is on complete blocks of the recordings; ours leaves each out
-once, then learns from all for as long as was best on average. Friction remembers where a command was reached from: a
-command that is reached from several sides, in several recordings, teaches their mean.
-Pinned by tests/adaptation/test_residual_network.py.
+Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 · mean |Δᵢ|² + λ_lap
+· mean over edges |Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and
+moves what a clamp holds. Ours is taught by the registered vertices, each by how well it was seen,
+and by the Chamfer distance of those that were seen (which changes little): Δ is a few modes of what
+they show beyond the model, none of which moves a clamped vertex, weighted by a small network of the
+command. Validation is on complete blocks of the recordings; ours leaves each out once, then learns
+from all for as long as was best on average. Friction remembers where a command was reached from: a
+command that is reached from several sides, in several recordings, teaches their mean. Pinned by
+tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations
@@ -57,20 +58,25 @@ def train_residual(
 
     Args:
         model: stays as it is, an earlier residual aside.
-        taught: the recording, or several, of clouds (or vertices; the published one needs clouds), with commands; or
-            the lesson made of them on this model.
+        taught: the recording, or several, of clouds (or vertices; the published one needs clouds),
+            with commands; or the lesson made of them on this model.
         kind: "modes" (ours) or "published".
         recipe, folder, progress, device, tensorboard: as for `train_prior`.
 
     Raises:
-        TrainingError: too few frames, no clouds for the published one, or a checkpoint of something else.
+        TrainingError: too few frames, no clouds for the published one, or a checkpoint of something
+            else.
     """
     lesson = taught if isinstance(taught, Lesson) else Lesson.of(model, taught)
     base = lesson.base
     if len(lesson) < LEAST_FRAMES:
-        raise TrainingError(f"{len(lesson)} frames, at least {LEAST_FRAMES} are needed to learn a residual")
+        raise TrainingError(
+            f"{len(lesson)} frames, at least {LEAST_FRAMES} are needed to learn a residual"
+        )
     if kind == "published" and not lesson.of_clouds:
-        raise TrainingError("the published residual is supervised by clouds; some of the runs hold vertices")
+        raise TrainingError(
+            "the published residual is supervised by clouds; some of the runs hold vertices"
+        )
     recipe = recipe or choices.residual_recipe(kind)
     seeded(recipe.seed)
     parts, held_still = lesson.parts, clamped(base)
@@ -79,7 +85,9 @@ def train_residual(
     until = None
     train, held = parts[0]
     if kind == "modes":  # as long as was best on average for what was left out, then on all frames
-        curve = _left_out(lesson, parts, held_still, recipe, folder, _share(progress, 0.0, 0.8), device)
+        curve = _left_out(
+            lesson, parts, held_still, recipe, folder, _share(progress, 0.0, 0.8), device
+        )
         train, held, until = every, every, 1 + int(np.argmin(curve))
     seeded(recipe.seed)
     network, task = (_ours if kind == "modes" else _published)(lesson, train, held, held_still)
@@ -87,7 +95,9 @@ def train_residual(
     log = fit(task, recipe, folder, say, device, tensorboard, until)
     after = _off(lesson, held, _evaluated(network, lesson)) if until is None else float(curve.min())
     seconds = time.perf_counter() - ahead
-    content = to_onnx(network, base.channels, {"kind": f"residual, {kind}", "seed": str(recipe.seed)})
+    content = to_onnx(
+        network, base.channels, {"kind": f"residual, {kind}", "seed": str(recipe.seed)}
+    )
     apart = checked(network, content, lesson.commands[:256])
     delta = _core.Network(content).evaluate(lesson.commands).reshape(lesson.points.shape)
     report = {
@@ -98,7 +108,9 @@ def train_residual(
         "seconds": seconds,
         "frames": len(lesson),
         "size_mm": float(np.sqrt(np.mean(np.sum(delta**2, axis=2)))),
-        "clamp_moves_mm": float(np.linalg.norm(delta[:, held_still], axis=2).mean()) if len(held_still) else 0.0,
+        "clamp_moves_mm": float(np.linalg.norm(delta[:, held_still], axis=2).mean())
+        if len(held_still)
+        else 0.0,
         "held_out_before_mm": _off(lesson, held, np.zeros_like(delta)),
         "held_out_after_mm": after,
         "parity_mm": apart,
@@ -111,10 +123,17 @@ def train_residual(
 
 
 def _left_out(
-    lesson: Lesson, parts: Folds, still: NDArray[np.int64], recipe: Recipe, folder: Path | None,
-    progress: Progress | None, device: str,
-) -> Floats:  # fmt: skip
-    """Return, for each epoch, the mean distance in mm from the vertices seen in the part that was left out."""
+    lesson: Lesson,
+    parts: Folds,
+    still: NDArray[np.int64],
+    recipe: Recipe,
+    folder: Path | None,
+    progress: Progress | None,
+    device: str,
+) -> Floats:
+    """Return, for each epoch, the mean distance in mm from the vertices seen in the part that was
+    left out.
+    """
     curves = []
     for number, (train, held) in enumerate(parts):
         seeded(recipe.seed)
@@ -172,12 +191,18 @@ def _ours(
         rows = chosen.to(some.device)[some]
         apart = off(net, rows)
         from_registered = (w.to(some.device)[rows] * apart.square().sum(dim=2)).mean()
-        shown = [n for n, k in enumerate(rows.tolist()) if len(clouds[k]) and lesson.weight[k].any()]
+        shown = [
+            n for n, k in enumerate(rows.tolist()) if len(clouds[k]) and lesson.weight[k].any()
+        ]
         at = shown[: choices.SEEN_FRAMES]
         if not at:
             return from_registered
         some_rows, which = rows[at], rows[at].tolist()
-        places = points.to(rows.device)[some_rows] + apart[at] + y.to(rows.device)[some_rows].reshape(len(at), -1, 3)
+        places = (
+            points.to(rows.device)[some_rows]
+            + apart[at]
+            + y.to(rows.device)[some_rows].reshape(len(at), -1, 3)
+        )
         seen = chamfer(places, [clouds[k] for k in which], [lesson.weight[k] > 0.0 for k in which])
         return from_registered + choices.LAMBDA_SEEN * seen.mean()
 
@@ -185,14 +210,18 @@ def _ours(
         rows = torch.as_tensor(held, device=next(net.parameters()).device)
         return float(off(net, rows).norm(dim=2)[w.to(rows.device)[rows] > 0].mean())
 
-    return network, Task(network, len(train), loss, validate, [lesson.commands, flat, lesson.weight, *clouds, train])
+    return network, Task(
+        network, len(train), loss, validate, [lesson.commands, flat, lesson.weight, *clouds, train]
+    )
 
 
 def _published(
     lesson: Lesson, train: NDArray[np.int64], held: NDArray[np.int64], still: NDArray[np.int64]
 ) -> tuple[nn.Sequential, Task]:
     size = lesson.points[0].size
-    network = published_residual(lesson.commands[train], size, choices.RESIDUAL_WIDTHS, choices.RESIDUAL_DROPOUT)
+    network = published_residual(
+        lesson.commands[train], size, choices.RESIDUAL_WIDTHS, choices.RESIDUAL_DROPOUT
+    )
     u = torch.as_tensor(lesson.commands, dtype=torch.float32)
     points = torch.as_tensor(lesson.points, dtype=torch.float32)
     chosen, edges = torch.as_tensor(train), torch.as_tensor(_edges(lesson.base.triangles))
@@ -216,10 +245,14 @@ def _published(
         rows = torch.as_tensor(held, device=next(net.parameters()).device)
         return float(chamfer(corrected(net, rows)[1], [clouds[k] for k in held.tolist()]).mean())
 
-    return network, Task(network, len(train), loss, validate, [lesson.commands, lesson.points, *clouds, train])
+    return network, Task(
+        network, len(train), loss, validate, [lesson.commands, lesson.points, *clouds, train]
+    )
 
 
 def _edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return the edges (E, 2) of triangles (T, 3), each once."""
-    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    sides = np.sort(
+        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1
+    )
     return np.unique(sides.astype(np.int64), axis=0)

@@ -1,13 +1,15 @@
-"""What a network learns from: the shapes of a sweep, from a Zarr store chunk by chunk or from the edge's `.npz`.
+"""What a network learns from: the shapes of a sweep, from a Zarr store chunk by chunk or from the
+edge's `.npz`.
 
     made = SimulatedSet.load("dense.zarr")
     split = made.split(seed=0)
     made.command[split.train], made.shapes(split.train)
 
-The rule of the split is frozen (`softmap.split/1`, whose name a store holds): row r gets splitmix64(r + 1 of the seed's
-stream) (Steele, Lea and Flood 2014), rows go by that number, the first 80 % train, the next 10 % validate, the rest
-test. It depends on no library's generator. Rows of a dense grid have near neighbours in every part: such a test
-measures interpolation, not memory or the real robot.
+The rule of the split is frozen (`softmap.split/1`, whose name a store holds): row r gets
+splitmix64(r + 1 of the seed's stream) (Steele, Lea and Flood 2014), rows go by that number, the
+first 80 % train, the next 10 % validate, the rest test. It depends on no library's generator. Rows
+of a dense grid have near neighbours in every part: such a test measures interpolation, not memory
+or the real robot.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ MOST_SEED = 1 << 32
 
 @dataclass(frozen=True)
 class Split:
-    """Which rows (n,) train, validate and test, ascending; the seed and the rule that shared them out."""
+    """Which rows (n,) train, validate and test, ascending; the seed and the rule that shared them
+    out.
+    """
 
     train: Rows
     validation: Rows
@@ -43,7 +47,8 @@ class Split:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """Simulated shapes: command (S, C) mm or N, vertices (S, N, 3) mm, triangles (F, 3), the finger's file as text.
+    """Simulated shapes: command (S, C) mm or N, vertices (S, N, 3) mm, triangles (F, 3), the
+    finger's file as text.
 
     `vertices` takes slices and reads only these from a store; `shapes` reads any rows, checked.
     """
@@ -56,7 +61,9 @@ class SimulatedSet:
 
     @classmethod
     def load(cls, path: str | Path) -> SimulatedSet:
-        """Open a store, or read the `.npz` of a sweep. Raises SimulationError when it is damaged or unfinished."""
+        """Open a store, or read the `.npz` of a sweep. Raises SimulationError when it is damaged or
+        unfinished.
+        """
         file = Path(path)
         if file.suffix == ".npz":
             sweep = Sweep.load(file)
@@ -68,7 +75,9 @@ class SimulatedSet:
                 f"the `softmap model sweep` that began "
                 "it goes on with it"
             )
-        return cls(store.command, store.vertices, store.triangles, str(store.attributes["finger"]), store)
+        return cls(
+            store.command, store.vertices, store.triangles, str(store.attributes["finger"]), store
+        )
 
     def shapes(self, rows: ArrayLike) -> NDArray[np.float32]:
         """Return the vertices (n, N, 3) mm of rows (n,), each chunk that they lie in read once.
@@ -76,8 +85,15 @@ class SimulatedSet:
         Raises SimulationError for rows that are not there and for a damaged chunk.
         """
         chosen = np.asarray(rows)
-        if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or ((chosen < 0) | (chosen >= len(self.command))).any():
-            raise SimulationError(f"rows of shape {chosen.shape}: give whole numbers from 0 to {len(self.command) - 1}")
+        if (
+            chosen.ndim != 1
+            or chosen.dtype.kind not in "iu"
+            or ((chosen < 0) | (chosen >= len(self.command))).any()
+        ):
+            raise SimulationError(
+                f"rows of shape {chosen.shape}: give whole numbers from 0 to "
+                f"{len(self.command) - 1}"
+            )
         if self.store is None:
             return np.asarray(self.vertices[chosen], np.float32)
         found = np.empty((len(chosen), *self.vertices.shape[1:]), np.float32)
@@ -88,14 +104,20 @@ class SimulatedSet:
         return found
 
     def split(self, seed: int = 0) -> Split:
-        """Share the rows out by the frozen rule; the same seed and number of rows give the same split for ever.
+        """Share the rows out by the frozen rule; the same seed and number of rows give the same
+        split for ever.
 
         Raises SimulationError for a seed that is none.
         """
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < MOST_SEED:
-            raise SimulationError(f"seed {str(seed)[:40]}: give a whole number from 0 to {MOST_SEED - 1}")
+            raise SimulationError(
+                f"seed {str(seed)[:40]}: give a whole number from 0 to {MOST_SEED - 1}"
+            )
         count = len(self.command)
-        order = np.argsort(_splitmix64(np.uint64(seed << 32) + np.arange(1, count + 1, dtype=np.uint64)), kind="stable")
+        order = np.argsort(
+            _splitmix64(np.uint64(seed << 32) + np.arange(1, count + 1, dtype=np.uint64)),
+            kind="stable",
+        )
         first, second = round(TRAIN * count), round((TRAIN + VALIDATION) * count)
         parts = np.split(order.astype(np.int64), [first, second])
         return Split(*(np.sort(part) for part in parts), seed=seed)

@@ -1,12 +1,14 @@
-"""Dense sweeps into a Zarr store, on the local cores or on a Dask cluster; what was interrupted goes on where it was.
+"""Dense sweeps into a Zarr store, on the local cores or on a Dask cluster; what was interrupted
+goes on where it was.
 
     sweep_to_zarr(Finger.builtin(), "dense.zarr", grid_axes(Finger.builtin(), 101))
 
-A chunk is a run of grid rows. It is solved by itself, from the home pose along a short way through its commands
-(`tour`, `Simulator.path`), so that its numbers do not depend on which others were solved, nor where: within the
-solver's tolerance those of `Simulator.sweep`. One process writes; workers of a cluster only solve, and need
-softmap-training installed and, for an imported mesh, its file at the same path. A chunk whose worker is lost goes
-to another one (Dask gives up after a chunk has lost four). Units: mm, N, g.
+A chunk is a run of grid rows. It is solved by itself, from the home pose along a short way through
+its commands (`tour`, `Simulator.path`), so that its numbers do not depend on which others were
+solved, nor where: within the solver's tolerance those of `Simulator.sweep`. One process writes;
+workers of a cluster only solve, and need softmap-training installed and, for an imported mesh, its
+file at the same path. A chunk whose worker is lost goes to another one (Dask gives up after a chunk
+has lost four). Units: mm, N, g.
 """
 
 from __future__ import annotations
@@ -31,9 +33,11 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 Solved = tuple[int, Floats, Floats]
 
-CHUNK = 256  # rows: four threads of `Simulator.path`, some seconds of a finger, 1.7 MB of 548 vertices
+# rows: four threads of `Simulator.path`, some seconds of a finger, 1.7 MB of 548 vertices
+CHUNK = 256
 WAIT = 30  # s for a cluster to answer, and for its first worker
-AHEAD = 2  # chunks given to a cluster for each of its threads: its memory holds no more results than that
+# chunks given to a cluster for each of its threads: its memory holds no more results than that
+AHEAD = 2
 ADDRESS = re.compile(r"[a-z]+://[^\s/]+:\d{1,5}")
 AGAIN = "the same command goes on where it stopped"
 
@@ -50,14 +54,17 @@ def sweep_to_zarr(
 ) -> tuple[Store, int]:
     """Simulate every command of a grid into a Zarr store, or go on with one.
 
-    axes: one ascending array of mm (or N) for each command · path: the folder to write or to go on with · chunk: rows
-    that are solved and written together, by default those of the store that is there, else 256 · dask: the address of
-    a cluster's scheduler, the local cores without it · progress: called with the share done, 0 to 1.
-    Returns the store and how many commands were solved now. Raises SimulationError for a store of something else or a
-    cluster that fails, NoEquilibriumError, FingerError.
+    axes: one ascending array of mm (or N) for each command · path: the folder to write or to go on
+    with · chunk: rows that are solved and written together, by default those of the store that is
+    there, else 256 · dask: the address of a cluster's scheduler, the local cores without it ·
+    progress: called with the share done, 0 to 1. Returns the store and how many commands were
+    solved now. Raises SimulationError for a store of something else or a cluster that fails,
+    NoEquilibriumError, FingerError.
     """
     if dask is not None and not ADDRESS.fullmatch(dask):
-        raise SimulationError(f"--dask {dask:.80}: no address of a scheduler; give one as tcp://HOST:8786")
+        raise SimulationError(
+            f"--dask {dask:.80}: no address of a scheduler; give one as tcp://HOST:8786"
+        )
     path = Path(path)
     grid = [np.asarray(axis, np.float64) for axis in axes]
     store = open_store(path, "r+") if path.exists() else None
@@ -76,7 +83,11 @@ def sweep_to_zarr(
         report((float(store.done.sum()) + share) / total)
 
     report_chunk(0.0)
-    source = _here(simulator, store, left, report_chunk) if dask is None else _on_cluster(dask, finger, store, left)
+    source = (
+        _here(simulator, store, left, report_chunk)
+        if dask is None
+        else _on_cluster(dask, finger, store, left)
+    )
     for k, vertices, pull in source if left else ():
         store.write(k, vertices, pull)
         solved += len(vertices)
@@ -84,8 +95,12 @@ def sweep_to_zarr(
     return store, solved
 
 
-def solve(simulator: Simulator, command: Floats, progress: Progress | None = None) -> tuple[Floats, Floats]:
-    """Return vertices (n, N, 3) mm and pull (n, T) N at commands (n, C), solved from home along a short way."""
+def solve(
+    simulator: Simulator, command: Floats, progress: Progress | None = None
+) -> tuple[Floats, Floats]:
+    """Return vertices (n, N, 3) mm and pull (n, T) N at commands (n, C), solved from home along a
+    short way.
+    """
     order = tour(command)
     along = simulator.path_and_pull(command[order], progress=progress)
     vertices, pull = np.empty_like(along[0]), np.empty_like(along[1])
@@ -93,13 +108,17 @@ def solve(simulator: Simulator, command: Floats, progress: Progress | None = Non
     return vertices, pull
 
 
-def _here(simulator: Simulator, store: Store, left: list[int], progress: Progress) -> Iterator[Solved]:
+def _here(
+    simulator: Simulator, store: Store, left: list[int], progress: Progress
+) -> Iterator[Solved]:
     for k in left:
         yield k, *solve(simulator, store.command[store.rows(k)], progress)
 
 
 def _on_cluster(address: str, finger: Finger, store: Store, left: list[int]) -> Iterator[Solved]:
-    """Solve chunks on a cluster, as many at a time as its threads take, in whatever order they come back."""
+    """Solve chunks on a cluster, as many at a time as its threads take, in whatever order they come
+    back.
+    """
     from distributed import Client, as_completed
 
     if isinstance(finger.solid, Meshed):
@@ -116,7 +135,9 @@ def _on_cluster(address: str, finger: Finger, store: Store, left: list[int]) -> 
                 return future
 
             def room() -> int:
-                return min(len(waiting), max(1, AHEAD * sum(client.nthreads().values()) - len(which)))
+                return min(
+                    len(waiting), max(1, AHEAD * sum(client.nthreads().values()) - len(which))
+                )
 
             running = as_completed([submit() for _ in range(room())], loop=client.loop)
             for future in running:

@@ -1,8 +1,10 @@
-//! A bus of emulated servos: bytes in, bytes out at the time at which they would be on the wire, faults on command.
+//! A bus of emulated servos: bytes in, bytes out at the time at which they would be on the wire,
+//! faults on command.
 //!
-//! It speaks the packets of `packet.rs` with real timing: ten bits a byte at the servos' baud rate, return delay, answers
-//! of several servos one after the other. Time comes from outside, so that tests run as fast as they can and the
-//! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/reference/safety.md, without breaking a servo.
+//! It speaks the packets of `packet.rs` with real timing: ten bits a byte at the servos' baud rate,
+//! return delay, answers of several servos one after the other. Time comes from outside, so that
+//! tests run as fast as they can and the pseudo-terminal (`pty.rs`) in real time. What it is for:
+//! every fault of docs/reference/safety.md, without breaking a servo.
 
 mod motor;
 mod pace;
@@ -147,8 +149,8 @@ impl Emulator {
         }
     }
 
-    /// Whoever lets time go on slept for `time` s: what the master said meanwhile is yet to be heard, and its silence is
-    /// not what it was.
+    /// Whoever lets time go on slept for `time` s: what the master said meanwhile is yet to be
+    /// heard, and its silence is not what it was.
     pub fn excuse(&mut self, time: f64) {
         self.servos.iter_mut().for_each(|servo| servo.excuse(time));
     }
@@ -235,8 +237,8 @@ impl Emulator {
         }
     }
 
-    /// Let each servo that obeys `id` act, and those with this id answer. Answers of two servos with one id overlap, unless
-    /// one begins after the other has ended.
+    /// Let each servo that obeys `id` act, and those with this id answer. Answers of two servos
+    /// with one id overlap, unless one begins after the other has ended.
     fn answer(
         &mut self,
         id: u8,
@@ -271,7 +273,8 @@ impl Emulator {
         self.say_together(spoken);
     }
 
-    /// Answers of one id, each begun after its delay: overlapping answers are merged, some bytes apart.
+    /// Answers of one id, each begun after its delay: overlapping answers are merged, some bytes
+    /// apart.
     fn say_together(&mut self, mut spoken: Vec<(f64, Vec<u8>)>) {
         spoken.sort_by(|a, b| a.0.total_cmp(&b.0));
         let byte = 10.0 / f64::from(self.baud);
@@ -298,7 +301,8 @@ impl Emulator {
         }
     }
 
-    /// One packet of all; from a servo on that is silent, or too old to know the question, nothing follows.
+    /// One packet of all; from a servo on that is silent, or too old to know the question, nothing
+    /// follows.
     fn answer_fast(&mut self, ids: &[u8], address: u16, size: u16, hears: impl Fn(&Servo) -> bool) {
         let length = ids.len() * (usize::from(size) + 4) + 1;
         let mut bytes = HEADER.to_vec();
@@ -361,7 +365,8 @@ impl Emulator {
     }
 }
 
-/// Two answers on one wire, the second begun some bytes later: a bit is 1 only where it is 1 in both.
+/// Two answers on one wire, the second begun some bytes later: a bit is 1 only where it is 1 in
+/// both.
 fn laid_over(first: &[u8], second: &[u8], late: usize) -> Vec<u8> {
     let at = |bytes: &[u8], k: Option<usize>| k.and_then(|k| bytes.get(k).copied()).unwrap_or(0xFF);
     let length = first.len().max(second.len() + late);

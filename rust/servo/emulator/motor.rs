@@ -1,8 +1,8 @@
 //! The motor of an emulated servo: a horn that follows its goal and pulls a tendon.
 //!
-//! The horn follows with the time constant `lag` up to its fastest speed, and as far as its current carries the tendon's
-//! load (mA over ticks, a table). Without torque the load turns the horn back until it is no more than friction.
-//! Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
+//! The horn follows with the time constant `lag` up to its fastest speed, and as far as its current
+//! carries the tendon's load (mA over ticks, a table). Without torque the load turns the horn back
+//! until it is no more than friction. Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
 
 use crate::registers::{FULL_PWM, Model, VELOCITY_STEP};
 
@@ -21,7 +21,8 @@ pub struct Motion {
     /// s until a goal arrives, and of the first-order lag behind it.
     pub delay: f64,
     pub lag: f64,
-    /// mA that the tendon asks for at horn angles in ticks, ascending; ends go on flat. Positive pulls the angle down.
+    /// mA that the tendon asks for at horn angles in ticks, ascending; ends go on flat. Positive
+    /// pulls the angle down.
     pub load: Vec<(f64, f64)>,
 }
 
@@ -61,8 +62,8 @@ pub(super) struct Caps {
 }
 
 impl Caps {
-    /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0: none) hold `goal`, `pwm`
-    /// and `profile`. PWM slows it down as well.
+    /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0:
+    /// none) hold `goal`, `pwm` and `profile`. PWM slows it down as well.
     pub fn of(model: &Model, goal: i32, pwm: i32, profile: i32) -> Caps {
         let share = f64::from(pwm) / f64::from(FULL_PWM);
         let (now, largest) = if model.has_current() {
@@ -122,7 +123,8 @@ impl Motor {
         (self.angle, self.measured) = (self.mounted, self.mounted);
     }
 
-    /// Let `STEP` pass on the way to `goal` (ticks since it was mounted; none without torque): mA that are drawn.
+    /// Let `STEP` pass on the way to `goal` (ticks since it was mounted; none without torque): mA
+    /// that are drawn.
     pub fn step(&mut self, goal: Option<f64>, torque: bool, caps: &Caps, broken: &Broken) -> f64 {
         let (load, fastest) = (self.load(self.angle, broken), caps.fastest);
         let before = self.angle;

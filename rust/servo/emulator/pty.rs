@@ -1,6 +1,8 @@
-//! The emulated bus at a pseudo-terminal, in real time, by a thread of its own: any master opens it like a serial port.
+//! The emulated bus at a pseudo-terminal, in real time, by a thread of its own: any master opens it
+//! like a serial port.
 //!
-//! The master's baud rate is that of the terminal's settings, so that a wrong one is met by silence, as on a real bus.
+//! The master's baud rate is that of the terminal's settings, so that a wrong one is met by
+//! silence, as on a real bus.
 
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,7 +23,8 @@ use crate::urgent::urgent;
 const PRIORITY: i32 = 40;
 /// ns for which the thread sleeps at most: servos move while nobody speaks.
 const NAP: i64 = 2_000_000;
-/// s after which a turn of the thread comes late: the computer had no time for it, or somebody held the emulator.
+/// s after which a turn of the thread comes late: the computer had no time for it, or somebody held
+/// the emulator.
 const LATE: f64 = 0.01;
 
 /// An emulator that runs at a pseudo-terminal until it is dropped.
@@ -88,7 +91,8 @@ impl Drop for Terminal {
 }
 
 fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave: &OwnedFd) {
-    // Servos do not wait for the computer that drives them; where this is not granted, they answer late while it is busy.
+    // Servos do not wait for the computer that drives them; where this is not granted, they answer
+    // late while it is busy.
     urgent(PRIORITY);
     let begin = Instant::now();
     let mut last = 0.0;
@@ -118,8 +122,9 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
             tv_nsec: due.unwrap_or(NAP).min(NAP),
         };
         if !matches!(poll(&mut ready, Some(&nap)), Ok(count) if count > 0) {
-            // A port forgets at its last close who had it alone; this one is kept open, and would keep out whoever comes
-            // after a master that was killed. Were it refused, nobody but root could open it again.
+            // A port forgets at its last close who had it alone; this one is kept open, and would
+            // keep out whoever comes after a master that was killed. Were it refused, nobody but
+            // root could open it again.
             let _ = ioctl_tiocnxcl(slave);
             continue;
         }

@@ -1,7 +1,8 @@
 //! One emulated servo: its registers as a master sees them; what they drive is `motor.rs`.
 //!
-//! The goal arrives `delay` later. What a reset does: RAM as delivered, torque off, turns lost (the position is that
-//! within one turn). A servo that draws its largest current for long protects itself: overload error, torque off.
+//! The goal arrives `delay` later. What a reset does: RAM as delivered, torque off, turns lost (the
+//! position is that within one turn). A servo that draws its largest current for long protects
+//! itself: overload error, torque off.
 
 use std::collections::VecDeque;
 
@@ -13,7 +14,8 @@ use crate::registers::{ALERT, FULL_PWM, Model, TICKS_PER_TURN, VELOCITY_STEP, mo
 
 /// s that a reset takes.
 pub const RESET: f64 = 0.3;
-/// The share of its largest current, and the s for which it draws it, that a servo takes for an overload, and its bit.
+/// The share of its largest current, and the s for which it draws it, that a servo takes for an
+/// overload, and its bit.
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
@@ -93,7 +95,8 @@ impl Servo {
         self.table.get(self.model.layout().id) as u8
     }
 
-    /// Whether it obeys requests to `id`: its own id, or its secondary one (register 12), to which it never answers.
+    /// Whether it obeys requests to `id`: its own id, or its secondary one (register 12), to which
+    /// it never answers.
     pub fn obeys(&self, id: u8) -> bool {
         let shadow = self.table.get(self.model.layout().shadow_id) as u8;
         self.id() == id || shadow == id && shadow <= HIGHEST_ID
@@ -130,7 +133,8 @@ impl Servo {
         2e-6 * f64::from(self.table.get(self.model.layout().return_delay))
     }
 
-    /// Whether it answers what it did: its status return level keeps it silent about writes (1), or about all but pings (0).
+    /// Whether it answers what it did: its status return level keeps it silent about writes (1), or
+    /// about all but pings (0).
     pub fn answers(&self, asked: u8) -> bool {
         match self.table.get(self.model.layout().status_return) {
             0 => asked == instruction::PING,
@@ -381,7 +385,8 @@ impl Servo {
         if self.strained > PATIENCE {
             self.fail(OVERLOAD);
         }
-        // One that measures no current tells its load in its place, in thousandths of what it stalls at.
+        // One that measures no current tells its load in its place, in thousandths of what it
+        // stalls at.
         let unit = if self.model.has_current() {
             self.model.current_unit
         } else {

@@ -1,8 +1,9 @@
 //! The emulated bus in simulated time, at a local socket: the other end of `lockstep.rs`.
 //!
-//! Time passes in steps that the master takes: it stands while an answer is computed or read, so that load changes no
-//! result. Beyond that it keeps to one of two paces. `Paced` follows real time and never catches up: delays of the
-//! computer are left out and counted. `Stepped` advances as far as it is granted, as fast as it can.
+//! Time passes in steps that the master takes: it stands while an answer is computed or read, so
+//! that load changes no result. Beyond that it keeps to one of two paces. `Paced` follows real time
+//! and never catches up: delays of the computer are left out and counted. `Stepped` advances as far
+//! as it is granted, as fast as it can.
 
 use std::fs::{DirBuilder, remove_dir_all};
 use std::io::{Read, Result, Write};
@@ -95,7 +96,8 @@ impl Simulated {
         clock.base + clock.now
     }
 
-    /// Let time stand at `at` ns, counted from 0 from now on, until more is granted; servos that are there move up to it.
+    /// Let time stand at `at` ns, counted from 0 from now on, until more is granted; servos that
+    /// are there move up to it.
     pub fn hold(&self, at: u64) {
         let mut clock = self.shared.clock();
         clock.now = clock.now.max(at);
@@ -104,7 +106,8 @@ impl Simulated {
         self.shared.turned.notify_all();
     }
 
-    /// Grant time up to `until` ns and wait, `most` at most, until the master has used it up; whether it has.
+    /// Grant time up to `until` ns and wait, `most` at most, until the master has used it up;
+    /// whether it has.
     pub fn advance(&self, until: u64, most: Duration) -> bool {
         let begun = Instant::now();
         let mut clock = self.shared.clock();
@@ -121,7 +124,8 @@ impl Simulated {
             }
             clock = self.shared.sleep(clock, left);
         }
-        // A master that waits for a later time does not notice this; readers of the horns see them move.
+        // A master that waits for a later time does not notice this; readers of the horns see them
+        // move.
         clock.now = clock.now.max(granted);
         self.emulator().run(clock.now as f64 * 1e-9);
         true
@@ -138,8 +142,8 @@ impl Simulated {
         clock.base + now
     }
 
-    /// For paced time: the driving program is alive for `window` more, or need not be. Returns how long the computer was
-    /// too busy.
+    /// For paced time: the driving program is alive for `window` more, or need not be. Returns how
+    /// long the computer was too busy.
     pub fn there(&self, window: Option<Duration>) -> Duration {
         let mut clock = self.shared.clock();
         clock.there = window.map(|window| Instant::now() + window);
@@ -171,7 +175,8 @@ impl Drop for Simulated {
     }
 }
 
-/// A new folder that only this user can enter. The path of a socket has little room: a long one is not taken.
+/// A new folder that only this user can enter. The path of a socket has little room: a long one is
+/// not taken.
 fn folder() -> Result<PathBuf> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let mut usual = std::env::temp_dir();

@@ -1,4 +1,5 @@
-//! The emulated servos through our own bus: motion, caps, watchdog, resets, every model, what is broken on purpose.
+//! The emulated servos through our own bus: motion, caps, watchdog, resets, every model, what is
+//! broken on purpose.
 
 use super::servo::{Motion, RESET};
 use super::virtual_port::*;

@@ -1,4 +1,5 @@
-//! The emulator as a port whose time passes only when somebody waits, and servos at it, for the tests of bus and emulator.
+//! The emulator as a port whose time passes only when somebody waits, and servos at it, for the
+//! tests of bus and emulator.
 
 use super::Emulator;
 use super::servo::{Motion, Servo};

@@ -1,4 +1,5 @@
-//! How old an answer may be by its servo's own clock: one that stands, falls behind, runs slow or begins anew.
+//! How old an answer may be by its servo's own clock: one that stands, falls behind, runs slow or
+//! begins anew.
 
 use super::robot::*;
 use super::*;
@@ -15,7 +16,8 @@ fn an_old_answer_is_none_once_its_clock_has_stood() {
             seen.push((count, output.cause));
         }
     }
-    // It falls behind by a period each; what is more than `late` old counts no more, and `late` later it holds.
+    // It falls behind by a period each; what is more than `late` old counts no more, and `late`
+    // later it holds.
     assert_eq!(seen, [(5 + 6, Cause::Late), (5 + 11, Cause::Silent)]);
     let mut robot = Robot::within(State::Homed);
     robot.guard = Guard::new(Limits {
@@ -48,7 +50,8 @@ fn delayed(robot: &mut Robot, late: u16, ticks: usize) -> Vec<(usize, State, Cau
 
 #[test]
 fn answers_that_fall_behind_are_no_answers() {
-    // Up to `late` is data's age; beyond it they count as silence, whoever brings them at the full rate.
+    // Up to `late` is data's age; beyond it they count as silence, whoever brings them at the full
+    // rate.
     for (late, holds) in [(1, false), (5, false), (6, true), (20, true)] {
         let mut robot = Robot::within(State::Engaged);
         robot.said.clock = 12_000;
@@ -103,7 +106,8 @@ fn a_clock_may_be_slow_by_its_drift_and_no_more() {
 
 #[test]
 fn late_periods_that_are_made_up_for_age_nothing() {
-    // The loop runs late by up to 0.7 of a period and makes up for it in the next; the servos' clocks are right.
+    // The loop runs late by up to 0.7 of a period and makes up for it in the next; the servos'
+    // clocks are right.
     let mut robot = Robot::within(State::Engaged);
     let (mut due, clock) = (robot.now, robot.said.clock);
     let start = due;

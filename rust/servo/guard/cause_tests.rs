@@ -1,4 +1,5 @@
-//! The causes of docs/reference/safety.md, period by period: each in every state, when it counts, and what is known then.
+//! The causes of docs/reference/safety.md, period by period: each in every state, when it counts,
+//! and what is known then.
 
 use super::robot::*;
 use super::*;
@@ -144,7 +145,8 @@ fn every_cause_in_every_state_at_its_period() {
             assert_eq!(count, periods, "{said}");
             assert_eq!(output.torque, expected == State::SafeStop, "{said}");
             let keeps = reaction != Reaction::Release || cause == Cause::Emergency;
-            // Who falls silent without torque is unplugged or without power: nothing turned, and the mark tells power.
+            // Who falls silent without torque is unplugged or without power: nothing turned, and
+            // the mark tells power.
             let took = !keeps && known && (active || cause != Cause::Silent);
             assert_eq!(robot.guard.forgot_home(), took, "{said}");
             if expected == State::Fault {

@@ -1,6 +1,8 @@
-//! An examiner of the guard, written from docs/reference/safety.md and not from the guard: it sees what goes in and what comes out.
+//! An examiner of the guard, written from docs/reference/safety.md and not from the guard: it sees
+//! what goes in and what comes out.
 //!
-//! Times are counted in periods, which the guard never counts as fewer, so that what is judged here holds for any clock.
+//! Times are counted in periods, which the guard never counts as fewer, so that what is judged here
+//! holds for any clock.
 
 use super::examined::Known;
 use super::{Axis, Cause, Denied, Input, Limits, Output, Request, State};

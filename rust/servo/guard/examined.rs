@@ -6,8 +6,8 @@ use super::{Feedback, Limits};
 pub(super) struct Known {
     pub position: Option<i32>,
     clock: u16,
-    /// The time (s, by clock and by periods) when its clock was last not behind, the ms that it went on since, and the
-    /// time when it was last believed.
+    /// The time (s, by clock and by periods) when its clock was last not behind, the ms that it
+    /// went on since, and the time when it was last believed.
     level: (f64, u64),
     ticked: f64,
     believed: (f64, u64),
@@ -21,8 +21,8 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Take in what a servo said, if anything, in the period that ends at `time` (s by the clock, and periods); `near`
-    /// tells whether a position is where it was sent.
+    /// Take in what a servo said, if anything, in the period that ends at `time` (s by the clock,
+    /// and periods); `near` tells whether a position is where it was sent.
     pub fn hear(
         &mut self,
         said: Option<Feedback>,

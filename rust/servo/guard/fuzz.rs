@@ -1,4 +1,5 @@
-//! Ten million periods of anything that can happen, judged by `checker.rs`; and guards that are broken on purpose.
+//! Ten million periods of anything that can happen, judged by `checker.rs`; and guards that are
+//! broken on purpose.
 
 use super::checker::{Checker, Said};
 use super::{Axis, Budget, Cause, Feedback, Guard, Health, Input, Limits, Message, Request, State};
@@ -6,7 +7,8 @@ use super::{Axis, Budget, Cause, Feedback, Guard, Health, Input, Limits, Message
 const TICKS: usize = 10_000_000;
 const EPISODE: usize = 4_000;
 
-/// Periods to play: ten million, but where mutants are tested by the hundred (`rust/servo/prove.py`).
+/// Periods to play: ten million, but where mutants are tested by the hundred
+/// (`rust/servo/prove.py`).
 fn periods() -> usize {
     std::env::var("SOFTMAP_FUZZ_PERIODS").map_or(TICKS, |count| count.parse().unwrap())
 }
@@ -84,7 +86,8 @@ fn limits(chance: &mut Chance) -> Limits {
     .unwrap()
 }
 
-/// A robot that mostly does what it is told, somebody who mostly means well, and everything else now and then.
+/// A robot that mostly does what it is told, somebody who mostly means well, and everything else
+/// now and then.
 struct World {
     chance: Chance,
     limits: Limits,
@@ -134,7 +137,8 @@ impl World {
             self.chance.within(0.9, 1.1)
         };
         self.now = (self.now as f64 + passed * period * 1e9).max(0.0) as u64;
-        // Where this computer slept, the servos' clocks went on; now and then it is its clock alone that leaps.
+        // Where this computer slept, the servos' clocks went on; now and then it is its clock alone
+        // that leaps.
         let slept = passed > 2.0 && !self.chance.once_in(4);
         self.clock += period * 1000.0 * if slept { passed } else { 1.0 };
         for k in 0..self.at.len() {

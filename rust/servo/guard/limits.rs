@@ -1,4 +1,5 @@
-//! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is refused, not clamped.
+//! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is
+//! refused, not clamped.
 
 use crate::guard::Budget;
 use crate::guard::path::Bounds;
@@ -46,7 +47,8 @@ pub struct Limits {
     pub grace: f64,
     /// Seconds over which speed grows after engaging.
     pub ramp: f64,
-    /// Ticks by which a target may jump: what is more is slowed down and told, or beyond the second refused.
+    /// Ticks by which a target may jump: what is more is slowed down and told, or beyond the second
+    /// refused.
     pub jump: (f64, f64),
     /// Moves of commissioning: ticks from where they began, ticks/s, mA.
     pub jog_travel: f64,
@@ -56,7 +58,8 @@ pub struct Limits {
     pub budget: Budget,
 }
 
-/// A limit that makes no sense: its name, its servo (from 0) where it is one's own, and the sentence.
+/// A limit that makes no sense: its name, its servo (from 0) where it is one's own, and the
+/// sentence.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{text}")]
 pub struct BadLimit {
@@ -70,8 +73,9 @@ pub const MOST_SERVOS: usize = 16;
 /// Ticks that a goal may be away from 0, as the servos themselves allow.
 pub const FARTHEST: i32 = crate::registers::FARTHEST_GOAL;
 
-/// Of each limit by itself: name, lowest and highest value, unit (of the commands where there is none). `low` and `high`
-/// lie about home, `jump` and `voltage` are pairs; what the others leave of it, `Limits::checked` knows.
+/// Of each limit by itself: name, lowest and highest value, unit (of the commands where there is
+/// none). `low` and `high` lie about home, `jump` and `voltage` are pairs; what the others leave of
+/// it, `Limits::checked` knows.
 #[rustfmt::skip]
 pub const RANGES: [(&str, f64, f64, &str); 27] = [
     ("servos", 1.0, MOST_SERVOS as f64, ""),
@@ -228,7 +232,8 @@ impl Axis {
         }
     }
 
-    /// The share of its current that it gets at `temperature` (°C): all while cool, a third where it slackens.
+    /// The share of its current that it gets at `temperature` (°C): all while cool, a third where
+    /// it slackens.
     pub fn share(&self, temperature: f64) -> f64 {
         let above = (temperature - self.warm) / (self.hot - self.warm).max(1e-9);
         1.0 - above.clamp(0.0, 1.0) * (2.0 / 3.0)

@@ -1,4 +1,5 @@
-//! The guard's state machine. What it promises stands in `mod.rs`; docs/reference/safety.md has the table of faults.
+//! The guard's state machine. What it promises stands in `mod.rs`; docs/reference/safety.md has the
+//! table of faults.
 
 use super::limits::{Axis, FARTHEST, Limits};
 use super::path::{Bounds, Path};
@@ -79,7 +80,8 @@ impl Guard {
         self.state
     }
 
-    /// Whether a cause took home away, so that it must be proved anew. Silence without torque does not: nothing was turned.
+    /// Whether a cause took home away, so that it must be proved anew. Silence without torque does
+    /// not: nothing was turned.
     pub fn forgot_home(&self) -> bool {
         self.forgot
     }
@@ -354,7 +356,8 @@ impl Guard {
         }
     }
 
-    /// The same for moves of commissioning, which wait for targets of their own. From outside the window they lead back only.
+    /// The same for moves of commissioning, which wait for targets of their own. From outside the
+    /// window they lead back only.
     fn start_jog(&mut self) {
         self.start();
         self.fresh = None;

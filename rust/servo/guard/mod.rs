@@ -1,12 +1,14 @@
-//! The guard between every target and the servos: a state machine that denies by default, and paths within limits.
+//! The guard between every target and the servos: a state machine that denies by default, and paths
+//! within limits.
 //!
 //!   OFF → CONNECTED → HOMED → READY → ENGAGED ⇄ HOLD → SAFE_STOP → READY, or FAULT
 //!
-//! Pure: one call a period with the time, what was heard of each servo and what is asked; out come state, torque and the
-//! goals to send. The same inputs give the same goals, bit for bit, so that a recording can be replayed.
-//! An *unsafe tick* is a goal outside the window, or beyond slew or acceleration limits, in this order of priority.
-//! Reactions to every fault: docs/reference/safety.md. Time-outs run by the clock and by counted periods, whichever is sooner: a
-//! clock that stands still or jumps back stretches none.
+//! Pure: one call a period with the time, what was heard of each servo and what is asked; out come
+//! state, torque and the goals to send. The same inputs give the same goals, bit for bit, so that a
+//! recording can be replayed. An *unsafe tick* is a goal outside the window, or beyond slew or
+//! acceleration limits, in this order of priority. Reactions to every fault:
+//! docs/reference/safety.md. Time-outs run by the clock and by counted periods, whichever is
+//! sooner: a clock that stands still or jumps back stretches none.
 
 #[cfg(test)]
 mod age_tests;
@@ -35,7 +37,8 @@ pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS, RANGES};
 pub use machine::Guard;
 pub use reversals::Budget;
 
-/// Where the guard stands. Torque is on from ENGAGED to SAFE_STOP and while commissioning, nowhere else.
+/// Where the guard stands. Torque is on from ENGAGED to SAFE_STOP and while commissioning, nowhere
+/// else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum State {
@@ -259,7 +262,8 @@ pub struct Input<'a> {
     /// Of each servo, what was heard since the last tick.
     pub feedback: &'a [Option<Feedback>],
     pub message: Option<Message<'a>>,
-    /// Without a new goal: the last one as the planner has it now. No news, so that it keeps nothing going.
+    /// Without a new goal: the last one as the planner has it now. No news, so that it keeps
+    /// nothing going.
     pub again: Option<&'a [f64]>,
     pub request: Option<Request>,
     /// The emergency stop is pressed, or its line is dead.

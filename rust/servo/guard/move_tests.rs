@@ -1,4 +1,5 @@
-//! What targets become: passed, told or refused, and how goals move engaged, slackening and commissioning.
+//! What targets become: passed, told or refused, and how goals move engaged, slackening and
+//! commissioning.
 
 use super::robot::*;
 use super::*;

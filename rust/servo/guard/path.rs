@@ -1,9 +1,12 @@
-//! How a goal moves: as fast as window, slew and acceleration limits let it, and never so fast that it could not stop.
+//! How a goal moves: as fast as window, slew and acceleration limits let it, and never so fast that
+//! it could not stop.
 //!
-//! With d ticks ahead and A ticks per period² of braking, the fastest speed v from which a stop fits into d is the one
-//! whose braking sum v + (v−A) + (v−2A) + … equals d:   n = ⌊(√(1 + 8d/A) − 1)/2⌋,   v = (d + A n(n+1)/2)/(n+1).
-//! A step that never exceeds it towards the window's edges can always brake, so that the three limits do not conflict;
-//! round-off is settled in the order window, slew, acceleration.
+//! With d ticks ahead and A ticks per period² of braking, the fastest speed v from which a stop
+//! fits into d is the one
+//! whose braking sum v + (v−A) + (v−2A) + … equals d:   n = ⌊(√(1 + 8d/A) − 1)/2⌋,   v = (d + A
+//!   n(n+1)/2)/(n+1).
+//! A step that never exceeds it towards the window's edges can always brake, so that the three
+//! limits do not conflict; round-off is settled in the order window, slew, acceleration.
 
 /// Limits of one servo: ticks, ticks per period, ticks per period².
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,7 +80,8 @@ mod tests {
 
     #[test]
     fn arrives_at_rest_in_the_shortest_time() {
-        // 100 ticks at 1 tick/period² and slew 5: up 1,2,3,4 (10), five a step, down 4,3,2,1 (10): 80/5 = 16 steps.
+        // 100 ticks at 1 tick/period² and slew 5: up 1,2,3,4 (10), five a step, down 4,3,2,1 (10):
+        // 80/5 = 16 steps.
         let bounds = bounds(-10.0, 200.0, 5.0, 1.0);
         let mut path = Path::rest(0.0);
         let mut steps = 0;

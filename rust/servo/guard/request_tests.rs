@@ -1,4 +1,5 @@
-//! The requests of docs/reference/safety.md: where each leads, what it asks for, and what a user who falls silent leads to.
+//! The requests of docs/reference/safety.md: where each leads, what it asks for, and what a user
+//! who falls silent leads to.
 
 use super::robot::*;
 use super::*;

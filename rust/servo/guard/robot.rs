@@ -1,4 +1,5 @@
-//! Two servos that do at once what the guard commands, for the tests of docs/reference/safety.md (`*_tests.rs` in its folder).
+//! Two servos that do at once what the guard commands, for the tests of docs/reference/safety.md
+//! (`*_tests.rs` in its folder).
 
 use super::*;
 

@@ -14,7 +14,8 @@ const DRIFT: f64 = 0.005;
 const ROUND: u16 = 0x8000;
 /// Seconds of old answers after which its clock is read anew; no `silent` is longer.
 const ANEW: f64 = 1.0;
-/// Seconds from torque on until a servo that reports none is believed; its health is to be asked for at least that often.
+/// Seconds from torque on until a servo that reports none is believed; its health is to be asked
+/// for at least that often.
 const SWITCHING: f64 = 0.5;
 /// The share of its cap that a servo draws at most while it is at it.
 const AT_CAP: f64 = 1.25;
@@ -31,8 +32,9 @@ pub(super) struct Servo {
     clock: u16,
     heard: Stamp,
     ticked: Stamp,
-    /// When its answers were last in time, and by how many s its clock went on since. How far it falls behind is told
-    /// from there and not from answer to answer: a late period and the next that makes up for it would count as two.
+    /// When its answers were last in time, and by how many s its clock went on since. How far it
+    /// falls behind is told from there and not from answer to answer: a late period and the next
+    /// that makes up for it would count as two.
     punctual: Stamp,
     gone: f64,
     /// When position, current and voltage were last as they should be.
@@ -80,13 +82,15 @@ impl Servo {
         }
     }
 
-    /// Whether an answer of this `clock` is too old to count: the clock stands, or has fallen behind by more than `late`.
+    /// Whether an answer of this `clock` is too old to count: the clock stands, or has fallen
+    /// behind by more than `late`.
     fn old(&mut self, clock: u16, limits: &Limits, time: &Time) -> bool {
         let round = clock.wrapping_sub(self.clock) % ROUND;
         let passed = f64::from(round) - f64::from(ROUND) * f64::from(u8::from(round >= ROUND / 2));
         let gone = self.gone + 1e-3 * passed;
         let behind = (1.0 - DRIFT) * time.since(self.punctual) - gone;
-        // Who has said nothing of use for so long may have started anew; whoever needed it has reacted.
+        // Who has said nothing of use for so long may have started anew; whoever needed it has
+        // reacted.
         let anew = time.since(self.heard) > ANEW;
         let stands = clock == self.clock && time.since(self.ticked) > CLOCK_STANDS;
         if stands || behind > limits.late && !anew {
@@ -112,7 +116,8 @@ impl Servo {
         self.position
     }
 
-    /// The gravest thing that is wrong. `engaged`: since when torque is on, if it is; `homed`: whether home is known.
+    /// The gravest thing that is wrong. `engaged`: since when torque is on, if it is; `homed`:
+    /// whether home is known.
     pub fn ill(
         &self,
         axis: &Axis,

@@ -1,4 +1,5 @@
-//! Time as the guard counts it: by the clock it is given and by the periods that passed, whichever says more.
+//! Time as the guard counts it: by the clock it is given and by the periods that passed, whichever
+//! says more.
 
 /// A moment, by the clock (ns) and by counted periods.
 #[derive(Debug, Clone, Copy, Default)]
@@ -25,7 +26,8 @@ impl Time {
         }
     }
 
-    /// One more period, the clock at `now`; one that stands or goes back is taken to have gone on by a period.
+    /// One more period, the clock at `now`; one that stands or goes back is taken to have gone on
+    /// by a period.
     pub fn pass(&mut self, now: u64) {
         let passed = match self.last {
             Some(last) if now > last => now - last,

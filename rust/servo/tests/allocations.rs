@@ -1,5 +1,5 @@
-//! The control tick allocates nothing: counted by the allocator itself, on the loop's thread, with real packets at a
-//! pseudo-terminal, answers that are damaged and a servo that falls silent.
+//! The control tick allocates nothing: counted by the allocator itself, on the loop's thread, with
+//! real packets at a pseudo-terminal, answers that are damaged and a servo that falls silent.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -64,7 +64,8 @@ impl Record for Nowhere {
 fn the_tick_allocates_nothing() {
     let terminal = Terminal::open(bench::emulator()).unwrap();
     let serial = Serial::open(terminal.path(), bench::BAUD).unwrap();
-    // A busy computer is late: what the real time of this test may not depend on is allowed more of it.
+    // A busy computer is late: what the real time of this test may not depend on is allowed more of
+    // it.
     let mut limits = Limits {
         stale: 0.2,
         late: 0.2,

@@ -1,6 +1,8 @@
-"""Read a cloud that numpy saved: `.npy`, or an `.npz` archive with `points`, or with one array of places of any name.
+"""Read a cloud that numpy saved: `.npy`, or an `.npz` archive with `points`, or with one array of
+places of any name.
 
-Sizes in a header are compared with the bytes of the file before memory is allocated; objects are never read.
+Sizes in a header are compared with the bytes of the file before memory is allocated; objects are
+never read.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ def read_npy(path: Path, notes: list[str]) -> Floats:
         with path.open("rb") as stream:
             array = _array(stream, path.stat().st_size)
     except Exception as fault:
-        raise RegistrationError(f"{path}: cannot be read as .npy ({brief(fault)}); save it again") from None
+        raise RegistrationError(
+            f"{path}: cannot be read as .npy ({brief(fault)}); save it again"
+        ) from None
     return _points(array, path, "its array", notes)
 
 
@@ -48,8 +52,12 @@ def read_archive(path: Path, notes: list[str]) -> Floats:
     if len(fitting) > 1:
         fitting = {name: array for name, array in fitting.items() if array.dtype.kind == "f"}
     if len(fitting) != 1:
-        shown = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())[:200] or "nothing"
-        raise RegistrationError(f"{path}: holds {shown}; expected numbers `points` (M, 3) mm, or one such array alone")
+        shown = (
+            ", ".join(f"{name} {array.shape}" for name, array in arrays.items())[:200] or "nothing"
+        )
+        raise RegistrationError(
+            f"{path}: holds {shown}; expected numbers `points` (M, 3) mm, or one such array alone"
+        )
     ((name, array),) = fitting.items()
     notes.append(f"{path.name}: `{name:.40}` {array.shape} is taken for `points`")
     return _points(array, path, f"`{name:.40}`", notes)
@@ -58,7 +66,11 @@ def read_archive(path: Path, notes: list[str]) -> Floats:
 def _can_be_places(array: NDArray[np.generic]) -> bool:
     if array.dtype.names:
         return {"x", "y", "z"} <= {name.lower() for name in array.dtype.names}
-    return array.dtype.kind in "fiu" and array.ndim in (2, 3) and 3 in (array.shape[-1], array.shape[0])
+    return (
+        array.dtype.kind in "fiu"
+        and array.ndim in (2, 3)
+        and 3 in (array.shape[-1], array.shape[0])
+    )
 
 
 def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -67,11 +79,13 @@ def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     clouds = max(seen, arrays["start"].size - 1 if "start" in arrays else 1)
     if clouds > 1 and "t_seen" in arrays:
         raise RegistrationError(
-            f"{path}: a run of {clouds} clouds among other files; give it alone, or one cloud a file"
+            f"{path}: a run of {clouds} clouds among other files; give it alone, or one cloud a "
+            "file"
         )
     if clouds > 1:
         raise RegistrationError(
-            f"{path}: `start` of {clouds} clouds without `t_seen`; add their times (K,) s, or give one cloud a file"
+            f"{path}: `start` of {clouds} clouds without `t_seen`; add their times (K,) s, or "
+            "give one cloud a file"
         )
 
 
@@ -83,7 +97,8 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             total = sum(entry.file_size for entry in entries)
             if total > MOST_BYTES or len(entries) > MOST_ARRAYS:
                 raise ValueError(
-                    f"{len(entries)} arrays of {total} bytes, at most {MOST_ARRAYS} of {MOST_BYTES} bytes are read"
+                    f"{len(entries)} arrays of {total} bytes, at most {MOST_ARRAYS} of "
+                    f"{MOST_BYTES} bytes are read"
                 )
             found = {}
             for entry in entries:
@@ -93,7 +108,9 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     except RegistrationError:
         raise
     except Exception as fault:
-        raise RegistrationError(f"{path}: not a readable .npz archive ({brief(fault)}); save it again") from None
+        raise RegistrationError(
+            f"{path}: not a readable .npz archive ({brief(fault)}); save it again"
+        ) from None
 
 
 def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
@@ -106,18 +123,32 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
         raise ValueError(OBJECTS)
     there = len(content.getbuffer()) - content.tell()
     if head.bytes != there:
-        raise ValueError(f"shape {head.shape} of {head.dtype} does not fit the {there} bytes that are there")
-    array = np.frombuffer(content.getbuffer(), head.dtype, offset=content.tell()) if there else np.zeros(0, head.dtype)
+        raise ValueError(
+            f"shape {head.shape} of {head.dtype} does not fit the {there} bytes that are there"
+        )
+    array = (
+        np.frombuffer(content.getbuffer(), head.dtype, offset=content.tell())
+        if there
+        else np.zeros(0, head.dtype)
+    )
     return array.reshape(head.shape, order="F" if head.fortran else "C")
 
 
 def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Floats:
-    """Return an array as points: its fields x, y, z, its rows, the rows of its pixels, or its columns."""
+    """Return an array as points: its fields x, y, z, its rows, the rows of its pixels, or its
+    columns.
+    """
     if array.dtype.names:
         fields = {name.lower(): name for name in array.dtype.names}
-        if not {"x", "y", "z"} <= set(fields) or any(array[fields[a]].dtype.kind not in "fiu" for a in "xyz"):
-            raise RegistrationError(f"{path}: {what} has fields {', '.join(fields)[:80]}, expected x, y, z of numbers")
-        return np.stack([np.asarray(array[fields[axis]], np.float64).ravel() for axis in "xyz"], axis=1)
+        if not {"x", "y", "z"} <= set(fields) or any(
+            array[fields[a]].dtype.kind not in "fiu" for a in "xyz"
+        ):
+            raise RegistrationError(
+                f"{path}: {what} has fields {', '.join(fields)[:80]}, expected x, y, z of numbers"
+            )
+        return np.stack(
+            [np.asarray(array[fields[axis]], np.float64).ravel() for axis in "xyz"], axis=1
+        )
     if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or not array.size:
         raise RegistrationError(
             f"{path}: {what} is {array.dtype} of shape {array.shape}, expected numbers (M, 3) in mm"
@@ -128,7 +159,9 @@ def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Flo
         notes.append(f"{path.name}: {what} of shape {array.shape} is taken as columns of x, y, z")
         array = array.T
     if array.ndim != 2 or array.shape[1] < 3 or array.shape[1] > 200:
-        raise RegistrationError(f"{path}: {what} has shape {array.shape}, expected (M, 3) numbers in mm")
+        raise RegistrationError(
+            f"{path}: {what} has shape {array.shape}, expected (M, 3) numbers in mm"
+        )
     if array.shape[1] > 3:
         columns, sentence = choose([], np.asarray(array[:_ROWS], np.float64), str(path))
         notes.append(f"{path.name}: {sentence}")

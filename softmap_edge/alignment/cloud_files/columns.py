@@ -1,7 +1,8 @@
 """Decide which columns of a table are x, y, z: by their names, else by their values.
 
-A column that counts rows, is constant, or holds integers where others have decimals is no coordinate. Neither is a
-triple of unit vectors (normals) or of colours. The decision is returned as a sentence.
+A column that counts rows, is constant, or holds integers where others have decimals is no
+coordinate. Neither is a triple of unit vectors (normals) or of colours. The decision is returned as
+a sentence.
 """
 
 from __future__ import annotations
@@ -19,12 +20,28 @@ Triple = tuple[int, int, int]
 
 # A name: its quantity (points, normals, none), its axis, its unit.
 _NAME = re.compile(
-    r"(?P<stem>.*?)[ _.:/\-\[(]*(?P<axis>[xyz0-3])[\])]?(?:[ _](?P<u>mm|m|cm|um)| ?[(\[](?P<v>mm|m|cm|um)[)\]])?"
+    r"(?P<stem>.*?)[ _.:/\-\[(]*(?P<axis>[xyz0-3])[\])]?"
+    r"(?:[ _](?P<u>mm|m|cm|um)| ?[(\[](?P<v>mm|m|cm|um)[)\]])?"
 )
 _AXES = ("xyz", "012", "123")
-_PLACES = ("p", "point", "points", "pos", "position", "positions", "xyz", "coord", "coords", "coordinates", "vertex",
-           "vertices", "location", "world")  # fmt: skip
-COUNTS, NUMBERS, FEW = "counts rows", "numbers each row", "holds few numbers"  # what a column may be
+_PLACES = (
+    "p",
+    "point",
+    "points",
+    "pos",
+    "position",
+    "positions",
+    "xyz",
+    "coord",
+    "coords",
+    "coordinates",
+    "vertex",
+    "vertices",
+    "location",
+    "world",
+)
+# what a column may be
+COUNTS, NUMBERS, FEW = "counts rows", "numbers each row", "holds few numbers"
 _LEAST_ROWS = 8  # from which a column that grows evenly counts rows
 _FARTHEST = 1e5  # mm; beyond it lie time stamps
 _UNIT = 0.01  # by which the length of a normal may differ from 1
@@ -42,7 +59,8 @@ def choose(names: Sequence[str], sample: Floats, label: str) -> tuple[Triple, st
         tuple[Triple, str]: three places of columns from 0, and the sentence.
 
     Raises:
-        RegistrationError: the names or values do not give one triple, or the names give a unit other than mm.
+        RegistrationError: the names or values do not give one triple, or the names give a unit
+            other than mm.
     """
     if not names:
         return _by_values(sample, label, "its columns have no names")
@@ -54,7 +72,12 @@ def choose(names: Sequence[str], sample: Floats, label: str) -> tuple[Triple, st
     if triples:
         stem, found = _place_of(triples, sample, header, label)
         taken = ", ".join(_clean(names[k]) for k in found)
-        return found, f"{header} names no x, y, z; {taken} are taken for them" if stem not in _PLACES[3:] else ""
+        return (
+            found,
+            f"{header} names no x, y, z; {taken} are taken for them"
+            if stem not in _PLACES[3:]
+            else "",
+        )
     return _by_values(sample, label, f"{header} names no x, y, z")
 
 
@@ -75,12 +98,16 @@ def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
     found: dict[tuple[str, str], list[int]] = {}
     units: dict[str, set[str]] = {}
     for k, name in enumerate(names):
-        if (match := _NAME.fullmatch(_clean(name).lower())) and (match["stem"] or match["axis"] in "xyz"):
+        if (match := _NAME.fullmatch(_clean(name).lower())) and (
+            match["stem"] or match["axis"] in "xyz"
+        ):
             found.setdefault((match["stem"], match["axis"]), []).append(k)
             units.setdefault(match["stem"], set()).update({match["u"] or match["v"]} - {None})
     plain = [found.get(("", axis), []) for axis in "xyz"]
     if any(plain) and any(len(columns) != 1 for columns in plain):
-        raise RegistrationError(f"{label}: {header} names not each of x, y, z once; name three columns x, y, z, in mm")
+        raise RegistrationError(
+            f"{label}: {header} names not each of x, y, z once; name three columns x, y, z, in mm"
+        )
     triples: dict[str, Triple] = {}
     for stem in dict.fromkeys(stem for stem, _ in found):
         for axes in _AXES:
@@ -89,19 +116,27 @@ def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
                 triples[stem] = (columns[0][0], columns[1][0], columns[2][0])
     chosen = [""] if "" in triples else list(triples)
     if other := sorted(set().union(*(units[stem] for stem in chosen)) - {"mm"}) if chosen else []:
-        raise RegistrationError(f"{label}: {header} says {', '.join(other)}; clouds are read in mm, convert it")
+        raise RegistrationError(
+            f"{label}: {header} says {', '.join(other)}; clouds are read in mm, convert it"
+        )
     return triples
 
 
-def _place_of(triples: dict[str, Triple], sample: Floats, header: str, label: str) -> tuple[str, Triple]:
+def _place_of(
+    triples: dict[str, Triple], sample: Floats, header: str, label: str
+) -> tuple[str, Triple]:
     """Return the only triple that can be places: by its name, else by its values."""
     by_name = [stem for stem in triples if stem in _PLACES]
-    left = by_name or [stem for stem, k in triples.items() if not _is_normal(sample[:, k])] or list(triples)
+    left = (
+        by_name
+        or [stem for stem, k in triples.items() if not _is_normal(sample[:, k])]
+        or list(triples)
+    )
     left = [stem for stem in left if not _is_colour(sample[:, triples[stem]])] or left
     if len(left) > 1:
         raise RegistrationError(
-            f"{label}: {header} names {len(left)} triples that may be places ({', '.join(left)[:60]}); name three "
-            "columns x, y, z, in mm"
+            f"{label}: {header} names {len(left)} triples that may be places "
+            f"({', '.join(left)[:60]}); name three columns x, y, z, in mm"
         )
     return left[0], triples[left[0]]
 
@@ -126,7 +161,9 @@ def _by_values(sample: Floats, label: str, why: str) -> tuple[Triple, str]:
 
 
 def no_coordinates(sample: Floats) -> dict[int, str]:
-    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason; three are left if possible."""
+    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason; three are
+    left if possible.
+    """
     rows, count = sample.shape
     known = np.isfinite(sample)
     sample = np.clip(sample, -1e12, 1e12)  # damaged values must not overflow
@@ -143,7 +180,12 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
             refused[k] = f"reaches {np.abs(values).max():.3g}"
         elif not np.ptp(values) and count - len(refused) > 3:
             refused[k] = f"is always {values[0]:g}"
-        elif k in integers and len(values) >= 20 and len(np.unique(values)) == len(values) and count - len(refused) > 3:
+        elif (
+            k in integers
+            and len(values) >= 20
+            and len(np.unique(values)) == len(values)
+            and count - len(refused) > 3
+        ):
             refused[k] = NUMBERS
     return refused
 
@@ -157,10 +199,16 @@ def _counts_up(values: Floats) -> bool:
 def _is_normal(values: Floats) -> bool:
     near = values[(np.abs(values) < 2.0).all(axis=1)]
     unit = np.abs(np.linalg.norm(near, axis=1) - 1.0) < _UNIT
-    return int(np.count_nonzero(unit)) > 0.95 * int(np.count_nonzero(np.isfinite(values).all(axis=1))) > 0
+    return (
+        int(np.count_nonzero(unit))
+        > 0.95 * int(np.count_nonzero(np.isfinite(values).all(axis=1)))
+        > 0
+    )
 
 
 def _is_colour(values: Floats) -> bool:
     seen = values[np.isfinite(values).all(axis=1)]
     low, high = seen.min(initial=np.inf), seen.max(initial=-np.inf)
-    return len(seen) > 0 and low >= 0.0 and (high <= 1.0 or (high <= 255.0 and not np.any(seen % 1.0)))
+    return (
+        len(seen) > 0 and low >= 0.0 and (high <= 1.0 or (high <= 255.0 and not np.any(seen % 1.0)))
+    )

@@ -1,6 +1,8 @@
-"""Read the points of a PCD file, version 0.6 or 0.7: text, binary or compressed, with any fields in any order.
+"""Read the points of a PCD file, version 0.6 or 0.7: text, binary or compressed, with any fields in
+any order.
 
-Sizes in the header are compared with the bytes of the file before memory is allocated. The viewpoint is not applied.
+Sizes in the header are compared with the bytes of the file before memory is allocated. The
+viewpoint is not applied.
 """
 
 from __future__ import annotations
@@ -23,18 +25,36 @@ _MOST_POINTS = 10_000_000
 _MOST_COMPRESSED = 16 << 20  # bytes; they are unpacked one by one
 _LZF_GROWS = 300  # by which LZF unpacks at most: 3 bytes stand for up to 264
 _ROWS = 2000  # from which columns are decided
-_KNOWN = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_KNOWN = (
+    "VERSION",
+    "FIELDS",
+    "COLUMNS",
+    "SIZE",
+    "TYPE",
+    "COUNT",
+    "WIDTH",
+    "HEIGHT",
+    "VIEWPOINT",
+    "POINTS",
+    "DATA",
+)
 
 
 def is_pcd(head: bytes) -> bool:
     """Whether a file's first bytes are those of PCD."""
-    lines = (line.split() for line in head[:4000].splitlines() if line.strip() and not line.startswith(b"#"))
+    lines = (
+        line.split()
+        for line in head[:4000].splitlines()
+        if line.strip() and not line.startswith(b"#")
+    )
     first = next(lines, [])
     return head.startswith(b"# .PCD") or (bool(first) and first[0] in (b"VERSION", b"FIELDS"))
 
 
 def read_pcd(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PCD file; a guess of columns is added to `notes`. Raises RegistrationError."""
+    """Return the points (M, 3) of a PCD file; a guess of columns is added to `notes`. Raises
+    RegistrationError.
+    """
     try:
         with path.open("rb") as file:
             header = _header(file)
@@ -45,7 +65,9 @@ def read_pcd(path: Path, notes: list[str]) -> Floats:
                 raise ValueError(f"DATA {kind[:40]!r}, known are {', '.join(read)}")
             columns = read[kind](path, file, row, count)
     except (ValueError, OverflowError, IndexError, struct.error) as fault:
-        raise RegistrationError(f"{path}: cannot be read as PCD ({brief(fault)}); export it again") from None
+        raise RegistrationError(
+            f"{path}: cannot be read as PCD ({brief(fault)}); export it again"
+        ) from None
     sample = np.stack([np.asarray(column[:_ROWS], np.float64) for column in columns], axis=1)
     chosen, sentence = choose(list(row.names or ()), sample, str(path))
     notes += [f"{path.name}: {sentence}"] if sentence else []
@@ -78,18 +100,32 @@ def _row(header: dict[str, list[str]]) -> np.dtype[np.void]:
     sizes, kinds = _integers(header.get("SIZE", [])), header.get("TYPE", [])
     counts = _integers(header.get("COUNT", ["1"] * len(names)))
     if not 3 <= len(names) == len(sizes) == len(kinds) == len(counts) <= 200:
-        raise ValueError(f"{len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE, {len(counts)} COUNT")
+        raise ValueError(
+            f"{len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE, {len(counts)} COUNT"
+        )
     if not all(1 <= count <= 10_000 for count in counts):
         raise ValueError(f"COUNT {' '.join(map(str, counts))[:60]}, 1 to 10000 are expected")
     types = [kind.lower() + str(size) for kind, size in zip(kinds, sizes)]
-    if bad := [t for t in types if t not in ("f4", "f8", *(f"{k}{n}" for k in "iu" for n in (1, 2, 4, 8)))]:
+    if bad := [
+        t for t in types if t not in ("f4", "f8", *(f"{k}{n}" for k in "iu" for n in (1, 2, 4, 8)))
+    ]:
         raise ValueError(f"numbers of type {bad[0][:20]!r}")
-    once = [name if names.index(name) == k and name != "_" else f"_{k}" for k, name in enumerate(names)]
-    return np.dtype([(name, f"<{t}", (n,)) if n > 1 else (name, f"<{t}") for name, t, n in zip(once, types, counts)])
+    once = [
+        name if names.index(name) == k and name != "_" else f"_{k}" for k, name in enumerate(names)
+    ]
+    return np.dtype(
+        [
+            (name, f"<{t}", (n,)) if n > 1 else (name, f"<{t}")
+            for name, t, n in zip(once, types, counts)
+        ]
+    )
 
 
 def _count(header: dict[str, list[str]]) -> int:
-    (width,), (height,) = _integers(header.get("WIDTH", ["0"])[:1]), _integers(header.get("HEIGHT", ["1"])[:1])
+    (width,), (height,) = (
+        _integers(header.get("WIDTH", ["0"])[:1]),
+        _integers(header.get("HEIGHT", ["1"])[:1]),
+    )
     count = _integers(header["POINTS"][:1])[0] if "POINTS" in header else width * height
     if "WIDTH" in header and count != width * height:
         raise ValueError(f"POINTS {count}, WIDTH × HEIGHT {width * height}")
@@ -104,7 +140,9 @@ def _first(table: NDArray[np.void]) -> list[NDArray[np.generic]]:
     return [column if column.ndim == 1 else column[:, 0] for column in columns]
 
 
-def _text(path: Path, file: BinaryIO, row: np.dtype[np.void], count: int) -> list[NDArray[np.generic]]:
+def _text(
+    path: Path, file: BinaryIO, row: np.dtype[np.void], count: int
+) -> list[NDArray[np.generic]]:
     there = path.stat().st_size - file.tell()
     each = [int(np.prod(row[name].shape, dtype=int)) for name in row.names or ()]
     if 2 * count * sum(each) > there + 1:
@@ -119,21 +157,32 @@ def _text(path: Path, file: BinaryIO, row: np.dtype[np.void], count: int) -> lis
     return list(values.T)
 
 
-def _binary(path: Path, file: BinaryIO, row: np.dtype[np.void], count: int) -> list[NDArray[np.generic]]:
+def _binary(
+    path: Path, file: BinaryIO, row: np.dtype[np.void], count: int
+) -> list[NDArray[np.generic]]:
     there = path.stat().st_size - file.tell()
     if count * row.itemsize > there:
-        raise ValueError(f"its header claims {count} points of {row.itemsize} bytes, {there} are there")
+        raise ValueError(
+            f"its header claims {count} points of {row.itemsize} bytes, {there} are there"
+        )
     return _first(np.memmap(path, row, "r", file.tell(), (count,)) if count else np.zeros(0, row))
 
 
-def _compressed(path: Path, file: BinaryIO, row: np.dtype[np.void], count: int) -> list[NDArray[np.generic]]:
+def _compressed(
+    path: Path, file: BinaryIO, row: np.dtype[np.void], count: int
+) -> list[NDArray[np.generic]]:
     """Return the columns of a compressed file, which holds field after field."""
     packed, size = struct.unpack("<II", file.read(8))
     there = path.stat().st_size - file.tell()
     if packed > there or packed > _MOST_COMPRESSED:
-        raise ValueError(f"{packed} compressed bytes, {there} are there and {_MOST_COMPRESSED} are read at most")
+        raise ValueError(
+            f"{packed} compressed bytes, {there} are there and {_MOST_COMPRESSED} are read at most"
+        )
     if size != count * row.itemsize or size > _LZF_GROWS * max(packed, 1):
-        raise ValueError(f"{packed} bytes that claim to unpack to {size}, {count} points have {count * row.itemsize}")
+        raise ValueError(
+            f"{packed} bytes that claim to unpack to {size}, {count} points have "
+            f"{count * row.itemsize}"
+        )
     content, columns, at = unpack_lzf(file.read(packed), size), [], 0
     for name in row.names or ():
         kind = row[name]

@@ -1,7 +1,8 @@
-"""Read the vertices of a PLY file: text or binary of both byte orders, with any properties in any order.
+"""Read the vertices of a PLY file: text or binary of both byte orders, with any properties in any
+order.
 
-Sizes in the header are compared with the bytes of the file before memory is allocated. Elements before the vertices are
-skipped, also those with lists; elements after the vertices are not read.
+Sizes in the header are compared with the bytes of the file before memory is allocated. Elements
+before the vertices are skipped, also those with lists; elements after the vertices are not read.
 """
 
 from __future__ import annotations
@@ -20,9 +21,16 @@ from softmap_edge.errors import RegistrationError, brief
 
 Floats = NDArray[np.float64]
 
-_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-          "double": "f8"} | {f"{word}{8 * n}": f"{word[0]}{n}" for word in ("int", "uint", "float")
-                             for n in (1, 2, 4, 8)}  # fmt: skip
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+} | {f"{word}{8 * n}": f"{word[0]}{n}" for word in ("int", "uint", "float") for n in (1, 2, 4, 8)}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MOST_HEADER = 1000  # lines
 _MOST_LISTS = 1_000_000  # rows with lists that are skipped, one by one
@@ -32,7 +40,9 @@ _ROWS = 2000  # from which columns are decided
 
 @dataclass
 class _Element:
-    """A table of the file: its rows, and the types of their properties; a list has two, of its length and its items."""
+    """A table of the file: its rows, and the types of their properties; a list has two, of its
+    length and its items.
+    """
 
     name: str
     count: int
@@ -43,22 +53,31 @@ class _Element:
         return any(len(types) > 1 for _, types in self.properties)
 
     def row(self, order: str) -> np.dtype[np.void]:
-        return np.dtype([(f"{k}", order + types[0]) for k, (_, types) in enumerate(self.properties)])
+        return np.dtype(
+            [(f"{k}", order + types[0]) for k, (_, types) in enumerate(self.properties)]
+        )
 
 
 def read_ply(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PLY file; a guess of columns is added to `notes`. Raises RegistrationError."""
+    """Return the points (M, 3) of a PLY file; a guess of columns is added to `notes`. Raises
+    RegistrationError.
+    """
     try:
         with path.open("rb") as file:
             order, elements = _header(file)
             before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
             if len(before) == len(elements):
-                raise ValueError(f"it has no element vertex, but {', '.join(e.name for e in elements)[:80] or 'none'}")
+                raise ValueError(
+                    "it has no element vertex, but "
+                    f"{', '.join(e.name for e in elements)[:80] or 'none'}"
+                )
             vertex = elements[len(before)]
             _check(vertex, path.stat().st_size - file.tell())
             return _vertices(path, file, order, before, vertex, notes)
     except (ValueError, OverflowError, struct.error, IndexError) as fault:
-        raise RegistrationError(f"{path}: cannot be read as PLY ({brief(fault)}); export it again") from None
+        raise RegistrationError(
+            f"{path}: cannot be read as PLY ({brief(fault)}); export it again"
+        ) from None
 
 
 def _header(file: BinaryIO) -> tuple[str, list[_Element]]:
@@ -75,9 +94,13 @@ def _header(file: BinaryIO) -> tuple[str, list[_Element]]:
                 return order, elements
             case ["format", kind, *_] if kind in _ORDERS:
                 order = _ORDERS[kind]
-            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
+            case ["element", name, count] if (
+                count.isascii() and count.isdigit() and len(count) < 16
+            ):
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", length, item, name] if elements and {length, item} <= set(_TYPES):
+            case ["property", "list", length, item, name] if elements and {length, item} <= set(
+                _TYPES
+            ):
                 elements[-1].properties.append((name, (_TYPES[length], _TYPES[item])))
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append((name, (_TYPES[kind],)))
@@ -92,7 +115,9 @@ def _check(vertex: _Element, there: int) -> None:
     if vertex.listed:
         raise ValueError("its vertices have lists")
     if len(vertex.properties) < 3:
-        raise ValueError(f"its vertices have {len(vertex.properties)} properties, x, y, z are needed")
+        raise ValueError(
+            f"its vertices have {len(vertex.properties)} properties, x, y, z are needed"
+        )
     if vertex.count > _MOST_POINTS:
         raise ValueError(f"{vertex.count} vertices, at most {_MOST_POINTS} are read: thin it out")
     least = vertex.count * 2 * len(vertex.properties)  # of text; a digit and a separator
@@ -102,7 +127,12 @@ def _check(vertex: _Element, there: int) -> None:
 
 
 def _vertices(
-    path: Path, file: BinaryIO, order: str, before: list[_Element], vertex: _Element, notes: list[str]
+    path: Path,
+    file: BinaryIO,
+    order: str,
+    before: list[_Element],
+    vertex: _Element,
+    notes: list[str],
 ) -> Floats:
     columns: Triple | None = None
     if order:
@@ -111,8 +141,15 @@ def _vertices(
         row = vertex.row(order)
         there = path.stat().st_size - file.tell()
         if vertex.count * row.itemsize > there:
-            raise ValueError(f"its header claims {vertex.count} vertices of {row.itemsize} bytes, {there} are there")
-        table = np.memmap(path, row, "r", file.tell(), (vertex.count,)) if vertex.count else np.zeros(0, row)
+            raise ValueError(
+                f"its header claims {vertex.count} vertices of {row.itemsize} bytes, {there} are "
+                "there"
+            )
+        table = (
+            np.memmap(path, row, "r", file.tell(), (vertex.count,))
+            if vertex.count
+            else np.zeros(0, row)
+        )
         columns = _columns(vertex, [table[name][:_ROWS] for name in row.names or ()], path, notes)
         return np.stack([np.asarray(table[f"{k}"], np.float64) for k in columns], axis=1)
     for _ in range(sum(element.count for element in before)):
@@ -121,17 +158,25 @@ def _vertices(
     first = [file.readline().split() for _ in range(min(vertex.count, _ROWS))]
     if any(len(cells) != len(vertex.properties) for cells in first):
         raise ValueError(f"rows of {len(vertex.properties)} numbers are expected, others are there")
-    columns = _columns(vertex, list(np.array(first, float).reshape(-1, len(vertex.properties)).T), path, notes)
-    rows = itertools.chain((b" ".join(cells) for cells in first), iter(lambda: file.readline(10_000), b""))
+    columns = _columns(
+        vertex, list(np.array(first, float).reshape(-1, len(vertex.properties)).T), path, notes
+    )
+    rows = itertools.chain(
+        (b" ".join(cells) for cells in first), iter(lambda: file.readline(10_000), b"")
+    )
     values = (
-        np.loadtxt(itertools.islice(rows, vertex.count), usecols=columns, ndmin=2) if vertex.count else np.zeros((0, 3))
+        np.loadtxt(itertools.islice(rows, vertex.count), usecols=columns, ndmin=2)
+        if vertex.count
+        else np.zeros((0, 3))
     )
     if len(values) != vertex.count:
         raise ValueError(f"its header claims {vertex.count} vertices, {len(values)} are there")
     return np.asarray(values, np.float64)
 
 
-def _columns(vertex: _Element, some: list[NDArray[np.generic]], path: Path, notes: list[str]) -> Triple:
+def _columns(
+    vertex: _Element, some: list[NDArray[np.generic]], path: Path, notes: list[str]
+) -> Triple:
     sample = np.stack([np.asarray(column, np.float64) for column in some], axis=1)
     columns, sentence = choose([name for name, _ in vertex.properties], sample, str(path))
     notes += [f"{path.name}: {sentence}"] if sentence else []
@@ -144,7 +189,10 @@ def _pass_over(file: BinaryIO, element: _Element, order: str) -> None:
         file.seek(element.count * element.row(order).itemsize, 1)
         return
     if element.count > _MOST_LISTS:
-        raise ValueError(f"{element.count} rows of lists before its vertices, at most {_MOST_LISTS} are passed over")
+        raise ValueError(
+            f"{element.count} rows of lists before its vertices, at most {_MOST_LISTS} are passed "
+            "over"
+        )
     for _ in range(element.count):
         for _, types in element.properties:
             number = np.frombuffer(file.read(np.dtype(types[0]).itemsize), order + types[0])[0]

@@ -1,7 +1,8 @@
 """Read a cloud that is text: CSV of any dialect, XYZ, PTS, COLMAP's points3D, OBJ vertices.
 
-The dialect is the one in which most lines hold three numbers or more. Lines above the first such line are the header;
-the nearest of them that names axes gives the names, also as a comment or with another separator.
+The dialect is the one in which most lines hold three numbers or more. Lines above the first such
+line are the header; the nearest of them that names axes gives the names, also as a comment or with
+another separator.
 """
 
 from __future__ import annotations
@@ -35,7 +36,20 @@ _SAMPLE_BYTES, _SAMPLE_LINES = 1 << 20, 2000  # from which dialect and columns a
 _MOST_COLUMNS = 200  # that are tested
 _MARKS = ("#", "//", "%")  # of comments
 _SEPARATORS = (";", "\t", ",", None)
-_UNSEEN = {"", "-", "--", "na", "n/a", "#n/a", "null", "none", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind"}
+_UNSEEN = {
+    "",
+    "-",
+    "--",
+    "na",
+    "n/a",
+    "#n/a",
+    "null",
+    "none",
+    "nan(ind)",
+    "-nan(ind)",
+    "1.#qnan",
+    "-1.#ind",
+}
 
 
 @dataclass(frozen=True)
@@ -50,7 +64,12 @@ class _Dialect:
         return [cell.replace(",", ".") for cell in cells] if self.comma else cells
 
 
-_DIALECTS = [_Dialect(mark, comma) for mark in _SEPARATORS for comma in (False, True) if not (comma and mark == ",")]
+_DIALECTS = [
+    _Dialect(mark, comma)
+    for mark in _SEPARATORS
+    for comma in (False, True)
+    if not (comma and mark == ",")
+]
 
 
 def read_text(path: Path, notes: list[str]) -> Floats:
@@ -79,7 +98,9 @@ def _encoding(path: Path) -> str:
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     if b"\0" in head:
-        raise RegistrationError(f"{path}: neither text nor a known kind of cloud; save it as PLY, PCD or CSV")
+        raise RegistrationError(
+            f"{path}: neither text nor a known kind of cloud; save it as PLY, PCD or CSV"
+        )
     return "utf-8-sig"
 
 
@@ -114,20 +135,27 @@ def _found(lines: Sequence[str], path: Path) -> tuple[_Dialect, int]:
             best, most = (dialect, rows[0]), len(rows)
     if best is None:
         raise RegistrationError(
-            f"{path}: no columns x, y, z of numbers (no line of the first {len(lines)} holds three); export it again"
+            f"{path}: no columns x, y, z of numbers (no line of the first {len(lines)} holds "
+            "three); export it again"
         )
     if _is_scan_table(lines, some):
-        raise RegistrationError(f"{path}: a PTX file, whose scans have frames of their own; save it as PLY, PCD or XYZ")
+        raise RegistrationError(
+            f"{path}: a PTX file, whose scans have frames of their own; save it as PLY, PCD or XYZ"
+        )
     return best
 
 
 def _is_scan_table(lines: Sequence[str], some: Sequence[int]) -> bool:
-    """Whether the file begins as PTX does: two counts, four rows of three numbers, a matrix of four by four."""
+    """Whether the file begins as PTX does: two counts, four rows of three numbers, a matrix of four
+    by four.
+    """
     return [len(lines[k].split()) for k in some[:10]] == [1, 1, 3, 3, 3, 3, 4, 4, 4, 4]
 
 
 def _value(cell: str) -> float:
-    """Return the number in a cell, NaN if it stands for "not seen"; raise ValueError for anything else."""
+    """Return the number in a cell, NaN if it stands for "not seen"; raise ValueError for anything
+    else.
+    """
     text = cell.strip().strip('"')
     if text.lower() in _UNSEEN:
         return float("nan")
@@ -137,30 +165,51 @@ def _value(cell: str) -> float:
 
 
 def _sample(rows: Sequence[Sequence[str]]) -> Floats:
-    """Return the cells of some rows as numbers, NaN if a cell holds none; as many columns as the median row."""
+    """Return the cells of some rows as numbers, NaN if a cell holds none; as many columns as the
+    median row.
+    """
     width = int(np.median([len(row) for row in rows]))
     values = np.full((len(rows), width), np.nan)
     for row, cells in zip(values, rows):
-        row[: min(width, len(cells))] = [float(cell) if is_plain(cell) else np.nan for cell in cells[:width]]
-    while values.shape[1] > 3 and not np.isfinite(values[:, -1]).any():  # a separator at the end of each line
+        row[: min(width, len(cells))] = [
+            float(cell) if is_plain(cell) else np.nan for cell in cells[:width]
+        ]
+    # a separator at the end of each line
+    while values.shape[1] > 3 and not np.isfinite(values[:, -1]).any():
         values = values[:, :-1]
     return values
 
 
 def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
-    """Return the names of the nearest line above the rows that names axes, else of the nearest with a name a column."""
-    split = [[_split(text, mark) for text in _texts(line) for mark in _order(dialect)] for line in reversed(lines)]
+    """Return the names of the nearest line above the rows that names axes, else of the nearest with
+    a name a column.
+    """
+    split = [
+        [_split(text, mark) for text in _texts(line) for mark in _order(dialect)]
+        for line in reversed(lines)
+    ]
     for ways in split:
         for names in ways:
             if len(names) >= 3 and names_places(names):
                 return names
-    fits = (names for ways in split for names in ways[:1] if 3 <= len(names) <= width and not is_plain(names[0]))
+    fits = (
+        names
+        for ways in split
+        for names in ways[:1]
+        if 3 <= len(names) <= width and not is_plain(names[0])
+    )
     return next(fits, [])
 
 
 def _fitted(names: list[str], sample: Floats) -> list[str]:
-    """Return names of columns, with one before them where a first column that numbers the rows has none."""
-    if len(names) == sample.shape[1] - 1 and no_coordinates(sample).get(0) in (COUNTS, NUMBERS, FEW):
+    """Return names of columns, with one before them where a first column that numbers the rows has
+    none.
+    """
+    if len(names) == sample.shape[1] - 1 and no_coordinates(sample).get(0) in (
+        COUNTS,
+        NUMBERS,
+        FEW,
+    ):
         return ["", *names]
     return names
 
@@ -185,9 +234,16 @@ def _bare(line: str) -> str:
 
 
 def _numbers(
-    path: Path, encoding: str, dialect: _Dialect, first: int, columns: Triple, vertices: bool = False
+    path: Path,
+    encoding: str,
+    dialect: _Dialect,
+    first: int,
+    columns: Triple,
+    vertices: bool = False,
 ) -> Floats:
-    """Return the three columns of all rows: fast where each cell is a plain number, else cell by cell."""
+    """Return the three columns of all rows: fast where each cell is a plain number, else cell by
+    cell.
+    """
     for convert in (None, _value):
         if convert is None and dialect.comma:
             continue
@@ -197,9 +253,13 @@ def _numbers(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of a file without rows; that is reported
                 values = np.loadtxt(
-                    islice(rows, MOST_POINTS + 1), delimiter=dialect.separator, usecols=columns, ndmin=2,
-                    comments=list(_MARKS), converters=convert,
-                )  # fmt: skip
+                    islice(rows, MOST_POINTS + 1),
+                    delimiter=dialect.separator,
+                    usecols=columns,
+                    ndmin=2,
+                    comments=list(_MARKS),
+                    converters=convert,
+                )
         except (ValueError, IndexError, OverflowError) as error:
             fault = error
             continue
@@ -207,5 +267,6 @@ def _numbers(
             raise RegistrationError(f"{path}: more than {MOST_POINTS} points; thin it out")
         return np.asarray(values, np.float64)
     raise RegistrationError(
-        f"{path}: no columns x, y, z of numbers ({brief(fault)}, lines counted from the first row); export it again"
+        f"{path}: no columns x, y, z of numbers ({brief(fault)}, lines counted from the first "
+        "row); export it again"
     )

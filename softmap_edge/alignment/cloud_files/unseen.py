@@ -1,7 +1,8 @@
 """Remove pixels without depth from a cloud: not finite, at 0, 0, 0, or all at one other place.
 
-Depth cameras save a pixel without depth as one fixed triple; a transform moves all of them alike. One point at 0, 0, 0
-is a point; a place that repeats bit for bit far more often than others do is not.
+Depth cameras save a pixel without depth as one fixed triple; a transform moves all of them alike.
+One point at 0, 0, 0 is a point; a place that repeats bit for bit far more often than others do is
+not.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ OFTEN = 10.0  # and by how much more often than the median place of a cloud whos
 
 
 def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Return which points (M, 3) are measurements, and a sentence about those that are left out ("" if none are)."""
+    """Return which points (M, 3) are measurements, and a sentence about those that are left out (""
+    if none are).
+    """
     finite = np.isfinite(points).all(axis=1)
     zero = finite & (points == 0.0).all(axis=1)
     zero &= np.count_nonzero(zero) > 1
@@ -38,10 +41,16 @@ def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def _repeated(points: Floats, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
-    """Return which points lie at a place that repeats too often to be measured, and these places in words."""
+    """Return which points lie at a place that repeats too often to be measured, and these places in
+    words.
+    """
     rows = np.flatnonzero(good)
     order = rows[np.lexsort(points[rows].T)]
-    new = np.r_[True, np.any(points[order][1:] != points[order][:-1], axis=1)] if len(order) else np.zeros(0, bool)
+    new = (
+        np.r_[True, np.any(points[order][1:] != points[order][:-1], axis=1)]
+        if len(order)
+        else np.zeros(0, bool)
+    )
     first = np.flatnonzero(new)
     counts = np.diff(np.r_[first, len(order)])
     most = max(float(MOST_REPEATS), OFTEN * float(np.median(counts))) if len(counts) else 0.0

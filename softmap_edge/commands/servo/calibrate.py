@@ -1,4 +1,6 @@
-"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. Hooked into servo.py."""
+"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. Hooked
+into servo.py.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
-from softmap_edge.robot.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
+from softmap_edge.robot.commissioning.first_calibration import (
+    COUPLING,
+    bench_calibration,
+    bends,
+    document,
+    radius,
+)
 from softmap_edge.robot.commissioning.jog import Jog
 from softmap_edge.robot.servo.rig import Rig, read_rig
 
@@ -39,11 +47,25 @@ class CalibrateOptions:
 
 def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench, its homes known")
-    parser.add_argument("--pulley-mm", required=True, type=float, metavar="R", help="radius at which tendon is wound")
-    parser.add_argument("--signs", metavar="+,-", help="which way each servo bends; jogged and asked for without it")
-    parser.add_argument("--ruler", metavar="TICKS=MM", help="mm of tendon that so many ticks wound, by a ruler")
-    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the bench, its homes known"
+    )
+    parser.add_argument(
+        "--pulley-mm",
+        required=True,
+        type=float,
+        metavar="R",
+        help="radius at which tendon is wound",
+    )
+    parser.add_argument(
+        "--signs", metavar="+,-", help="which way each servo bends; jogged and asked for without it"
+    )
+    parser.add_argument(
+        "--ruler", metavar="TICKS=MM", help="mm of tendon that so many ticks wound, by a ruler"
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+    )
     effects_argument(parser)
     bundle_arguments(parser)
     hold_argument(parser)
@@ -60,22 +82,29 @@ def calibrate_bench(args: CalibrateOptions) -> int:
     if args.signs is None:
         found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
-        f"no coupling is known: servos are taken to pull one command each, within {COUPLING:g} of their own",
-        "held out is what the deviations expect; nothing was seen: calibrate with a camera for more",
+        f"no coupling is known: servos are taken to pull one command each, within {COUPLING:g} of "
+        "their own",
+        "held out is what the deviations expect; nothing was seen: calibrate with a camera for "
+        "more",
     ]
     if args.ruler is None:
         warnings.append(
-            "the radius is the pulley's alone; one reading of a ruler (--ruler TICKS=MM) measures it better"
+            "the radius is the pulley's alone; one reading of a ruler (--ruler TICKS=MM) measures "
+            "it better"
         )
     folder = save_bundle(replace(model, calibration=found), args.out)
     if args.json:
-        print(json.dumps(document(found, model, warnings) | {"bundle": str(folder)}, ensure_ascii=False))
+        print(
+            json.dumps(
+                document(found, model, warnings) | {"bundle": str(folder)}, ensure_ascii=False
+            )
+        )
         return 0
     print(f"A first calibration: {found.run}; radius {pulley.mm:.3f} ± {pulley.sigma:.3f} mm")
     for k, servo in enumerate(rig.servos):
         print(
-            f"  servo {servo.id}: u{k} {found.A[k, k]:+.6f} ± {found.sigma_A[k, k]:.6f} mm a tick, straight at "
-            f"{found.home[k]:.0f} ticks ± {found.sigma_b[k]:.2f} mm"
+            f"  servo {servo.id}: u{k} {found.A[k, k]:+.6f} ± {found.sigma_A[k, k]:.6f} mm a "
+            f"tick, straight at {found.home[k]:.0f} ticks ± {found.sigma_b[k]:.2f} mm"
         )
     print("\n".join([*(f"  look at: {line}" for line in warnings), f"{folder}: written"]))
     return 0
@@ -106,7 +135,11 @@ def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
         way = bends(model, k)
         with Jog(rig, tell=to_stderr) as jog:
             with deadman(args.hold) as hand:
-                announce(args, f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip", hand)
+                announce(
+                    args,
+                    f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip",
+                    hand,
+                )
                 came = jog.by(k, JOGGED, hand)
                 if not hand.stopped:
                     jog.by(k, -came, hand)
@@ -114,15 +147,19 @@ def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
         if hand.stopped or abs(came) < MOVES * JOGGED:
             why = "a key that stops was pressed" if hand.stopped else "look what holds it"
             raise ServoError(
-                f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks, so nothing is known of its sign: {why}"
+                f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks, so nothing is known "
+                f"of its sign: {why}"
             )
-        if confirm(f"Did servo {servo.id} bend the tip towards {way} of the base first?", "--signs"):
+        if confirm(
+            f"Did servo {servo.id} bend the tip towards {way} of the base first?", "--signs"
+        ):
             signs.append(1)
         elif confirm("Did it bend the tip the other way?", "--signs"):
             signs.append(-1)
         else:
             raise ServoError(
-                f"servo {servo.id} bends the tip neither to {way} nor the other way; servo {k + 1} of the rig has to "
-                f"pull command {k + 1}: look at its tendon, or at the order in rig.toml"
+                f"servo {servo.id} bends the tip neither to {way} nor the other way; servo "
+                f"{k + 1} of the rig has to pull command {k + 1}: look at its tendon, or at the "
+                "order in rig.toml"
             )
     return signs

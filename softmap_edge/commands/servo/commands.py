@@ -1,4 +1,6 @@
-"""The verbs servo and replay: servos found, read, set up and released; the emulated ones; a recording decided again."""
+"""The verbs servo and replay: servos found, read, set up and released; the emulated ones; a
+recording decided again.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,11 @@ from typing import Any, TypeVar
 
 from softmap_edge.commands.output import check_file, check_no_run, to_stderr, with_files
 from softmap_edge.commands.parser import Action, add_actions, run_action
-from softmap_edge.commands.servo.calibrate import CalibrateOptions, calibrate_bench, calibrate_bench_arguments
+from softmap_edge.commands.servo.calibrate import (
+    CalibrateOptions,
+    calibrate_bench,
+    calibrate_bench_arguments,
+)
 from softmap_edge.commands.servo.emulate import EmulateOptions, emulate, emulate_arguments
 from softmap_edge.commands.servo.heartbeat import HeartbeatOptions, heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo.home import HomeOptions, home, home_arguments
@@ -54,7 +60,9 @@ def _ports(port: str | None, baud: int | None) -> list[str]:
 
 
 def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
-    """Return the rig of `--rig`, and the options with its port and baud rate where they are missing."""
+    """Return the rig of `--rig`, and the options with its port and baud rate where they are
+    missing.
+    """
     if args.rig is None:
         return None, args
     rig = read_rig(args.rig)
@@ -65,7 +73,11 @@ def _missing(rig: Rig | None, found: list[setup.ServoState]) -> list[str]:
     """Return a sentence for each servo of the rig that did not answer, with the cause."""
     listed = [] if rig is None else [servo.id for servo in rig.servos]
     left = [id for id in listed if id not in [servo.id for servo in found]]
-    return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+    return (
+        []
+        if rig is None
+        else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+    )
 
 
 def _scan(args: ScanOptions) -> int:
@@ -95,7 +107,12 @@ def _scan(args: ScanOptions) -> int:
 def _told(servo: setup.ServoState) -> dict[str, Any]:
     name = servo.model["name"] if servo.model else None
     return dict(
-        port=servo.port, baud=servo.baud, id=servo.id, model=name, model_number=servo.number, firmware=servo.firmware
+        port=servo.port,
+        baud=servo.baud,
+        id=servo.id,
+        model=name,
+        model_number=servo.number,
+        firmware=servo.firmware,
     )
 
 
@@ -112,7 +129,9 @@ def _find(args: ReadOptions | SetupOptions) -> tuple[list[setup.ServoState], lis
     which = "no servo" if args.id is None else f"no servo of id {args.id}"
     if args.id is not None and args.port and args.baud:
         raise ServoError(f"{which} answers: {why_silent(args.port, args.baud, args.id)}")
-    scan = f"softmap servo scan --port {shlex.quote(args.port)}" if args.port else "softmap servo scan"
+    scan = (
+        f"softmap servo scan --port {shlex.quote(args.port)}" if args.port else "softmap servo scan"
+    )
     raise ServoError(f"{which} answers; check power and wiring, `{scan}` lists what does")
 
 
@@ -133,7 +152,12 @@ def _read(args: ReadOptions) -> int:
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
             print(servo)
-            print("".join(f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()), end="")
+            print(
+                "".join(
+                    f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()
+                ),
+                end="",
+            )
             print(
                 "\n".join(f"  ! {line}" for line in said)
                 or ("  set up" if values else "  its registers cannot be read: see below")
@@ -145,8 +169,12 @@ def _read(args: ReadOptions) -> int:
     return 0 if well else OTHERWISE
 
 
-def _registers(servo: setup.ServoState, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
-    """Return the register values of a servo, and a line for each that blocks a start or is rewritten by it."""
+def _registers(
+    servo: setup.ServoState, asked: setup.Asked | None
+) -> tuple[dict[str, int], list[str]]:
+    """Return the register values of a servo, and a line for each that blocks a start or is
+    rewritten by it.
+    """
     try:
         with opened(servo.port, servo.baud) as bus:
             values = setup.registers(bus, servo.id)
@@ -165,9 +193,14 @@ def _setup(args: SetupOptions) -> int:
     ids = [servo.id for servo in found]
     if len(found) > 1:
         if shared := [line for line in remarks if len(set(ids)) < len(ids) and "share" in line]:
-            raise ServoError(f"{len(found)} servos answer (ids {', '.join(map(str, ids))}): {shared[0]}")
+            raise ServoError(
+                f"{len(found)} servos answer (ids {', '.join(map(str, ids))}): {shared[0]}"
+            )
         said = ", ".join(map(str, ids))
-        raise ServoError(f"{len(found)} servos answer (ids {said}); connect one at a time, or say which with --id")
+        raise ServoError(
+            f"{len(found)} servos answer (ids {said}); connect one at a time, or say which with "
+            "--id"
+        )
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
     entry = entry_of(old, found[0], args.new_id, args.new_baud)  # before anything is changed
     mended: list[str] = []
@@ -177,7 +210,16 @@ def _setup(args: SetupOptions) -> int:
         bench = entered(entry, done, setup.gains(done))
         (bench.write if old is None else bench.note)(args.rig)
     if args.json:
-        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig, "mended": mended}))
+        print(
+            json.dumps(
+                {
+                    "schema": "softmap.servos/1",
+                    "servos": [_told(done)],
+                    "rig": args.rig,
+                    "mended": mended,
+                }
+            )
+        )
     else:
         print("".join(f"  {line}\n" for line in mended), end="")
         print(f"{done}: set up" + (f", noted in {args.rig}" if args.rig else ""))
@@ -190,7 +232,10 @@ def _next(args: SetupOptions, done: setup.ServoState) -> str:
     if args.rig:
         return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"
     where = f"--port {shlex.quote(done.port)} --baud {done.baud} --id {done.id}"
-    return f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo home --rig rig.toml"
+    return (
+        f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo "
+        "home --rig rig.toml"
+    )
 
 
 def _off(args: OffOptions) -> int:
@@ -204,19 +249,30 @@ def _off(args: OffOptions) -> int:
         released += there
         kept += left
         if not args.json:
-            confirmed = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
+            confirmed = (
+                f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
+            )
             print(f"{name}: torque off was sent; {confirmed}")
             if left:
                 print(f"{name}: {with_files(kept_words(left), args)}")
     if args.json:
-        document = {"schema": "softmap.servos/1", "released": ports, "confirmed": released, "not_confirmed": kept}
+        document = {
+            "schema": "softmap.servos/1",
+            "released": ports,
+            "confirmed": released,
+            "not_confirmed": kept,
+        }
         print(json.dumps(document))
     return 0 if released and not kept else OTHERWISE
 
 
 def _bus_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
-    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
+    parser.add_argument(
+        "--port", metavar="PORT", help="a serial port; every one of this machine without it"
+    )
+    parser.add_argument(
+        "--baud", type=int, metavar="BAUD", help="one rate; every known one without it"
+    )
 
 
 @dataclass(frozen=True)
@@ -247,7 +303,9 @@ class ReadOptions:
 
 def _read_arguments(parser: argparse.ArgumentParser) -> None:
     _scan_arguments(parser)
-    parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
+    parser.add_argument(
+        "--id", type=int, metavar="ID", help="one servo; all that answer without it"
+    )
 
 
 @dataclass(frozen=True)
@@ -265,7 +323,9 @@ class SetupOptions:
 
 def _setup_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--id", type=int, metavar="ID", help="its id now, where several servos are connected")
+    parser.add_argument(
+        "--id", type=int, metavar="ID", help="its id now, where several servos are connected"
+    )
     parser.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
     parser.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
     parser.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
@@ -288,24 +348,45 @@ def _off_arguments(parser: argparse.ArgumentParser) -> None:
 
 ACTIONS: dict[str, Action] = {
     "scan": Action("find ports, baud rates and servos", _scan_arguments, _scan, ScanOptions),
-    "read": Action("what a servo is, and what keeps it from being driven", _read_arguments, _read, ReadOptions),
-    "setup": Action("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup, SetupOptions),
-    "home": Action("prove where the finger is straight, after each power-up", home_arguments, home, HomeOptions),
+    "read": Action(
+        "what a servo is, and what keeps it from being driven", _read_arguments, _read, ReadOptions
+    ),
+    "setup": Action(
+        "make one servo ready, and note it in a rig.toml", _setup_arguments, _setup, SetupOptions
+    ),
+    "home": Action(
+        "prove where the finger is straight, after each power-up", home_arguments, home, HomeOptions
+    ),
     "calibrate": Action(
         "a first calibration without a camera: pulley, jogged signs, a ruler",
         calibrate_bench_arguments,
         calibrate_bench,
         CalibrateOptions,
     ),
-    "pull": Action("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test, PullOptions),
-    "limits": Action("every limit in force on a bench, and who set it", limits_arguments, limits, LimitsOptions),
+    "pull": Action(
+        "measure the current at the stroke; it becomes the ceiling",
+        pull_arguments,
+        pull_test,
+        PullOptions,
+    ),
+    "limits": Action(
+        "every limit in force on a bench, and who set it", limits_arguments, limits, LimitsOptions
+    ),
     "off": Action("switch the torque of every servo off", _off_arguments, _off, OffOptions),
-    "reboot": Action("restart a servo that has shut itself down", reboot_arguments, reboot, RebootOptions),
+    "reboot": Action(
+        "restart a servo that has shut itself down", reboot_arguments, reboot, RebootOptions
+    ),
     "heartbeat": Action(
-        "be the emergency stop of a robot on another computer", heartbeat_arguments, heartbeat, HeartbeatOptions
+        "be the emergency stop of a robot on another computer",
+        heartbeat_arguments,
+        heartbeat,
+        HeartbeatOptions,
     ),
     "emulate": Action(
-        "an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate, EmulateOptions
+        "an emulated robot: servos, a finger, a camera, faults on command",
+        emulate_arguments,
+        emulate,
+        EmulateOptions,
     ),
 }
 
@@ -333,12 +414,16 @@ class ReplayOptions:
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `replay`."""
     parser.add_argument("recording", help="what the control loop recorded (.mcap)")
-    parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well, with what was seen")
+    parser.add_argument(
+        "--run", metavar="FILE.npz", help="write it as a run as well, with what was seen"
+    )
     parser.add_argument("--force", action="store_true", help="replace the run that stands there")
 
 
 def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording is not whole."""
+    """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording
+    is not whole.
+    """
     check_file("--run", args.run, ".npz")
     check_no_run("--run", args.run, args.force)
     recording = read_recording(args.recording)
@@ -349,11 +434,21 @@ def replay(args: ReplayOptions) -> int:
     first, last = recording.periods[0], recording.periods[-1]
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:
-        document = {"schema": "softmap.replay/1", "periods": len(recording.periods), "seconds": seconds}
+        document = {
+            "schema": "softmap.replay/1",
+            "periods": len(recording.periods),
+            "seconds": seconds,
+        }
         document |= {"bus": recording.bus}
-        print(json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run}))
+        print(
+            json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run})
+        )
     else:
-        said = "every one decided alike" if not differ else f"{len(differ)} decided otherwise, the first is {differ[0]}"
+        said = (
+            "every one decided alike"
+            if not differ
+            else f"{len(differ)} decided otherwise, the first is {differ[0]}"
+        )
         print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
         if args.run:
             print(f"{args.run}: written")

@@ -1,4 +1,6 @@
-"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input. Hooked into servo.py."""
+"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input. Hooked
+into servo.py.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +37,9 @@ from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
 
 FAULTS = (
-    "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · heat SERVO °C · "
-    "supply SERVO V · burden SERVO TIMES · fail SERVO BITS · rename SERVO ID · swap SERVO SERVO · "
-    "drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
+    "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · "
+    "heat SERVO °C · supply SERVO V · burden SERVO TIMES · fail SERVO BITS · rename SERVO ID · "
+    "swap SERVO SERVO · drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
 )
 FINGER_FAULTS = "blind 0|1"
 EMULATED = "emulated"  # in [made] of the bench that it writes
@@ -69,24 +71,49 @@ class EmulateOptions:
 
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
-    parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)"
+    )
     effects_argument(parser)
     parser.add_argument(
-        "--hide", "--hidden", default="", metavar="NAME,NAME", help="effects that it hides: backlash,creep"
+        "--hide",
+        "--hidden",
+        default="",
+        metavar="NAME,NAME",
+        help="effects that it hides: backlash,creep",
     )
-    parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
-    parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
-    parser.add_argument("--baud", type=int, default=BAUD, metavar="BAUD", help=f"their rate ({BAUD})")
-    parser.add_argument("--fresh", action="store_true", help="servos as delivered: not set up, home not known")
-    parser.add_argument("--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger")
-    parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
-    parser.add_argument("--force", action="store_true", help="replace bench and bundle that stand there, real ones too")
-    parser.add_argument("--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos")
     parser.add_argument(
-        "--stream", action="append", default=[], metavar="udp://HOST:PORT",
+        "--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)"
+    )
+    parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
+    parser.add_argument(
+        "--baud", type=int, default=BAUD, metavar="BAUD", help=f"their rate ({BAUD})"
+    )
+    parser.add_argument(
+        "--fresh", action="store_true", help="servos as delivered: not set up, home not known"
+    )
+    parser.add_argument(
+        "--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger"
+    )
+    parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="replace bench and bundle that stand there, real ones too",
+    )
+    parser.add_argument(
+        "--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos"
+    )
+    parser.add_argument(
+        "--stream",
+        action="append",
+        default=[],
+        metavar="udp://HOST:PORT",
         help="send what its camera sees there (docs/do/camera.md); may be given again",
-    )  # fmt: skip
+    )
     parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
 
 
@@ -109,7 +136,13 @@ def emulate(args: EmulateOptions) -> int:
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)
     robot = emulated_bench(
-        whole, calibration, laws, seed=args.seed, servo=args.model, baud=args.baud, ready=not args.fresh
+        whole,
+        calibration,
+        laws,
+        seed=args.seed,
+        servo=args.model,
+        baud=args.baud,
+        ready=not args.fresh,
     )
     with contextlib.ExitStack() as stack:
         for sender in senders:
@@ -121,11 +154,22 @@ def emulate(args: EmulateOptions) -> int:
             save_bundle(replace(whole, calibration=calibration), args.calibrated)
         stack.enter_context(streaming(finger, senders))
         document = {
-            "schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud, "servos": len(rig.servos),
-            "ready": not args.fresh, "robot": whole.robot, "points": len(whole.rest), "frames_a_second": FRAMES,
-            "hidden": names, "rig": args.rig, "bundle": args.calibrated, "stream": args.stream,
-        }  # fmt: skip
-        print(json.dumps(document) if args.json else _said(args, bus.path, whole, names), flush=True)
+            "schema": "softmap.emulated/1",
+            "port": bus.path,
+            "baud": args.baud,
+            "servos": len(rig.servos),
+            "ready": not args.fresh,
+            "robot": whole.robot,
+            "points": len(whole.rest),
+            "frames_a_second": FRAMES,
+            "hidden": names,
+            "rig": args.rig,
+            "bundle": args.calibrated,
+            "stream": args.stream,
+        }
+        print(
+            json.dumps(document) if args.json else _said(args, bus.path, whole, names), flush=True
+        )
         _obey(bus, finger)
     return 0
 
@@ -140,8 +184,8 @@ def _check_no_bench(path: str | None, force: bool) -> None:
         emulated = False
     if not emulated:
         raise SoftmapError(
-            f"--rig {path}: a file that no emulator wrote stands there, perhaps a real bench; give another name, or "
-            "--force to replace it"
+            f"--rig {path}: a file that no emulator wrote stands there, perhaps a real bench; "
+            "give another name, or --force to replace it"
         )
 
 
@@ -153,10 +197,13 @@ def _written(rig: Rig, path: str) -> None:
 def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> str:
     """Return what stands there now, and what to type next."""
     lines = [
-        f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, never called real; it "
-        f"hides {', '.join(names) or 'nothing'}"
+        f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, "
+        f"never called real; it hides {', '.join(names) or 'nothing'}"
     ]
-    lines += [f"{len(model.rest)} points a frame, {FRAMES:g} frames a second, to {to}" for to in args.stream]
+    lines += [
+        f"{len(model.rest)} points a frame, {FRAMES:g} frames a second, to {to}"
+        for to in args.stream
+    ]
     lines += [f"{path}: written" for path in (args.rig, args.calibrated) if path]
     if args.fresh:
         rig = shlex.quote(args.rig or "rig.toml")
@@ -175,7 +222,10 @@ def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> st
                 f"  softmap record commands.csv {on}{seen} --late {LATE[0]:g} --out run.npz",
             ]
     else:
-        lines += ["give --rig and --calibrated too, and it can be driven: softmap track S --bundle DIR --rig FILE.toml"]
+        lines += [
+            "give --rig and --calibrated too, and it can be driven: softmap track S --bundle DIR "
+            "--rig FILE.toml"
+        ]
     return "\n".join([*lines, f"{FAULTS} · {FINGER_FAULTS}"])
 
 
@@ -183,7 +233,9 @@ def _senders(args: EmulateOptions) -> list[PointSender]:
     if args.key and not args.stream:
         raise SoftmapError("--key signs what is sent; give --stream udp://HOST:PORT with it")
     key = None if args.key is None else read_key(args.key)
-    return [PointSender(host or "127.0.0.1", port, key) for host, port in map(udp_address, args.stream)]
+    return [
+        PointSender(host or "127.0.0.1", port, key) for host, port in map(udp_address, args.stream)
+    ]
 
 
 @contextlib.contextmanager
@@ -216,7 +268,11 @@ def _bare(args: EmulateOptions, count: int) -> int:
     number = servo_model(args.model)["number"]
     if not 1 <= count <= MOST_SERVOS:
         raise ServoError(f"{count} servos; allowed are 1 to {MOST_SERVOS}")
-    given = [f"--{name}" for name in ("bundle", "hide", "stream", "calibrated", "key") if getattr(args, name)]
+    given = [
+        f"--{name}"
+        for name in ("bundle", "hide", "stream", "calibrated", "key")
+        if getattr(args, name)
+    ]
     if given:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
@@ -224,10 +280,20 @@ def _bare(args: EmulateOptions, count: int) -> int:
     bus = _core.EmulatedBus(servos, [pull] * count, seed=args.seed)
     try:
         if args.rig:
-            _written(Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)), args.rig)
-        document: dict[str, Any] = {"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}
+            _written(
+                Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)),
+                args.rig,
+            )
+        document: dict[str, Any] = {
+            "schema": "softmap.emulated/1",
+            "port": bus.path,
+            "baud": args.baud,
+        }
         said = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
-        print(json.dumps(document | {"servos": count, "ready": False}) if args.json else said, flush=True)
+        print(
+            json.dumps(document | {"servos": count, "ready": False}) if args.json else said,
+            flush=True,
+        )
         _obey(bus, None)
     finally:
         bus.unplug()
@@ -245,8 +311,14 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
                 except ServoError as said:
                     print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
                 except (ValueError, OverflowError):
-                    print(f"{line.strip()}: not all of it are numbers of that kind; {known}", file=sys.stderr)
-        to_stderr(f"standard input has ended, and {bus.path} with it; in the background keep it open: {KEPT_OPEN}")
+                    print(
+                        f"{line.strip()}: not all of it are numbers of that kind; {known}",
+                        file=sys.stderr,
+                    )
+        to_stderr(
+            f"standard input has ended, and {bus.path} with it; in the background keep it open: "
+            f"{KEPT_OPEN}"
+        )
 
 
 def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[str]) -> None:
@@ -255,7 +327,9 @@ def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[st
     if name == "unplug" and not numbers:
         bus.unplug()
     elif name in (*BROKEN, "mend") and len(numbers) == 1:
-        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else dict.fromkeys(BROKEN, False)))
+        bus.damage(
+            int(numbers[0]), **({name: True} if name in BROKEN else dict.fromkeys(BROKEN, False))
+        )
     elif name in ("reset", "lose_turn") and len(numbers) == 1:
         getattr(bus, name)(int(numbers[0]))
     elif name in ("heat", "supply", "burden") and len(numbers) == 2:

@@ -35,24 +35,45 @@ class HeartbeatOptions:
 
 def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo heartbeat`."""
-    parser.add_argument("robot", nargs="?", metavar="HOST:PORT", help="whose rig.toml has this port in [emergency] udp")
+    parser.add_argument(
+        "robot",
+        nargs="?",
+        metavar="HOST:PORT",
+        help="whose rig.toml has this port in [emergency] udp",
+    )
     parser.add_argument("--key", metavar="FILE", help="the key that both computers have")
-    parser.add_argument("--new-key", metavar="FILE", help="make a key, to be copied to both computers; nothing beats")
-    parser.add_argument("--every", type=float, default=EVERY, metavar="S", help=f"between beats ({EVERY:g})")
+    parser.add_argument(
+        "--new-key",
+        metavar="FILE",
+        help="make a key, to be copied to both computers; nothing beats",
+    )
+    parser.add_argument(
+        "--every", type=float, default=EVERY, metavar="S", help=f"between beats ({EVERY:g})"
+    )
 
 
 def heartbeat(args: HeartbeatOptions) -> int:
-    """Beat until it is ended; keys, or lines `press` and `release` on standard input, press and release the stop."""
+    """Beat until it is ended; keys, or lines `press` and `release` on standard input, press and
+    release the stop.
+    """
     if args.new_key is not None:
         new_key(args.new_key)
         document = {"schema": "softmap.key/1", "key": args.new_key}
-        print(json.dumps(document) if args.json else f"{args.new_key}: written; copy it to the other computer")
+        print(
+            json.dumps(document)
+            if args.json
+            else f"{args.new_key}: written; copy it to the other computer"
+        )
         return 0
     host, _, port = (args.robot or "").rpartition(":")
     if not host or not port.isdecimal() or args.key is None:
-        raise ServoError("give HOST:PORT of the robot and --key FILE, or --new-key FILE to make one")
+        raise ServoError(
+            "give HOST:PORT of the robot and --key FILE, or --new-key FILE to make one"
+        )
     if not 0.001 <= args.every <= 1.0:
-        raise ServoError(f"--every {args.every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml")
+        raise ServoError(
+            f"--every {args.every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml"
+        )
     pressed, beats, warned, begun = False, 0, False, time.monotonic()
     with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
         if not args.json:
@@ -72,7 +93,10 @@ def heartbeat(args: HeartbeatOptions) -> int:
                 beats += 1
                 if not warned and not heart.heard and time.monotonic() - begun > UNHEARD:
                     warned = True
-                    print(f"{args.robot} does not answer: no loop runs there, or its key is another", file=sys.stderr)
+                    print(
+                        f"{args.robot} does not answer: no loop runs there, or its key is another",
+                        file=sys.stderr,
+                    )
                 due = max(due + args.every, time.monotonic() - args.every)
                 time.sleep(max(0.0, due - time.monotonic()))
         except KeyboardInterrupt:
@@ -85,7 +109,9 @@ def heartbeat(args: HeartbeatOptions) -> int:
 
 @contextmanager
 def _keys() -> Iterator[Iterator[str | None]]:
-    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more. Never waits."""
+    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more. Never
+    waits.
+    """
     if (file := terminal()) is None:
         yield _lines()
         return
@@ -110,4 +136,8 @@ def _lines() -> Iterator[str | None]:
         line, end, rest = text.partition("\n")
         if end:
             text = rest
-        yield {"press": "press", "release": "release", "end": "end"}.get(line.strip()) if end else None
+        yield (
+            {"press": "press", "release": "release", "end": "end"}.get(line.strip())
+            if end
+            else None
+        )

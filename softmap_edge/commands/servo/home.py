@@ -1,4 +1,6 @@
-"""`softmap servo home`: home proved with its user, or by options where there is none. Hooked into servo.py."""
+"""`softmap servo home`: home proved with its user, or by options where there is none. Hooked into
+servo.py.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,13 @@ class HomeOptions:
 
 def home_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo home`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; its homes are written into it")
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the bench; its homes are written into it"
+    )
     parser.add_argument("--yes", action="store_true", help="the finger is straight: ask nothing")
-    parser.add_argument("--new", action="store_true", help="this is home, whatever was stored before")
+    parser.add_argument(
+        "--new", action="store_true", help="this is home, whatever was stored before"
+    )
 
 
 def home(args: HomeOptions) -> int:
@@ -37,10 +43,18 @@ def home(args: HomeOptions) -> int:
     relax(rig)
     confirmed = "by --yes"
     if not args.yes:
-        if not confirm("Torque is off. Let the finger hang straight and still. Is it straight?", "--yes"):
-            raise ServoError("the robot is not homed: it was not confirmed that the finger is straight")
+        if not confirm(
+            "Torque is off. Let the finger hang straight and still. Is it straight?", "--yes"
+        ):
+            raise ServoError(
+                "the robot is not homed: it was not confirmed that the finger is straight"
+            )
         confirmed = "by the user at the terminal"
     homed = prove(rig, confirmed, new=args.new)
     homed.rig.note(args.rig)
-    print(json.dumps(homed.to_dict() | {"rig": args.rig}) if args.json else f"{homed}\n{args.rig}: home is proved")
+    print(
+        json.dumps(homed.to_dict() | {"rig": args.rig})
+        if args.json
+        else f"{homed}\n{args.rig}: home is proved"
+    )
     return 0

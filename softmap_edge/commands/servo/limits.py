@@ -30,11 +30,19 @@ class LimitsOptions:
 
 def limits_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo limits`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench: its servos, ceiling and stops")
-    parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the bench: its servos, ceiling and stops"
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+    )
     effects_argument(parser)
     parser.add_argument(
-        "--rate", type=float, default=RATE, metavar="HZ", help=f"periods of the loop a second ({RATE:g})"
+        "--rate",
+        type=float,
+        default=RATE,
+        metavar="HZ",
+        help=f"periods of the loop a second ({RATE:g})",
     )
 
 

@@ -1,4 +1,6 @@
-"""`softmap servo pull`: the current at the stroke becomes the ceiling in rig.toml. Hooked into servo.py."""
+"""`softmap servo pull`: the current at the stroke becomes the ceiling in rig.toml. Hooked into
+servo.py.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,16 @@ class PullOptions:
 
 def pull_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo pull`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; ceilings are written into it")
-    parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the bench; ceilings are written into it"
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+    )
     effects_argument(parser)
-    parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone; all of them without it")
+    parser.add_argument(
+        "--servo", type=int, metavar="ID", help="this servo alone; all of them without it"
+    )
     hold_argument(parser)
 
 
@@ -56,5 +64,9 @@ def pull_test(args: PullOptions) -> int:
         print(json.dumps(document | {"margin": MARGIN, "idle_of_stall": IDLE, "rig": args.rig}))
     else:
         how = f"{MARGIN:g} times the most of both, and {IDLE:g} of the stall current"
-        print("\n".join([*map(str, done), f"{args.rig}: the ceilings are written ({how}); torque is off"]))
+        print(
+            "\n".join(
+                [*map(str, done), f"{args.rig}: the ceilings are written ({how}); torque is off"]
+            )
+        )
     return 0

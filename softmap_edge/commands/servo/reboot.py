@@ -29,8 +29,12 @@ def reboot_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo reboot`."""
     parser.add_argument("--id", type=int, required=True, metavar="ID", help="the servo")
     parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
-    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
-    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
+    parser.add_argument(
+        "--port", metavar="PORT", help="a serial port; every one of this machine without it"
+    )
+    parser.add_argument(
+        "--baud", type=int, metavar="BAUD", help="one rate; every known one without it"
+    )
 
 
 def reboot(args: RebootOptions) -> int:
@@ -57,9 +61,15 @@ def _where(args: RebootOptions) -> tuple[str, int]:
         port, baud = port or rig.port, baud or rig.baud
     if port and baud:
         return port, baud
-    found = [one for name in ([port] if port else ports()) for one in scan(name, baud) if one.id == args.id]
+    found = [
+        one
+        for name in ([port] if port else ports())
+        for one in scan(name, baud)
+        if one.id == args.id
+    ]
     if len(found) != 1:
         raise ServoError(
-            f"{len(found) or 'no'} servos of id {args.id} answer; say where it is with --rig, or --port and --baud"
+            f"{len(found) or 'no'} servos of id {args.id} answer; say where it is with --rig, or "
+            "--port and --baud"
         )
     return found[0].port, found[0].baud

@@ -3,8 +3,9 @@
     (K,)       name                       (K, C)     name[0] … name[C-1]
     (K, M, 3)  name[0].x, .y, .z, …       (K, A, B)  name[0,0] … name[A-1,B-1]
 
-Rows run along the axis that is as long as a vector of the file, else along the longest one, so that MATLAB's rows and
-columns are both read. Arrays of different lengths are different tables: a `[[log]]` names columns of one length.
+Rows run along the axis that is as long as a vector of the file, else along the longest one, so that
+MATLAB's rows and columns are both read. Arrays of different lengths are different tables: a
+`[[log]]` names columns of one length.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ class ArrayColumns:
         asked = [*places, *([] if label is None else [label])]
         lengths = {len(self.columns[k]) for k in asked}
         if len(lengths) > 1:
-            raise RunError(f"{self.path}: {self._lengths(asked)}: give each length a [[log]] of its own, with its time")
+            raise RunError(
+                f"{self.path}: {self._lengths(asked)}: give each length a [[log]] of its own, "
+                "with its time"
+            )
         columns = [self.columns[k][:rows] for k in places]
         numbers = quiet(np.stack(columns, axis=1)) if places else np.zeros((0, 0))
         labels = None if label is None else self._labels(label, rows)
@@ -54,17 +58,26 @@ class ArrayColumns:
         return Cells(numbers, labels, np.arange(1, len(numbers) + 1), self.notes)
 
     def groups(self) -> list[list[int]]:
-        """Return the positions of the columns of each length of two rows or more, the longest first."""
+        """Return the positions of the columns of each length of two rows or more, the longest
+        first.
+        """
         lengths = sorted({len(column) for column in self.columns if len(column) > 1}, reverse=True)
-        return [[k for k, column in enumerate(self.columns) if len(column) == length] for length in lengths]
+        return [
+            [k for k, column in enumerate(self.columns) if len(column) == length]
+            for length in lengths
+        ]
 
     def _lengths(self, asked: list[int]) -> str:
         first = {len(self.columns[k]): self.names[k] for k in reversed(asked)}
-        return " and ".join(f"{name[:40]} has {length} rows" for length, name in list(first.items())[:3])
+        return " and ".join(
+            f"{name[:40]} has {length} rows" for length, name in list(first.items())[:3]
+        )
 
     def _labels(self, label: int, rows: int | None) -> NDArray[np.generic]:
         texts = self.texts.get(label)
-        return np.array([f"{x:g}" for x in self.columns[label][:rows]] if texts is None else texts[:rows])
+        return np.array(
+            [f"{x:g}" for x in self.columns[label][:rows]] if texts is None else texts[:rows]
+        )
 
 
 def columns_of_arrays(
@@ -109,18 +122,26 @@ def columns_of_arrays(
         columns.append(np.full(len(column), np.nan))
     if not any(len(column) > 1 for column in columns):
         why = f": {_listed(absent)}" if absent else ""
-        raise RunError(f"{path}: holds no columns of numbers{why}; save each signal as an array of numbers")
+        raise RunError(
+            f"{path}: holds no columns of numbers{why}; save each signal as an array of numbers"
+        )
     remarks += [f"left out: {_listed(absent)}"] if absent else []
     return ArrayColumns(path, names, columns, held, notes=tuple(remarks))
 
 
-def _vector_lengths(arrays: Mapping[str, NDArray[np.generic]], texts: Mapping[str, list[str]]) -> set[int]:
+def _vector_lengths(
+    arrays: Mapping[str, NDArray[np.generic]], texts: Mapping[str, list[str]]
+) -> set[int]:
     """Return the lengths of the vectors of a file: times, single channels and labels."""
-    vectors = [array.size for array in arrays.values() if array.size > 1 and array.size == max(array.shape)]
+    vectors = [
+        array.size for array in arrays.values() if array.size > 1 and array.size == max(array.shape)
+    ]
     return {*vectors, *(len(column) for column in texts.values())}
 
 
-def _rows_first(array: NDArray[np.generic], usual: set[int]) -> tuple[NDArray[np.generic] | None, int]:
+def _rows_first(
+    array: NDArray[np.generic], usual: set[int]
+) -> tuple[NDArray[np.generic] | None, int]:
     """Return an array with its rows along the first axis, and the axis along which they were."""
     if array.size > 1 and array.size == max(array.shape):  # a vector, whatever its shape
         return array.reshape(-1), 0
@@ -140,7 +161,11 @@ def _names(name: str, array: NDArray[np.generic], labels: Sequence[str] | None) 
         return [name]
     if array.ndim == 2:
         count = array.shape[1]
-        known = labels if labels is not None and len(set(labels)) == len(labels) == count else range(count)
+        known = (
+            labels
+            if labels is not None and len(set(labels)) == len(labels) == count
+            else range(count)
+        )
         return [f"{name}[{label}]" for label in known]
     if array.shape[2] == 3:
         return [f"{name}[{k}].{axis}" for k in range(array.shape[1]) for axis in "xyz"]

@@ -1,4 +1,5 @@
-"""Leave out lines between the rows of a text log: its head, which a logger writes again, and remarks.
+"""Leave out lines between the rows of a text log: its head, which a logger writes again, and
+remarks.
 
 Pinned by tests/logs/test_between.py.
 """
@@ -21,9 +22,11 @@ _CUTS = re.compile(r"[,;\t|]")
 
 
 def without_heads(lines: list[str]) -> list[str]:
-    """Return the first lines of a log, in which lines below a row that repeat an earlier line of names are blank.
+    """Return the first lines of a log, in which lines below a row that repeat an earlier line of
+    names are blank.
 
-    Names in another order count as well: both are one table, whatever the second half of it is called.
+    Names in another order count as well: both are one table, whatever the second half of it is
+    called.
     """
     seen: set[tuple[str, ...]] = set()
     found, rows = list(lines), False
@@ -53,9 +56,15 @@ class Between:
         return [*self.heads, *self.remarks]
 
     def rows(
-        self, block: list[str], numbers: NDArray[np.int64], head: Sequence[str], mark: str, width: int
+        self,
+        block: list[str],
+        numbers: NDArray[np.int64],
+        head: Sequence[str],
+        mark: str,
+        width: int,
     ) -> tuple[list[str], NDArray[np.int64]]:
-        """Return the lines (and their numbers) without those of the head and remarks, which are counted.
+        """Return the lines (and their numbers) without those of the head and remarks, which are
+        counted.
 
         Args:
             block: lines that are not blank.
@@ -65,8 +74,16 @@ class Between:
             width: cells of a row.
         """
         lines, again = frozenset(head), {tuple(split(line, mark)) for line in head}
-        key = max((cell for cells in again if len(cells) == width for cell in cells), key=_letters, default="")
-        some = [k for k, line in enumerate(block) if line[0] in _MARKS or line in lines or (key and key in line)]
+        key = max(
+            (cell for cells in again if len(cells) == width for cell in cells),
+            key=_letters,
+            default="",
+        )
+        some = [
+            k
+            for k, line in enumerate(block)
+            if line[0] in _MARKS or line in lines or (key and key in line)
+        ]
         gone: set[int] = set()
         for k in some:
             cells = split(block[k], mark)
@@ -85,7 +102,9 @@ class Between:
         """Return the sentences that name the lines."""
         sentences = []
         if self.heads:
-            sentences.append(f"lines that repeat the head of the table were left out: {_named(self.heads)}")
+            sentences.append(
+                f"lines that repeat the head of the table were left out: {_named(self.heads)}"
+            )
         if self.remarks:
             sentences.append(f"remarks between the rows were left out: {_named(self.remarks)}")
         return sentences

@@ -1,7 +1,9 @@
-"""Reads the markers of a C3D file with PyPI's `c3d`: columns `frame`, `time` and `LABEL.x`, `LABEL.y`, `LABEL.z`.
+"""Reads the markers of a C3D file with PyPI's `c3d`: columns `frame`, `time` and `LABEL.x`,
+`LABEL.y`, `LABEL.z`.
 
-A point whose residual is negative, or that is exactly (0, 0, 0), was not seen. Analog channels are left out. Sizes are
-checked against the file before anything is read, since a damaged header may state billions of frames.
+A point whose residual is negative, or that is exactly (0, 0, 0), was not seen. Analog channels are
+left out. Sizes are checked against the file before anything is read, since a damaged header may
+state billions of frames.
 """
 
 from __future__ import annotations
@@ -25,18 +27,26 @@ def open_c3d(path: Path) -> HeldColumns:
     """Read a C3D file.
 
     Raises:
-        RunError: `c3d` is not installed, the file is absent, too large, damaged, or holds no markers.
+        RunError: `c3d` is not installed, the file is absent, too large, damaged, or holds no
+            markers.
     """
     try:
         import c3d
     except ImportError:
-        raise RunError(f"{path}: C3D needs the package c3d; run pip install 'softmap-edge[logs]'") from None
+        raise RunError(
+            f"{path}: C3D needs the package c3d; run pip install 'softmap-edge[logs]'"
+        ) from None
     try:
         if path.stat().st_size > LIMIT:
-            raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the recording")
+            raise RunError(
+                f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the "
+                "recording"
+            )
         data = path.read_bytes()
     except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
+        ) from cause
     if len(data) < 512 or data[1] != 0x50:
         raise RunError(f"{path}: is no C3D file (its second byte is not 0x50); export it again")
     try:
@@ -44,14 +54,19 @@ def open_c3d(path: Path) -> HeldColumns:
             warnings.simplefilter("ignore")  # of absent analog data
             reader = c3d.Reader(io.BytesIO(data))
             labels, unit = _labels(reader), _text(reader, "UNITS").strip().lower()
-            first, last, rate = int(reader.first_frame), int(reader.last_frame), float(reader.point_rate)
+            first, last, rate = (
+                int(reader.first_frame),
+                int(reader.last_frame),
+                float(reader.point_rate),
+            )
             _check(path, len(labels), first, last, rate, len(data))
             frames, points = _points(reader, len(labels))
     except RunError:
         raise
     except Exception as fault:  # struct, numpy, codecs and asserts: whatever a damaged file meets
         raise RunError(
-            f"{path}: is a damaged C3D file ({type(fault).__name__} while it is read); export it again"
+            f"{path}: is a damaged C3D file ({type(fault).__name__} while it is read); export it "
+            "again"
         ) from None
     if not len(points):
         raise RunError(f"{path}: holds no frames; export it again")
@@ -73,7 +88,9 @@ def _labels(reader: Any) -> list[str]:
             continue
         width = int(param.dimensions[0]) if param.dimensions else len(param.bytes)
         raw = bytes(param.bytes)
-        found += [raw[k : k + width].decode("utf-8", "replace") for k in range(0, len(raw), max(width, 1))]
+        found += [
+            raw[k : k + width].decode("utf-8", "replace") for k in range(0, len(raw), max(width, 1))
+        ]
     found = ["".join(c for c in label if c.isprintable()).strip() for label in found[:count]]
     found += [""] * min(count - len(found), 2**16)
     taken: set[str] = set()  # a set, for a damaged file may state 65 535 of them
@@ -98,7 +115,10 @@ def _check(path: Path, count: int, first: int, last: int, rate: float, size: int
         raise RunError(f"{path}: states {rate:g} frames a second; export it again")
     frames = last - first + 1
     if frames < 1 or frames * count * 4 * _SIZES > size:
-        raise RunError(f"{path}: {frames} frames of {count} markers do not fit in {size} bytes; the file is damaged")
+        raise RunError(
+            f"{path}: {frames} frames of {count} markers do not fit in {size} bytes; the file is "
+            "damaged"
+        )
 
 
 def _points(reader: Any, count: int) -> tuple[Array, Array]:

@@ -1,18 +1,21 @@
-"""Turns a serialised ROS 2 message into named numbers, without ROS: `position[j1]`, `pose.position.x`.
+"""Turns a serialised ROS 2 message into named numbers, without ROS: `position[j1]`,
+`pose.position.x`.
 
     definition (.msg text)  →  fields of each type        message (CDR, XCDR1)  →  {name: number}
 
-Sequences get the index in brackets, or a name where the message has one: a sibling `name` or `joint_names` of the
-same length (JointState), or the element's own `child_frame_id` or `…name` (TFMessage, rigid bodies). Times are
-seconds. Texts, bytes and sequences of more than 1024 elements are passed over. Nothing here trusts the bytes: a length
-is checked against what is left before it is used, types cannot nest without end, and every fault is a `CdrError`.
-Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py
-against mcap-ros2-support.
+Sequences get the index in brackets, or a name where the message has one: a sibling `name` or
+`joint_names` of the same length (JointState), or the element's own `child_frame_id` or `…name`
+(TFMessage, rigid bodies). Times are seconds. Texts, bytes and sequences of more than 1024 elements
+are passed over. Nothing here trusts the bytes: a length is checked against what is left before it
+is used, types cannot nest without end, and every fault is a `CdrError`. Reference: OMG DDS-XTypes
+1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py against
+mcap-ros2-support.
 
-Why not mcap-ros2-support 0.6.0 itself: of 10 000 messages and definitions with 1 to 4 mutations (joint states,
-transforms, empty types), this reader returned 1343 and raised CdrError for 8657. The other one raised 11 kinds of
-exceptions for 8284, RecursionError and NameError among them, and printed 2600 lines about definitions. It cannot read a
-message whose text is no UTF-8 (2757 of them). Both need under 0.03 s and 2 MB for any of these messages.
+Why not mcap-ros2-support 0.6.0 itself: of 10 000 messages and definitions with 1 to 4 mutations
+(joint states, transforms, empty types), this reader returned 1343 and raised CdrError for 8657. The
+other one raised 11 kinds of exceptions for 8284, RecursionError and NameError among them, and
+printed 2600 lines about definitions. It cannot read a message whose text is no UTF-8 (2757 of
+them). Both need under 0.03 s and 2 MB for any of these messages.
 """
 
 from __future__ import annotations
@@ -23,8 +26,23 @@ from dataclasses import dataclass
 
 from softmap_edge.logs.readers.packed import ZSTD
 
-PRIMITIVES = {"bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H"}
-PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d"}
+PRIMITIVES = {
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+}
+PRIMITIVES |= {
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
@@ -133,7 +151,9 @@ def _plain(data: bytes) -> bytes:
     try:
         import zstandard
     except ImportError:
-        raise CdrError("messages packed by zstd need zstandard; run pip install 'softmap-edge[logs]'") from None
+        raise CdrError(
+            "messages packed by zstd need zstandard; run pip install 'softmap-edge[logs]'"
+        ) from None
     try:
         with zstandard.ZstdDecompressor(max_window_size=_LARGEST).stream_reader(data) as stream:
             plain = bytes(stream.read(_LARGEST + 1))
@@ -149,7 +169,9 @@ class _Reader:
 
     def __init__(self, data: bytes) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-            raise CdrError(f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)")
+            raise CdrError(
+                f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)"
+            )
         self.data, self.at, self.order = data, 4, "<" if data[1] else ">"
         self.steps = _STEPS_A_BYTE * len(data) + MOST
 
@@ -192,7 +214,9 @@ class _Reader:
         return raw.rstrip(b"\0").decode("utf-8", "replace")
 
 
-def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int) -> dict[str, str]:
+def _struct(
+    name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int
+) -> dict[str, str]:
     """Read one struct into `out`; return its texts."""
     reader.step()
     if depth > _DEEPEST:
@@ -228,7 +252,11 @@ def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, 
         elif field.type == "string":
             reader.left(count, 4)
             found = [reader.text() for _ in range(count)]
-            keys = found if field.name in ("name", "names", "joint_names") and len(set(found)) == count else keys
+            keys = (
+                found
+                if field.name in ("name", "names", "joint_names") and len(set(found)) == count
+                else keys
+            )
         else:
             reader.left(count, 1)
             for k in range(count):
@@ -244,12 +272,25 @@ def _nested(
     return _struct(field.type, types, reader, here, out, depth + 1)
 
 
-def _element(k: int, field: Field, types: Types, reader: _Reader, here: str, out: dict[str, float], depth: int) -> None:
+def _element(
+    k: int,
+    field: Field,
+    types: Types,
+    reader: _Reader,
+    here: str,
+    out: dict[str, float],
+    depth: int,
+) -> None:
     """One struct of a sequence, called by its own name if it has one."""
     own: dict[str, float] = {}
     texts = _nested(field, types, reader, "", own, depth)
     key = next(
-        (v for n, v in texts.items() if v and (n == "child_frame_id" or re.fullmatch(r"(\w+_)?name", n))), str(k)
+        (
+            v
+            for n, v in texts.items()
+            if v and (n == "child_frame_id" or re.fullmatch(r"(\w+_)?name", n))
+        ),
+        str(k),
     )
     if k < LONGEST:
         for name, value in own.items():

@@ -1,4 +1,6 @@
-"""Cut one line of a text log into cells, and decide whether a cell is a number, a time, a unit or a name."""
+"""Cut one line of a text log into cells, and decide whether a cell is a number, a time, a unit or a
+name.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,17 @@ _BRACKETS = "[](){}"
 def split(line: str, delimiter: str) -> list[str]:
     """Return the cells of one line, stripped; [] if it is no CSV."""
     if '"' not in line:
-        return [cell.strip() for cell in (line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter))]
+        return [
+            cell.strip()
+            for cell in (line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter))
+        ]
     try:
         if delimiter == " ":
             line = " ".join(line.split())
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+        return [
+            cell.strip()
+            for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+        ]
     except csv.Error:
         return []
 
@@ -39,7 +47,8 @@ def trimmed(cells: list[str]) -> list[str]:
 def find_delimiter(line: str) -> str:
     """Return the delimiter that gives the most cells; a space only if no other delimiter occurs.
 
-    Between numbers with decimal commas there are more commas than delimiters: the delimiter does not cut such numbers.
+    Between numbers with decimal commas there are more commas than delimiters: the delimiter does
+    not cut such numbers.
     """
     for mark in (";", "\t", "|", " "):
         cells = [cell for cell in split(line, mark) if cell] if "," in line else []
@@ -50,12 +59,16 @@ def find_delimiter(line: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with a decimal point or comma, or with groups of digits that are clear."""
+    """Return whether a cell is a number, with a decimal point or comma, or with groups of digits
+    that are clear.
+    """
     return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None
 
 
 def is_plain(cell: str) -> bool:
-    """Return whether a cell is a number with a decimal point; Python's `1_000` is a name or a fault of the file."""
+    """Return whether a cell is a number with a decimal point; Python's `1_000` is a name or a fault
+    of the file.
+    """
     try:
         float(cell)
     except ValueError:
@@ -75,4 +88,6 @@ def unit_of(cell: str) -> str:
 
 def is_unit(cell: str) -> bool:
     """Return whether a cell of a line is a unit that is known, or stands in brackets."""
-    return unit_of(cell) in _UNITS or (len(cell) > 2 and cell[0] in _BRACKETS and cell[-1] in _BRACKETS)
+    return unit_of(cell) in _UNITS or (
+        len(cell) > 2 and cell[0] in _BRACKETS and cell[-1] in _BRACKETS
+    )

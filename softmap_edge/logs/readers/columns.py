@@ -19,7 +19,8 @@ class Cells:
     Attributes:
         numbers: (rows, columns).
         labels: (rows,) text of the column of labels, if one was asked for.
-        lines: (rows,) the line (or frame, or message) of the file that holds each row, for messages.
+        lines: (rows,) the line (or frame, or message) of the file that holds each row, for
+            messages.
         notes: what the reader did, a sentence each.
         rows: (rows,) the number of each row in its log, from 0; None before any row was left out.
         doubts: what looks wrong, a sentence each.
@@ -53,13 +54,17 @@ class Columns(Protocol):
 
 
 def quiet(numbers: Array) -> Array:
-    """Replace signalling NaNs, which damaged bytes may hold, by ordinary ones, in place; return the numbers."""
+    """Replace signalling NaNs, which damaged bytes may hold, by ordinary ones, in place; return the
+    numbers.
+    """
     numbers[np.isnan(numbers)] = np.nan
     return numbers
 
 
 def as_floats(values: object) -> Array:
-    """Return numbers as float64; signalling NaNs, which damaged bytes may hold, are NaN without a warning."""
+    """Return numbers as float64; signalling NaNs, which damaged bytes may hold, are NaN without a
+    warning.
+    """
     with np.errstate(invalid="ignore"):
         return np.asarray(values, np.float64)
 

@@ -1,8 +1,9 @@
-"""Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is clearly that.
+"""Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is
+clearly that.
 
-UTF-16 and UTF-32 are recognised without a byte order mark as well: next to nearly each letter there are zero bytes,
-always on the same side. A file that was cut within its last character is read up to it. Pinned by
-tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
+UTF-16 and UTF-32 are recognised without a byte order mark as well: next to nearly each letter there
+are zero bytes, always on the same side. A file that was cut within its last character is read up to
+it. Pinned by tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _MARKS = (
 )
 PLAIN = "utf-8-sig"
 _MOST = 0.9  # of the letters: so many have a zero byte
-_UNDEFINED = bytes(range(9)) + bytes(range(14, 32)) + b"\x7f\x81\x8d\x8f\x90\x9d"  # no text in Windows-1252
+# no text in Windows-1252
+_UNDEFINED = bytes(range(9)) + bytes(range(14, 32)) + b"\x7f\x81\x8d\x8f\x90\x9d"
 _FOREIGN = 0.1  # of the bytes: a log of numbers holds fewer letters beyond ASCII
 
 
@@ -52,17 +54,24 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
         while True:
             block = file.read(_BLOCK)
             if not block:
-                return PLAIN, None  # bytes that the decoder still holds are a character that was cut
+                # bytes that the decoder still holds are a character that was cut
+                return PLAIN, None
             try:
                 decoder.decode(block)
             except UnicodeDecodeError as fault:
                 at = max(fault.start - pending, 0)  # the decoder held some bytes back
                 return _other(path, line + block.count(b"\n", 0, at), before + at)
-            line, before, pending = line + block.count(b"\n"), before + len(block), len(decoder.getstate()[0])
+            line, before, pending = (
+                line + block.count(b"\n"),
+                before + len(block),
+                len(decoder.getstate()[0]),
+            )
 
 
 def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
-    """Return the encoding of a file that is no UTF-8 at a line and byte; leave files with zero bytes to the reader."""
+    """Return the encoding of a file that is no UTF-8 at a line and byte; leave files with zero
+    bytes to the reader.
+    """
     high = size = odd = 0
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
@@ -73,8 +82,9 @@ def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
             size += len(block)
     if odd or high > _FOREIGN * size:
         raise RunError(
-            f"{path}: line {line} (byte {byte} of the file) is not text in UTF-8, nor clearly in Windows-1252 "
-            "(latin-1); save the log as UTF-8: `iconv -f ENCODING -t UTF-8 LOG > NEW`"
+            f"{path}: line {line} (byte {byte} of the file) is not text in UTF-8, nor clearly in "
+            "Windows-1252 (latin-1); save the log as UTF-8: `iconv -f ENCODING -t UTF-8 LOG > "
+            "NEW`"
         )
     return "cp1252", f"line {line} is not UTF-8; the file was read as Windows-1252 (latin-1)"
 
@@ -91,14 +101,18 @@ def encoding_of_start(start: bytes) -> str:
     ):
         if len(letters) > 3 and zeros.count(0) >= _MOST * len(zeros) and 0 not in letters:
             return name
-    for name, zeros, letters in (("utf-16-le", start[1::2], start[::2]), ("utf-16-be", start[::2], start[1::2])):
+    for name, zeros, letters in (
+        ("utf-16-le", start[1::2], start[::2]),
+        ("utf-16-be", start[::2], start[1::2]),
+    ):
         if len(zeros) > 3 and zeros.count(0) >= _MOST * len(zeros) and 0 not in letters:
             return name
     return PLAIN
 
 
 def decoded(path: Path, encoding: str, size: int) -> Iterator[str]:
-    """Yield the text of a file up to its last complete character, in pieces, with `\\n` as its line ends.
+    """Yield the text of a file up to its last complete character, in pieces, with `\\n` as its line
+    ends.
 
     Args:
         path: the file. encoding: from `encoding_of`. size: bytes read at a time.
@@ -127,7 +141,9 @@ def is_cut(path: Path) -> bool:
     if unit == 4 or encoding not in (PLAIN, "utf-16", "utf-16-le", "utf-16-be"):
         return False
     with path.open("rb") as file:
-        big = encoding == "utf-16-be" or (encoding == "utf-16" and file.read(2) == codecs.BOM_UTF16_BE)
+        big = encoding == "utf-16-be" or (
+            encoding == "utf-16" and file.read(2) == codecs.BOM_UTF16_BE
+        )
         file.seek(max(size - 4, 0))
         tail = file.read(4)
     if unit == 2:

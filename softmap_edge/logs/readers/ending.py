@@ -1,7 +1,9 @@
-"""Look at the end of a text log: lines below the table, and a last line that was cut within its last cell.
+"""Look at the end of a text log: lines below the table, and a last line that was cut within its
+last cell.
 
-Many programs write no line end after the last row, so a missing one alone shows nothing. The last cell is doubtful if
-it is shorter than all cells of its column are. Pinned by tests/logs/test_ending.py.
+Many programs write no line end after the last row, so a missing one alone shows nothing. The last
+cell is doubtful if it is shorter than all cells of its column are. Pinned by
+tests/logs/test_ending.py.
 """
 
 from __future__ import annotations
@@ -29,19 +31,23 @@ def last_lines(path: Path) -> list[str]:
     encoding, size = encoding_of(path)[0], path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(size - _TAIL, 0) // 4 * 4)
-        text = file.read(_TAIL + 4).decode(encoding if size <= _TAIL or is_wide(encoding) else "utf-8", "replace")
+        text = file.read(_TAIL + 4).decode(
+            encoding if size <= _TAIL or is_wide(encoding) else "utf-8", "replace"
+        )
     lines = text.splitlines()
     return lines[1:] if size > _TAIL else lines
 
 
 def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = None) -> list[str]:
-    """Return the lines below a table that are no rows: `End of data`, `Total rows,600`; [] without any.
+    """Return the lines below a table that are no rows: `End of data`, `Total rows,600`; [] without
+    any.
 
     Args:
         path: the log.
         delimiter: the separator of cells.
         width: cells of a row.
-        fewest: cells of the shortest row; a last row with fewer was cut, and counts as no row. None keeps it.
+        fewest: cells of the shortest row; a last row with fewer was cut, and counts as no row. None
+            keeps it.
     """
     lines = last_lines(path)
     while lines and not lines[-1].strip():
@@ -52,9 +58,14 @@ def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = Non
     end = len(lines)
     if fewest is not None and end > 1 and 0 < len(split(lines[-1], delimiter)) < fewest:
         end -= 1
-    while end and len(lines) - end < _MOST and (not cells[end - 1] or _is_remark(cells[end - 1], width, named)):
+    while (
+        end
+        and len(lines) - end < _MOST
+        and (not cells[end - 1] or _is_remark(cells[end - 1], width, named))
+    ):
         end -= 1
-    while end < len(lines) and lines[end].strip()[:1] in ("", "#", "%"):  # the reader leaves remarks out
+    # the reader leaves remarks out
+    while end < len(lines) and lines[end].strip()[:1] in ("", "#", "%"):
         end += 1
     return lines[end:] if end > 0 and len(firsts) > 1 else []
 
@@ -62,7 +73,9 @@ def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = Non
 def _is_remark(row: list[str], width: int, named: bool) -> bool:
     """Whether cells are a remark and no row; a row that was cut has values."""
     first = next(cell for cell in row if cell)
-    word = not is_value(first) and any(c.isalpha() for c in first) and first[0] not in "+-.0123456789"
+    word = (
+        not is_value(first) and any(c.isalpha() for c in first) and first[0] not in "+-.0123456789"
+    )
     if len(row) == width and width > 1:
         return named and word
     return word and (named or len(row) <= 2)
@@ -87,7 +100,11 @@ def cut_within(path: Path, rows: Sequence[str], delimiter: str) -> str | None:
         return None
     same = {len(cell) for cell in others if not is_number(cell)}
     begun = any(cell.startswith(last) for cell in others)
-    return last if begun or (len(same) == 1 and len(last) < same.pop() and len(others) > _LEAST) else None
+    return (
+        last
+        if begun or (len(same) == 1 and len(last) < same.pop() and len(others) > _LEAST)
+        else None
+    )
 
 
 def _decimals(cell: str) -> int:

@@ -1,9 +1,11 @@
-"""Find where the table of a text log begins: its delimiter, the line of names, units, and the first row.
+"""Find where the table of a text log begins: its delimiter, the line of names, units, and the first
+row.
 
-Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of rows of one width
-that are mostly numbers or times; its names are the last line of text above it that is as wide as the rows (a line of
-units below the names apart). Names over several columns (`tip` above `X, Y, Z`) go in front of those below them. A
-first line that looks like the rows below it is a row: text in it stands only where the rows have text.
+Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of
+rows of one width that are mostly numbers or times; its names are the last line of text above it
+that is as wide as the rows (a line of units below the names apart). Names over several columns
+(`tip` above `X, Y, Z`) go in front of those below them. A first line that looks like the rows below
+it is a row: text in it stands only where the rows have text.
 
 Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Pinned by
 tests/logs/test_header.py.
@@ -83,7 +85,11 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
         found = [_line(line, mark, absent) for line in lines]
         table = _table(found, mark)
         if table is not None:
-            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _full(line, table.width)]
+            rows = [
+                line.cells
+                for line in found[table.first :]
+                if line.kind == "row" and _full(line, table.width)
+            ]
             numbers = sum(is_value(cell) for row in rows[:100] for cell in row)
             filled = sum(1 for row in rows[:100] for cell in row if cell)
             score = (len(rows), table.names is not None, numbers, numbers / max(filled, 1))
@@ -104,7 +110,9 @@ def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
     if line.lstrip()[0] in "#%":
         return _Line(split(line.lstrip("#% \t"), mark), "comment")
     cells = split(line, mark)
-    filled = [cell for cell in cells if cell.lower() not in absent and any(c.isalnum() for c in cell)]
+    filled = [
+        cell for cell in cells if cell.lower() not in absent and any(c.isalnum() for c in cell)
+    ]
     values = sum(map(is_value, filled))
     if not filled:
         return _Line(cells, "row" if any(cells) and len(cells) > 1 else "blank")
@@ -112,7 +120,9 @@ def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
 
 
 def _width(lines: list[_Line]) -> int:
-    """Cells of a row: of the widths that many rows have the largest, without columns that are empty in all of them."""
+    """Cells of a row: of the widths that many rows have the largest, without columns that are empty
+    in all of them.
+    """
     counts = Counter(len(line.cells) for line in lines if line.kind == "row")
     most, enough_rows = max(counts.values()), max(2.0, _COMMON * counts.total())
     many = {width for width, count in counts.items() if count == most or count >= enough_rows}
@@ -148,7 +158,9 @@ def _table(lines: list[_Line], mark: str) -> Table | None:
 
 
 def _first_of(lines: list[_Line], k: int, width: int) -> int:
-    """The first of the rows that lead to a row: those above it may leave out empty cells at the end."""
+    """The first of the rows that lead to a row: those above it may leave out empty cells at the
+    end.
+    """
     short = _shorter(lines[k:], width) if k and lines[k - 1].kind == "row" else set()
     while k and lines[k - 1].kind == "row" and len(lines[k - 1].cells) in short:
         k -= 1
@@ -165,11 +177,15 @@ def _opens(lines: list[_Line], k: int) -> bool:
 
 def _end(starts: dict[int, int | None], k: int) -> int:
     """The next row that opens a table with names of its own."""
-    return min((other for other, names in starts.items() if other > k and names is not None), default=10**9)
+    return min(
+        (other for other, names in starts.items() if other > k and names is not None), default=10**9
+    )
 
 
 def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
-    """The line of names above a row: the last line of text that is as wide as the rows, not one of units."""
+    """The line of names above a row: the last line of text that is as wide as the rows, not one of
+    units.
+    """
     k = first - 1
     seen = None
     while k >= 0 and lines[k].kind != "row":
@@ -182,7 +198,9 @@ def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
 
 
 def _wide(cells: list[str], width: int) -> bool:
-    """Whether a line has names for rows of some width; cells beyond the names are empty, as `_head` checks."""
+    """Whether a line has names for rows of some width; cells beyond the names are empty, as `_head`
+    checks.
+    """
     count = len(trimmed(cells))
     spare = _SPARE if width > _SPARE else 1
     return len(cells) == width or max(min(width, 2), width // 2) <= count <= width + spare
@@ -199,18 +217,28 @@ def _units_below(lines: list[_Line], k: int) -> bool:
     known = 2 * sum(map(is_unit, filled)) >= len(filled)
     above = range(k - 1, max(k - 1 - _NEAR, -1), -1)
     names = [trimmed(lines[j].cells) for j in above if lines[j].kind == "text"]
-    return any(_names_these(own, cells) and (known or len(set(filled)) < len(set(own))) for own in names)
+    return any(
+        _names_these(own, cells) and (known or len(set(filled)) < len(set(own))) for own in names
+    )
 
 
 def _names_these(own: list[str], cells: list[str]) -> bool:
-    """Whether a line has distinct names for the cells of a line below it; the first column may have none."""
+    """Whether a line has distinct names for the cells of a line below it; the first column may have
+    none.
+    """
     filled = [name for name in own if name]
-    if len(own) < len(cells) or 3 * len(set(filled)) <= 2 * len(filled) or all(map(is_unit, filled)):
+    if (
+        len(own) < len(cells)
+        or 3 * len(set(filled)) <= 2 * len(filled)
+        or all(map(is_unit, filled))
+    ):
         return False
     return all(name or not cell for name, cell in list(zip(own, cells))[1:])
 
 
-def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]) -> Table:
+def _head(
+    lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]
+) -> Table:
     """The table whose first row is known; `rows` are those of full width."""
     bare = Table(mark, None, first, None, width, fewest)
     header = _names_above(lines, first, width)
@@ -240,18 +268,32 @@ def _units_of(names: list[str], cells: list[str]) -> dict[str, str]:
 def _units_above(names: list[str], above: _Line) -> dict[str, str]:
     """Return the units of a line above the names; {} if it holds something else."""
     filled = [cell for cell in above.cells if cell]
-    full = above.kind == "text" and len(trimmed(above.cells)) <= len(names) and 2 * len(filled) >= len(names)
-    return _units_of(names, above.cells) if full and 2 * sum(map(is_unit, filled)) >= len(filled) else {}
+    full = (
+        above.kind == "text"
+        and len(trimmed(above.cells)) <= len(names)
+        and 2 * len(filled) >= len(names)
+    )
+    return (
+        _units_of(names, above.cells)
+        if full and 2 * sum(map(is_unit, filled)) >= len(filled)
+        else {}
+    )
 
 
 def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
-    """The table above whose rows no line of text is: a comment or the first row may name its columns."""
+    """The table above whose rows no line of text is: a comment or the first row may name its
+    columns.
+    """
     first, width = bare.first, bare.width
     comment = _comment_above(lines, first, width)
     if comment is not None:
         return replace(bare, names=trimmed(lines[comment].cells), header=comment)
     below = [lines[k].cells[:width] for k in rows]
-    if len(below) > 1 and rows[0] == first and (_is_names(below[0], below[1 : 1 + _LOOKED]) or _counts(below)):
+    if (
+        len(below) > 1
+        and rows[0] == first
+        and (_is_names(below[0], below[1 : 1 + _LOOKED]) or _counts(below))
+    ):
         return replace(bare, names=trimmed(below[0]), first=rows[1], header=first)
     above = lines[first - 1] if first else None
     clash = first - 1 if above and above.kind == "text" and len(trimmed(above.cells)) > 1 else None
@@ -259,7 +301,9 @@ def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
 
 
 def _counts(rows: list[list[str]]) -> bool:
-    """Whether the first row is the numbers of the columns, as pandas writes them, and the next one is not like it."""
+    """Whether the first row is the numbers of the columns, as pandas writes them, and the next one
+    is not like it.
+    """
     count = [str(k) for k in range(len(rows[0]))]
     return len(count) > 2 and rows[0] == count and any("." in cell for cell in rows[1])
 
@@ -268,7 +312,11 @@ def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
     """The last comment above a row, where it names its columns."""
     comments = [k for k in range(first - 1, -1, -1) if lines[k].kind == "comment"]
     comment = next((k for k in comments if not all(map(is_unit, trimmed(lines[k].cells)))), None)
-    if comment is None or len(trimmed(lines[comment].cells)) != width or all(map(is_value, lines[comment].cells)):
+    if (
+        comment is None
+        or len(trimmed(lines[comment].cells)) != width
+        or all(map(is_value, lines[comment].cells))
+    ):
         return None
     return comment
 
@@ -284,9 +332,11 @@ def _is_names(line: list[str], below: list[list[str]]) -> bool:
 
 
 def _grouped(names: list[str], above: _Line | None) -> list[str]:
-    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`.
+    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`,
+    `tip.Z`.
 
-    A group stands above its first column; the line begins with an empty cell, or the names alone are not distinct.
+    A group stands above its first column; the line begins with an empty cell, or the names alone
+    are not distinct.
     """
     top = [] if above is None or above.kind != "text" else trimmed(above.cells)
     if above is None or not top or len(top) > len(names):
@@ -298,7 +348,9 @@ def _grouped(names: list[str], above: _Line | None) -> list[str]:
     for k in range(len(names)):
         group = (above.cells[k] if k < len(above.cells) else "") or group
         groups.append(group)
-    joined = [f"{group}.{name}" if group and name else name or group for group, name in zip(groups, names)]
+    joined = [
+        f"{group}.{name}" if group and name else name or group for group, name in zip(groups, names)
+    ]
     return joined if len(set(joined)) >= len(set(names)) else names
 
 

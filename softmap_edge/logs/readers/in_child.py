@@ -1,4 +1,5 @@
-"""Runs a parser of a foreign format on a log of unknown origin, in a child process with limits of memory and time.
+"""Runs a parser of a foreign format on a log of unknown origin, in a child process with limits of
+memory and time.
 
 A fault of the parser becomes one RunError. Pinned by tests/logs/test_read_in_child.py.
 """
@@ -51,17 +52,26 @@ def read_in_child(path: Path, what: str, parse: Callable[..., Answer], **argumen
     """
     seconds = SECONDS + path.stat().st_size / PER_SECOND
     try:
-        return Answer(*in_child(partial(_parts, parse, path, **arguments), megabytes=MEGABYTES, seconds=seconds))
+        return Answer(
+            *in_child(
+                partial(_parts, parse, path, **arguments), megabytes=MEGABYTES, seconds=seconds
+            )
+        )
     except ChildMemory:
-        raise RunError(f"{path}: this {what} needs more than {MEGABYTES} MB to be read; split it") from None
+        raise RunError(
+            f"{path}: this {what} needs more than {MEGABYTES} MB to be read; split it"
+        ) from None
     except ChildLate:
         raise RunError(
-            f"{path}: this {what} was not read within {seconds:.0f} s; it is damaged or too large: split it"
+            f"{path}: this {what} was not read within {seconds:.0f} s; it is damaged or too "
+            "large: split it"
         ) from None
     except ChildFault as fault:
         raise RunError(f"{path}: is a damaged {what} ({fault}); export it again") from None
 
 
-def _parts(parse: Callable[..., Answer], path: Path, **arguments: Any) -> tuple[dict[str, Array], dict[str, Any]]:
+def _parts(
+    parse: Callable[..., Answer], path: Path, **arguments: Any
+) -> tuple[dict[str, Array], dict[str, Any]]:
     answer = parse(path, **arguments)
     return answer.arrays, answer.document

@@ -1,6 +1,8 @@
-"""Find the format of a log by its first bytes; for a format that is not read, name it and the remedy.
+"""Find the format of a log by its first bytes; for a format that is not read, name it and the
+remedy.
 
-The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/logs/test_formats.py.
+The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by
+tests/logs/test_formats.py.
 """
 
 from __future__ import annotations
@@ -33,8 +35,20 @@ _READ: tuple[tuple[bytes, str], ...] = (
     (HDF5, "hdf5"),
     (b"PAR1", "parquet"),
 )
-_READ += ((ZSTD, "zstd"), (GZIP, "gzip"), (b"MATLAB 5.0 MAT-file", "mat"), (b"MATLAB 7.3 MAT-file", "hdf5"))
-_TEXTS = {"trc": is_trc, "motive": is_motive, "qtm": is_qtm, "nexus": is_nexus, "lvm": is_lvm, "typed": is_typed}
+_READ += (
+    (ZSTD, "zstd"),
+    (GZIP, "gzip"),
+    (b"MATLAB 5.0 MAT-file", "mat"),
+    (b"MATLAB 7.3 MAT-file", "hdf5"),
+)
+_TEXTS = {
+    "trc": is_trc,
+    "motive": is_motive,
+    "qtm": is_qtm,
+    "nexus": is_nexus,
+    "lvm": is_lvm,
+    "typed": is_typed,
+}
 _CONVERT_BAG = "`rosbags-convert --src {file} --dst FOLDER` (pip install rosbags)"
 _BAG = f"a ROS 1 bag: convert it with {_CONVERT_BAG}"
 _SHEET = "save the sheet as CSV"
@@ -45,12 +59,19 @@ _PICTURE = "a picture or video, no log; give the log of the recording"
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"#ROSBAG V", _BAG),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"an old spreadsheet or document (.xls): {_SHEET}"),
-    (b"TDSm", "a LabVIEW TDMS file: open it in Excel with NI's TDM add-in and save it as CSV, or write LVM instead"),
+    (
+        b"TDSm",
+        "a LabVIEW TDMS file: open it in Excel with NI's TDM add-in and save it as CSV, or write "
+        "LVM instead",
+    ),
     (b"ULog\x01\x12\x35", "a PX4 ULog: convert it with `ulog2csv {file}`"),
     (b"RRF", f"a Rerun recording: {_CONVERT}"),
     (b"MDF     ", f"an ASAM MDF file: {_CONVERT}"),
     (b"LOGG", f"a CAN log (.blf): {_CONVERT}"),
-    (b"ARROW1", "an Arrow or Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
+    (
+        b"ARROW1",
+        "an Arrow or Feather file: write it as Parquet, with `pyarrow.parquet.write_table`",
+    ),
     (b"FEA1", "an old Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
     (b"Obj\x01", "an Avro file: write it as Parquet or CSV"),
     (b"7z\xbc\xaf\x27\x1c", f"a 7z archive: {_PACK}"),
@@ -73,18 +94,23 @@ def kind_of(path: Path) -> str:
     """Return the format of a log.
 
     Returns:
-        One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive, qtm, nexus, lvm, typed and csv.
+        One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive, qtm, nexus,
+        lvm, typed and csv.
 
     Raises:
         RunError: it cannot be read, or is of a format that is not read here.
     """
     if path.exists() and not path.is_file():  # a pipe would be waited for
-        raise RunError(f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log")
+        raise RunError(
+            f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log"
+        )
     try:
         with path.open("rb") as file:
             start = file.read(_HEAD)
     except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
+        ) from cause
     for magic, kind in _READ:
         if start.startswith(magic) and not _like_text(magic, start):
             return _checked_mcap(path, start) if kind == "mcap" else kind
@@ -122,12 +148,16 @@ def _refuse_foreign(path: Path, start: bytes) -> None:
         raise _not_read(path, f"a tar archive: {_PACK}")
     if len(start) > 2 and start[0] == 0x80 and start[1] in (2, 3, 4, 5):
         raise _not_read(
-            path, "a Python pickle, which could run code and is never read: save the arrays with numpy.savez"
+            path,
+            "a Python pickle, which could run code and is never read: save the arrays with "
+            "numpy.savez",
         )
 
 
 def _like_text(magic: bytes, start: bytes) -> bool:
-    """Whether a file may be text whose first word happens to be a format's: a column called `PAR1` or `LOGGED`."""
+    """Whether a file may be text whose first word happens to be a format's: a column called `PAR1`
+    or `LOGGED`.
+    """
     return len(magic) < _SURE and magic.isalnum() and b"\0" not in start
 
 
@@ -140,7 +170,9 @@ def _checked_mcap(path: Path, start: bytes) -> str:
     length = int.from_bytes(start[17:21], "little")
     if start[8:9] == b"\x01" and start[21 : 21 + min(length, 16)] == b"ros1":
         bag = _CONVERT_BAG.format(file="FILE.bag")
-        raise _not_read(path, f"an MCAP file of ROS 1 messages: convert the bag that it was made of with {bag}")
+        raise _not_read(
+            path, f"an MCAP file of ROS 1 messages: convert the bag that it was made of with {bag}"
+        )
     return "mcap"
 
 
@@ -155,7 +187,9 @@ def _of_zip(path: Path) -> str:
     except Exception as fault:  # zipfile raises a dozen kinds on damaged files
         if path.suffix.lower() == ".npz":
             return "npz"
-        raise RunError(f"{path}: is a damaged archive ({type(fault).__name__}); copy it again") from None
+        raise RunError(
+            f"{path}: is a damaged archive ({type(fault).__name__}); copy it again"
+        ) from None
     if any(name.startswith("xl/") for name in names):
         raise _not_read(path, f"a spreadsheet (.xlsx): {_SHEET}")
     if "content.xml" in names:
@@ -168,13 +202,17 @@ def _of_zip(path: Path) -> str:
 
 
 def _refuse_calibration(path: Path, text: str) -> None:
-    """Raise RunError with an explanation if the text is a calibration of LeRobot, which is no log."""
+    """Raise RunError with an explanation if the text is a calibration of LeRobot, which is no
+    log.
+    """
     if not text.lstrip().startswith("{") or '"homing_offset"' not in text:
         return
     from softmap_edge.logs.lerobot import explained
 
     try:
-        document = json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size < 2**20 else None
+        document = (
+            json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size < 2**20 else None
+        )
     except (OSError, ValueError, RecursionError):
         return
     if explanation := explained(document):

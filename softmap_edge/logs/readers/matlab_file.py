@@ -1,9 +1,11 @@
-"""Read the arrays of a MATLAB file: v4 to v7 by scipy, v7.3 and other HDF5 files by h5py, in a child process.
+"""Read the arrays of a MATLAB file: v4 to v7 by scipy, v7.3 and other HDF5 files by h5py, in a
+child process.
 
-Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`, `log.signals[0].values`. Values
-without plain numbers (tables, timetables, timeseries, other objects, functions, cells) are left out and named. Links to
-other files, data kept outside and filters that HDF5 would load are not followed. zlib's checksums are checked, and
-those of HDF5 where the file has them.
+Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`,
+`log.signals[0].values`. Values without plain numbers (tables, timetables, timeseries, other
+objects, functions, cells) are left out and named. Links to other files, data kept outside and
+filters that HDF5 would load are not followed. zlib's checksums are checked, and those of HDF5 where
+the file has them.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ def open_matlab(path: Path) -> ArrayColumns:
     """Read a MATLAB file of v4 to v7.
 
     Raises:
-        RunError: scipy is not installed, the file is damaged or too large, or nothing in it is a column of numbers.
+        RunError: scipy is not installed, the file is damaged or too large, or nothing in it is a
+            column of numbers.
     """
     return _opened(path, "MATLAB file", read_v7)
 
@@ -41,14 +44,17 @@ def open_hdf5(path: Path) -> ArrayColumns:
     """Read a MATLAB file of v7.3 or another HDF5 file.
 
     Raises:
-        RunError: h5py is not installed, the file is damaged or too large, or nothing in it is a column of numbers.
+        RunError: h5py is not installed, the file is damaged or too large, or nothing in it is a
+            column of numbers.
     """
     return _opened(path, "HDF5 file", read_hdf5)
 
 
 def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColumns:
     if path.stat().st_size > LIMIT:
-        raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
+        raise RunError(
+            f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log"
+        )
     answer = read_in_child(path, what, parse)
     left_out = [str(entry) for entry in answer.document["left_out"]]
     try:
@@ -73,15 +79,17 @@ class _Found:
         self.entries += 1
         if depth > _DEEPEST or self.entries > _ENTRIES:
             raise RunError(
-                f"{self.path}: holds more than {_ENTRIES} arrays, or structs within more than {_DEEPEST} structs; "
-                "save the signals of the log alone"
+                f"{self.path}: holds more than {_ENTRIES} arrays, or structs within more than "
+                f"{_DEEPEST} structs; save the signals of the log alone"
             )
 
     def number(self, count: int) -> None:
         """Count numbers before they are read; raise RunError where a file holds too many."""
         self.numbers += count
         if self.numbers > MOST:
-            raise RunError(f"{self.path}: holds more than {MOST} numbers; save the signals of the log alone")
+            raise RunError(
+                f"{self.path}: holds more than {MOST} numbers; save the signals of the log alone"
+            )
 
     def leave(self, name: str, why: str) -> None:
         """Note what is left out."""
@@ -95,17 +103,23 @@ class _Found:
 
 # --- v4 to v7, in the child ----------------------------------------------------------------
 def read_v7(path: Path) -> Answer:
-    """Read every array of numbers of a MATLAB file; runs in the child. Raises RunError as `open_matlab`."""
+    """Read every array of numbers of a MATLAB file; runs in the child. Raises RunError as
+    `open_matlab`.
+    """
     try:
         import scipy.io
     except ImportError:
-        raise RunError(f"{path}: MATLAB files need scipy; run pip install 'softmap-edge[logs]'") from None
+        raise RunError(
+            f"{path}: MATLAB files need scipy; run pip install 'softmap-edge[logs]'"
+        ) from None
     found = _Found(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         sizes = scipy.io.whosmat(path)
         for _, shape, kind in sizes:
-            found.number(int(np.prod(shape, dtype=object)) if kind not in ("struct", "cell", "object") else 0)
+            found.number(
+                int(np.prod(shape, dtype=object)) if kind not in ("struct", "cell", "object") else 0
+            )
         found.numbers = 0
         held = scipy.io.loadmat(path, verify_compressed_data_integrity=True)
     for name, value in held.items():
@@ -121,7 +135,10 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
     found.enter(depth)
     kind = type(value).__name__
     if kind != "ndarray":
-        found.leave(name, "a function" if kind == "MatlabFunction" else f"an object, {_class_of(value, kind)}")
+        found.leave(
+            name,
+            "a function" if kind == "MatlabFunction" else f"an object, {_class_of(value, kind)}",
+        )
     elif value.dtype.names is not None:
         _take_struct(name, value, found, depth)
     elif value.dtype.kind in "biuf":
@@ -137,9 +154,16 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
 
 def _class_of(value: Any, kind: str) -> str:
     name = getattr(value, "classname", None)
-    if name is None and "s2" in (value.dtype.names or ()) and value.size:  # as scipy gives what it cannot open
+    # as scipy gives what it cannot open
+    if name is None and "s2" in (value.dtype.names or ()) and value.size:
         name = value.reshape(-1)[0]["s2"]
-    text = name.decode("latin-1") if isinstance(name, bytes) else str(name) if isinstance(name, str) else kind
+    text = (
+        name.decode("latin-1")
+        if isinstance(name, bytes)
+        else str(name)
+        if isinstance(name, str)
+        else kind
+    )
     return "".join(c for c in text if c.isprintable())[:40]
 
 
@@ -157,7 +181,11 @@ def _take_struct(name: str, value: NDArray[Any], found: _Found, depth: int) -> N
 def _take_cells(name: str, value: NDArray[np.generic], found: _Found) -> None:
     """Take cells of texts as a column of labels; leave out others."""
     cells = [_cell_text(cell) for cell in value.reshape(-1)] if value.size < MOST // 32 else [None]
-    if value.size > 1 and value.size == max(value.shape) and all(cell is not None for cell in cells):
+    if (
+        value.size > 1
+        and value.size == max(value.shape)
+        and all(cell is not None for cell in cells)
+    ):
         found.texts[name] = [str(cell) for cell in cells]
     else:
         found.leave(name, "cells")
@@ -171,11 +199,15 @@ def _cell_text(cell: object) -> str | None:
 
 # --- HDF5, in the child --------------------------------------------------------------------
 def read_hdf5(path: Path) -> Answer:
-    """Read every array of numbers of an HDF5 file; runs in the child. Raises RunError as `open_hdf5`."""
+    """Read every array of numbers of an HDF5 file; runs in the child. Raises RunError as
+    `open_hdf5`.
+    """
     try:
         import h5py
     except ImportError:
-        raise RunError(f"{path}: HDF5 files need h5py; run pip install 'softmap-edge[logs]'") from None
+        raise RunError(
+            f"{path}: HDF5 files need h5py; run pip install 'softmap-edge[logs]'"
+        ) from None
     with path.open("rb") as file:
         matlab = file.read(10) == b"MATLAB 7.3"
     found = _Found(path)
@@ -209,7 +241,10 @@ def _take_dataset(h5py: Any, name: str, entry: Any, found: _Found, matlab: bool)
     elif kind == "char" or entry.attrs.get("MATLAB_empty", 0):
         found.leave(name, "text" if kind == "char" else "empty")
     elif kind in ("cell", "function_handle") or "MATLAB_object_decode" in entry.attrs:
-        found.leave(name, {"cell": "cells", "function_handle": "a function"}.get(kind, f"an object, {kind[:40]}"))
+        found.leave(
+            name,
+            {"cell": "cells", "function_handle": "a function"}.get(kind, f"an object, {kind[:40]}"),
+        )
     elif entry.dtype.names is not None and entry.ndim == 1 and not matlab:
         found.number(entry.size * len(entry.dtype.names))
         table = entry[()]
@@ -219,7 +254,11 @@ def _take_dataset(h5py: Any, name: str, entry: Any, found: _Found, matlab: bool)
     elif entry.dtype.kind in "biuf" and entry.shape is not None:
         found.number(entry.size)
         found.arrays[name] = as_floats(entry[()]).T if matlab else as_floats(entry[()])
-    elif h5py.check_string_dtype(entry.dtype) is not None and entry.ndim == 1 and entry.size < MOST // 32:
+    elif (
+        h5py.check_string_dtype(entry.dtype) is not None
+        and entry.ndim == 1
+        and entry.size < MOST // 32
+    ):
         found.texts[name] = [_text(one) for one in entry[()]]
     else:
         found.leave(name, "structs or cells" if entry.dtype.kind == "O" else "no numbers")

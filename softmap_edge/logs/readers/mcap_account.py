@@ -1,4 +1,5 @@
-"""Count the read and the lost parts of an MCAP file: chunks left out, bytes that are no records, messages.
+"""Count the read and the lost parts of an MCAP file: chunks left out, bytes that are no records,
+messages.
 
 Pinned by tests/files/test_mcap_damage.py.
 """
@@ -17,7 +18,9 @@ SPANS = 3  # time spans that are named one by one
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk that is left out: where it lies in the file, why, and its times (ns) where they are known."""
+    """A chunk that is left out: where it lies in the file, why, and its times (ns) where they are
+    known.
+    """
 
     start: int
     end: int
@@ -66,8 +69,12 @@ class Account:
             return None
         cut = self.closing is None
         head = "was cut short" if cut else "is damaged"
-        upto = f"it is read up to {self._seconds(self.last)}" if cut and self.first is not None else ""
-        return Damage(f"{self.path} {head}: " + ("; ".join(filter(None, [upto, *found])) or "it has no end"))
+        upto = (
+            f"it is read up to {self._seconds(self.last)}" if cut and self.first is not None else ""
+        )
+        return Damage(
+            f"{self.path} {head}: " + ("; ".join(filter(None, [upto, *found])) or "it has no end")
+        )
 
     @property
     def remarks(self) -> list[str]:
@@ -76,7 +83,11 @@ class Account:
         checked = self.closing is not None and self.closing.data
         if self.unchecked and not checked:
             every = self.unchecked >= self.chunks
-            which = "this file carries no checksums" if every else f"{self.unchecked} chunks carry no checksum"
+            which = (
+                "this file carries no checksums"
+                if every
+                else f"{self.unchecked} chunks carry no checksum"
+            )
             said.append(f"{which}: numbers that were damaged would not be noticed")
         if self.odd:
             said.append(f"{self.odd} records of an unknown kind were passed over")
@@ -86,12 +97,14 @@ class Account:
         lines = []
         if self.lost:
             spans = [one.span for one in self.lost if one.span is not None]
-            when = [f"{self._seconds(low, unit=False)} to {self._seconds(high)}" for low, high in spans]
+            when = [
+                f"{self._seconds(low, unit=False)} to {self._seconds(high)}" for low, high in spans
+            ]
             times = f", {listed(when, SPANS)}" if when and self.first is not None else ""
             are = "is" if len(self.lost) == 1 else "are"
             lines.append(
-                f"{len(self.lost)} of {self.chunks} chunks {are} left out ({self.lost[0].why}; byte "
-                f"{self.lost[0].start}{times})"
+                f"{len(self.lost)} of {self.chunks} chunks {are} left out ({self.lost[0].why}; "
+                f"byte {self.lost[0].start}{times})"
             )
         gone = sum(end - start for start, end in self.gaps)
         if self.closing is None:  # a chunk before the torn end is a part of it
@@ -111,7 +124,10 @@ class Account:
             lines = [f"{missing} of {total} messages are missing"] if missing else []
             return lines + ([f"{spare} messages more than its index states"] if spare else [])
         if self.missing:
-            return [f"at least {self.missing} of {self.missing + self.counts.total()} messages are missing"]
+            return [
+                f"at least {self.missing} of {self.missing + self.counts.total()} messages are "
+                "missing"
+            ]
         return ["how many messages are missing is not known"] if self.lost else []
 
     def _contradictions(self) -> list[str]:
@@ -119,12 +135,16 @@ class Account:
         if self.strays:
             lines.append(f"{self.strays} messages of no known channel or chunk are left out")
         if self.clashes:
-            lines.append(f"{self.clashes} channels or schemas are defined twice, differently; the first one counts")
+            lines.append(
+                f"{self.clashes} channels or schemas are defined twice, differently; the first "
+                "one counts"
+            )
         if self.closing is not None and self.closing.summary is False:
             lines.append("the checksum of its index does not match")
         if self.closing is not None and self.closing.data is False:
             lines.append(
-                "the checksum of its data does not match, and only chunks with a checksum that matches are read"
+                "the checksum of its data does not match, and only chunks with a checksum that "
+                "matches are read"
             )
         return lines
 

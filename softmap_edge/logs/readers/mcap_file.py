@@ -1,9 +1,11 @@
-"""Reads a topic of a rosbag2 recording in MCAP: one row a message, columns by `cdr.py`, and the time.
+"""Reads a topic of a rosbag2 recording in MCAP: one row a message, columns by `cdr.py`, and the
+time.
 
-`time` is the message's own `header.stamp` in s (since 1970, or of a simulation), or the time at which it was logged
-where it has none; `log_time` is the latter always. Every checksum that the file carries is checked: a chunk that fails
-it is left out, one that was cut is read as far as it goes, and either is reported (`Damage`). Needs PyPI's `mcap`;
-messages are decoded here, so that a damaged one can neither run code nor fill the memory.
+`time` is the message's own `header.stamp` in s (since 1970, or of a simulation), or the time at
+which it was logged where it has none; `log_time` is the latter always. Every checksum that the file
+carries is checked: a chunk that fails it is left out, one that was cut is read as far as it goes,
+and either is reported (`Damage`). Needs PyPI's `mcap`; messages are decoded here, so that a damaged
+one can neither run code nor fill the memory.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ def topics(path: Path, shown: Path | None = None) -> list[Topic]:
         readable = message is not None and channel.message_encoding == "cdr" and schema is not None
         count = (had.count if had else 0) + (message is not None)
         kind = "" if schema is None else schema.name
-        found[channel.topic] = Topic(channel.topic, kind, count, readable or bool(had and had.readable))
+        found[channel.topic] = Topic(
+            channel.topic, kind, count, readable or bool(had and had.readable)
+        )
     damage = messages.account.damage
     if damage is not None and not messages.account.counts:
         raise RunError(f"{damage}; nothing of it is left")
@@ -55,15 +59,19 @@ def topics(path: Path, shown: Path | None = None) -> list[Topic]:
     return list(found.values())
 
 
-def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Path | None = None) -> HeldColumns:
-    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading early.
+def open_mcap(
+    path: Path, topic: str | None, most: int | None = None, shown: Path | None = None
+) -> HeldColumns:
+    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading
+    early.
 
     `shown` is the path that messages about damage name: that of the packed file, say.
 
     Damaged or missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
 
     Raises:
-        RunError: `mcap` is not installed, the file is damaged, or the topic is not there or cannot be decoded.
+        RunError: `mcap` is not installed, the file is damaged, or the topic is not there or cannot
+            be decoded.
     """
     if topic is None:
         found = topics(path, shown)
@@ -84,7 +92,8 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Pat
             numbers = read_message(*known[channel.id], message.data)
         except CdrError as fault:
             raise RunError(
-                f"{path}: topic {topic[:60]}, message {len(rows.rows) + 1}: {fault}; the file is damaged"
+                f"{path}: topic {topic[:60]}, message {len(rows.rows) + 1}: {fault}; the file is "
+                "damaged"
             ) from None
         rows.add(numbers, 1e-9 * message.log_time)
         if most is not None and len(rows.rows) >= most:
@@ -102,9 +111,17 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Pat
 
 def _definition(path: Path, channel: Any, schema: Any) -> tuple[str, Types]:
     if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
-        how = f"{channel.message_encoding or 'no encoding'}, {schema.encoding if schema else 'no schema'}"
-        raise RunError(f"{path}: topic {channel.topic[:60]} is {how[:80]}, expected cdr and ros2msg, as rosbag2 writes")
+        how = (
+            f"{channel.message_encoding or 'no encoding'}, "
+            f"{schema.encoding if schema else 'no schema'}"
+        )
+        raise RunError(
+            f"{path}: topic {channel.topic[:60]} is {how[:80]}, expected cdr and ros2msg, as "
+            "rosbag2 writes"
+        )
     try:
         return schema.name, parse_definition(schema.name, schema.data.decode("utf-8", "replace"))
     except CdrError as fault:
-        raise RunError(f"{path}: topic {channel.topic[:60]}: {fault}; the file is damaged") from None
+        raise RunError(
+            f"{path}: topic {channel.topic[:60]}: {fault}; the file is damaged"
+        ) from None

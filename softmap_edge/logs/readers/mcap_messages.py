@@ -1,7 +1,7 @@
 """Read the messages of an MCAP file whose checksums match, and count the others.
 
-A chunk whose checksum, size or compression fails is left out, and those after it are still read. A chunk without a
-checksum is left out where the checksum of all data fails. Pinned by
+A chunk whose checksum, size or compression fails is left out, and those after it are still read. A
+chunk without a checksum is left out where the checksum of all data fails. Pinned by
 tests/files/test_mcap_damage.py and tests/logs/test_import_mcap.py.
 """
 
@@ -49,7 +49,8 @@ class Messages:
     `.account` holds what was left out, complete once all messages were read.
 
     Raises:
-        RunError: `mcap` is not installed, the file is no MCAP file, or no checksum confirms its messages.
+        RunError: `mcap` is not installed, the file is no MCAP file, or no checksum confirms its
+            messages.
     """
 
     def __init__(self, path: Path, shown: Path | None = None) -> None:
@@ -63,7 +64,9 @@ class Messages:
         try:
             import mcap.records  # noqa: F401 - asked for here, once
         except ImportError:
-            raise RunError(f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[logs]'") from None
+            raise RunError(
+                f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[logs]'"
+            ) from None
         try:
             yield from self._read()
         except OSError as cause:
@@ -75,7 +78,8 @@ class Messages:
         with self._path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RunError(
-                    f"{self._path}: is no MCAP file (its first bytes are others); give the .mcap of the recording"
+                    f"{self._path}: is no MCAP file (its first bytes are others); give the .mcap "
+                    "of the recording"
                 )
             size = self._path.stat().st_size
             closing = read_closing(file, size)
@@ -101,8 +105,8 @@ class Messages:
             account.strays += 1
         elif record.kind == MESSAGE and self._sound is False:
             raise RunError(
-                f"{self._path}: the checksum of its data does not match, so any of its messages may be wrong; copy it "
-                "again"
+                f"{self._path}: the checksum of its data does not match, so any of its messages "
+                "may be wrong; copy it again"
             )
         elif record.kind in (SCHEMA, CHANNEL, MESSAGE):
             account.unchecked += record.kind == MESSAGE
@@ -120,7 +124,11 @@ class Messages:
         try:
             data = unpacked(chunk)
             items = list(split(data))
-            if not all(fits(kind, body, len(body)) for kind, body in items if kind in (SCHEMA, CHANNEL, MESSAGE)):
+            if not all(
+                fits(kind, body, len(body))
+                for kind, body in items
+                if kind in (SCHEMA, CHANNEL, MESSAGE)
+            ):
                 raise Bad("its records do not fill it")
             if chunk.crc == 0 and data and self._sound is False:
                 raise Bad("it carries no checksum, and that of the data does not match")
@@ -136,7 +144,9 @@ class Messages:
     def _item(self, kind: int, body: bytes) -> Iterator[tuple[Any, Any, Any]]:
         if kind == MESSAGE:
             message = self._message(body)
-            channel = self._channels.get(message.channel_id) or self._spare[0].get(message.channel_id)
+            channel = self._channels.get(message.channel_id) or self._spare[0].get(
+                message.channel_id
+            )
             if channel is None:
                 self.account.strays += 1
                 return
@@ -153,7 +163,9 @@ class Messages:
     def _define(
         self, kind: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]
     ) -> Channel | None:
-        """Keep a schema or a channel; return a channel that is new. The first of several of one id counts."""
+        """Keep a schema or a channel; return a channel that is new. The first of several of one id
+        counts.
+        """
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
         from mcap.records import Channel, Schema
@@ -192,7 +204,8 @@ def unpacked(chunk: Chunk) -> bytes:
         data = _unpack(chunk)
     except ImportError:
         raise RunError(
-            f"chunks packed by {chunk.compression} need a package; run pip install 'softmap-edge[logs]'"
+            f"chunks packed by {chunk.compression} need a package; run pip install "
+            "'softmap-edge[logs]'"
         ) from None
     except Bad:
         raise
@@ -217,5 +230,7 @@ def _unpack(chunk: Chunk) -> bytes:
     if chunk.compression == "lz4":
         import lz4.frame
 
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.size + 1))
+        return bytes(
+            lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.size + 1)
+        )
     raise Bad(f"chunks packed by {chunk.compression[:20]!r} are not read; record with zstd or lz4")

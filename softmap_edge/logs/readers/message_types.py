@@ -1,14 +1,19 @@
-"""The definitions of common ROS 2 messages, for recordings that carry none (rosbag2's .db3 up to Humble).
+"""The definitions of common ROS 2 messages, for recordings that carry none (rosbag2's .db3 up to
+Humble).
 
-Only types whose fields are the same in every distribution from Dashing to Lyrical; of any other a recording must carry
-the definition. Reference: the .msg files of common_interfaces, geometry2 and control_msgs.
+Only types whose fields are the same in every distribution from Dashing to Lyrical; of any other a
+recording must carry the definition. Reference: the .msg files of common_interfaces, geometry2 and
+control_msgs.
 """
 
 from __future__ import annotations
 
 import re
 
-_NUMBERS = "Bool:bool Byte:byte Char:char Float32:float32 Float64:float64 Int8:int8 Int16:int16 Int32:int32 Int64:int64"
+_NUMBERS = (
+    "Bool:bool Byte:byte Char:char Float32:float32 Float64:float64 Int8:int8 Int16:int16 "
+    "Int32:int32 Int64:int64"
+)
 _NUMBERS += " UInt8:uint8 UInt16:uint16 UInt32:uint32 UInt64:uint64"
 _HEADER = "std_msgs/Header header"
 _XYZ = "float64 x, float64 y, float64 z"
@@ -34,10 +39,14 @@ _TYPES = {
     "geometry_msgs/Wrench": "Vector3 force, Vector3 torque",
     "geometry_msgs/PoseWithCovariance": "Pose pose, float64[36] covariance",
     "geometry_msgs/TwistWithCovariance": "Twist twist, float64[36] covariance",
-    "sensor_msgs/JointState": f"{_HEADER}, string[] name, float64[] position, float64[] velocity, float64[] effort",
-    "sensor_msgs/Imu": f"{_HEADER}, geometry_msgs/Quaternion orientation, float64[9] orientation_covariance, "
-    "geometry_msgs/Vector3 angular_velocity, float64[9] angular_velocity_covariance, "
-    "geometry_msgs/Vector3 linear_acceleration, float64[9] linear_acceleration_covariance",
+    "sensor_msgs/JointState": (
+        f"{_HEADER}, string[] name, float64[] position, float64[] velocity, float64[] effort"
+    ),
+    "sensor_msgs/Imu": (
+        f"{_HEADER}, geometry_msgs/Quaternion orientation, float64[9] orientation_covariance, "
+        "geometry_msgs/Vector3 angular_velocity, float64[9] angular_velocity_covariance, "
+        "geometry_msgs/Vector3 linear_acceleration, float64[9] linear_acceleration_covariance"
+    ),
     "sensor_msgs/MagneticField": f"{_HEADER}, geometry_msgs/Vector3 magnetic_field, "
     "float64[9] magnetic_field_covariance",
     "sensor_msgs/Temperature": f"{_HEADER}, float64 temperature, float64 variance",
@@ -46,18 +55,30 @@ _TYPES = {
     "sensor_msgs/Illuminance": f"{_HEADER}, float64 illuminance, float64 variance",
     "sensor_msgs/Joy": f"{_HEADER}, float32[] axes, int32[] buttons",
     "sensor_msgs/ChannelFloat32": "string name, float32[] values",
-    "sensor_msgs/PointCloud": f"{_HEADER}, geometry_msgs/Point32[] points, ChannelFloat32[] channels",
-    "sensor_msgs/MultiDOFJointState": f"{_HEADER}, string[] joint_names, geometry_msgs/Transform[] transforms, "
-    "geometry_msgs/Twist[] twist, geometry_msgs/Wrench[] wrench",
-    "nav_msgs/Odometry": f"{_HEADER}, string child_frame_id, geometry_msgs/PoseWithCovariance pose, "
-    "geometry_msgs/TwistWithCovariance twist",
+    "sensor_msgs/PointCloud": (
+        f"{_HEADER}, geometry_msgs/Point32[] points, ChannelFloat32[] channels"
+    ),
+    "sensor_msgs/MultiDOFJointState": (
+        f"{_HEADER}, string[] joint_names, geometry_msgs/Transform[] transforms, "
+        "geometry_msgs/Twist[] twist, geometry_msgs/Wrench[] wrench"
+    ),
+    "nav_msgs/Odometry": (
+        f"{_HEADER}, string child_frame_id, geometry_msgs/PoseWithCovariance pose, "
+        "geometry_msgs/TwistWithCovariance twist"
+    ),
     "nav_msgs/Path": f"{_HEADER}, geometry_msgs/PoseStamped[] poses",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "trajectory_msgs/JointTrajectoryPoint": "float64[] positions, float64[] velocities, float64[] accelerations, "
-    "float64[] effort, builtin_interfaces/Duration time_from_start",
-    "trajectory_msgs/JointTrajectory": f"{_HEADER}, string[] joint_names, JointTrajectoryPoint[] points",
+    "trajectory_msgs/JointTrajectoryPoint": (
+        "float64[] positions, float64[] velocities, float64[] accelerations, "
+        "float64[] effort, builtin_interfaces/Duration time_from_start"
+    ),
+    "trajectory_msgs/JointTrajectory": (
+        f"{_HEADER}, string[] joint_names, JointTrajectoryPoint[] points"
+    ),
     "control_msgs/InterfaceValue": "string[] interface_names, float64[] values",
-    "control_msgs/DynamicJointState": f"{_HEADER}, string[] joint_names, InterfaceValue[] interface_values",
+    "control_msgs/DynamicJointState": (
+        f"{_HEADER}, string[] joint_names, InterfaceValue[] interface_values"
+    ),
 }
 for _pair in _NUMBERS.split():
     _name, _, _kind = _pair.partition(":")
@@ -65,13 +86,18 @@ for _pair in _NUMBERS.split():
     if _name not in ("Bool", "Char"):
         _TYPES[f"std_msgs/{_name}MultiArray"] = f"MultiArrayLayout layout, {_kind}[] data"
 for _name in ("Point", "Vector3", "Quaternion", "Pose", "Twist", "Accel", "Wrench"):
-    _TYPES[f"geometry_msgs/{_name}Stamped"] = f"{_HEADER}, {_name} {_name.removesuffix('3').lower()}"
+    _TYPES[f"geometry_msgs/{_name}Stamped"] = (
+        f"{_HEADER}, {_name} {_name.removesuffix('3').lower()}"
+    )
 for _name in ("Pose", "Twist"):
-    _TYPES[f"geometry_msgs/{_name}WithCovarianceStamped"] = f"{_HEADER}, {_name}WithCovariance {_name.lower()}"
+    _TYPES[f"geometry_msgs/{_name}WithCovarianceStamped"] = (
+        f"{_HEADER}, {_name}WithCovariance {_name.lower()}"
+    )
 
 
 def known_definition(name: str) -> str | None:
-    """Return the definition of a common type with those within, as rosbag2 writes it; None for another type.
+    """Return the definition of a common type with those within, as rosbag2 writes it; None for
+    another type.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
@@ -82,7 +108,10 @@ def known_definition(name: str) -> str | None:
     asked = [first]
     for owner in asked:  # grows: types within types
         asked += [inner for inner in _within(owner) if inner not in asked]
-    parts = [("" if k == 0 else f"MSG: {one}\n") + _TYPES[one].replace(", ", "\n") for k, one in enumerate(asked)]
+    parts = [
+        ("" if k == 0 else f"MSG: {one}\n") + _TYPES[one].replace(", ", "\n")
+        for k, one in enumerate(asked)
+    ]
     return f"\n{'=' * 80}\n".join(parts)
 
 

@@ -1,7 +1,8 @@
-"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`.
+"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and
+`log_time`.
 
-A field of the messages that is called `time` or `log_time` itself becomes the column `time (field)`. Also the
-errors of readers of recordings whose topic is not there, or not named.
+A field of the messages that is called `time` or `log_time` itself becomes the column `time
+(field)`. Also the errors of readers of recordings whose topic is not there, or not named.
 """
 
 from __future__ import annotations
@@ -22,15 +23,22 @@ NUMBERS = 2**27  # numbers of one topic: 1 GiB
 def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
     """Return the error that a mapping must name one of the topics (name → type) of a recording."""
     named = ", ".join(f"{name} ({kind})" for name, kind in types.items())[:300] or "none"
-    return RunError(f'{path}: holds {len(types)} topics ({named}); name one in the mapping: topic = "…"')
+    return RunError(
+        f'{path}: holds {len(types)} topics ({named}); name one in the mapping: topic = "…"'
+    )
 
 
 def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
-    """Return the error that a recording holds no message of a topic, with the topics that have messages."""
+    """Return the error that a recording holds no message of a topic, with the topics that have
+    messages.
+    """
     listed = ", ".join(sorted(there))[:200]
     if not listed:
         return RunError(f"{path}: holds no message of any topic; give the recording of a run")
-    return RunError(f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the mapping")
+    return RunError(
+        f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the "
+        "mapping"
+    )
 
 
 class MessageRows:
@@ -39,7 +47,8 @@ class MessageRows:
     def __init__(self, path: Path, topic: str) -> None:
         self.path, self.topic = path, topic
         self.index: dict[str, int] = {}  # column → place
-        self.shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}  # names of a message → the places of its numbers
+        # names of a message → the places of its numbers
+        self.shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self.rows: list[tuple[NDArray[np.int64], Array]] = []
 
     def add(self, numbers: dict[str, float], logged: float) -> None:
@@ -54,14 +63,21 @@ class MessageRows:
         """
         stamp = numbers.get("header.stamp", 0.0)
         if not numbers.keys().isdisjoint(OWN):
-            numbers = {f"{name} (field)" if name in OWN else name: value for name, value in numbers.items()}
+            numbers = {
+                f"{name} (field)" if name in OWN else name: value for name, value in numbers.items()
+            }
         numbers = {"time": stamp or logged} | numbers | {"log_time": logged}
         names = tuple(numbers)
         if names not in self.shapes:
-            self.shapes[names] = np.array([self.index.setdefault(name, len(self.index)) for name in names])
+            self.shapes[names] = np.array(
+                [self.index.setdefault(name, len(self.index)) for name in names]
+            )
         self.rows.append((self.shapes[names], np.array(list(numbers.values()))))
         if (len(self.rows) + 1) * len(self.index) > NUMBERS:
-            raise RunError(f"{self.path}: topic {self.topic[:60]} holds more than {NUMBERS} numbers; cut the recording")
+            raise RunError(
+                f"{self.path}: topic {self.topic[:60]} holds more than {NUMBERS} numbers; cut the "
+                "recording"
+            )
 
     def columns(self, notes: tuple[str, ...] = (), by_time: bool = False) -> HeldColumns:
         """Return the table; there must be a row. `by_time` puts rows in the order of `log_time`."""

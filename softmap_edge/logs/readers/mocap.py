@@ -1,8 +1,10 @@
-"""Reads the text exports of motion capture: TRC (OpenSim, Cortex, QTM) and Motive's (OptiTrack's) CSV.
+"""Reads the text exports of motion capture: TRC (OpenSim, Cortex, QTM) and Motive's (OptiTrack's)
+CSV.
 
-Both have several lines of header; the rows below are an ordinary text log. Columns are called `frame`, `time`, and
-`NAME.x`, `NAME.y`, `NAME.z` for each marker or rigid body; of Motive also `NAME.rotation.x` and the error of a marker.
-An empty cell is a marker not seen. The unit is the one that the header states.
+Both have several lines of header; the rows below are an ordinary text log. Columns are called
+`frame`, `time`, and `NAME.x`, `NAME.y`, `NAME.z` for each marker or rigid body; of Motive also
+`NAME.rotation.x` and the error of a marker. An empty cell is a marker not seen. The unit is the one
+that the header states.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from softmap_edge.logs.readers.cells import is_number, split
 from softmap_edge.logs.readers.text import TextColumns, first_lines
 
 _HEAD = 40  # lines in which the rows must begin
-_UNITS = {"meters": "m", "metres": "m", "millimeters": "mm", "millimetres": "mm", "centimeters": "cm", "m": "m"}
+_UNITS = {
+    "meters": "m",
+    "metres": "m",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "centimeters": "cm",
+    "m": "m",
+}
 _UNITS |= {"mm": "mm", "cm": "cm", "meter": "m", "millimeter": "mm"}
 
 
@@ -38,15 +47,16 @@ def open_trc(path: Path) -> TextColumns:
     cells = [[cell.strip() for cell in line.split("\t")] for line in lines]
     if len(cells) < 5 or not cells[3] or cells[3][0].lower().rstrip("#") != "frame":
         raise RunError(
-            f"{path}: is no TRC file (its fourth line does not name Frame#, Time and markers); export it again"
+            f"{path}: is no TRC file (its fourth line does not name Frame#, Time and markers); "
+            "export it again"
         )
     stated = dict(zip(cells[1], cells[2]))
     labels = [cell for cell in cells[3][2:] if cell]
     axes = [cell for cell in cells[4] if cell]
     if not labels or len(axes) != 3 * len(labels):
         raise RunError(
-            f"{path}: line 4 names {len(labels)} markers, line 5 has {len(axes)} coordinates, expected three for each; "
-            "export it again"
+            f"{path}: line 4 names {len(labels)} markers, line 5 has {len(axes)} coordinates, "
+            "expected three for each; export it again"
         )
     names = ["frame", "time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
     return _rows(path, names, "\t", cells, 5, stated.get("Units", ""))
@@ -63,14 +73,21 @@ def open_motive(path: Path) -> TextColumns:
     at = next((k for k, row in enumerate(cells) if row and row[0].lower() == "frame"), None)
     named = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "name"), None)
     if at is None or named is None or at < 2 or len(cells[at]) < 3:
-        raise RunError(f"{path}: is no CSV export of Motive (no lines Name and Frame in its head); export it again")
+        raise RunError(
+            f"{path}: is no CSV export of Motive (no lines Name and Frame in its head); export it "
+            "again"
+        )
     width = len(cells[at])
     kinds = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "type"), [])
     rows = [row + [""] * (width - len(row)) for row in (kinds, named, cells[at - 1], cells[at])]
     names = ["frame", "time"]
     taken = set(names)  # beside the list: a damaged head may hold 500 000 cells
     for kind, name, what, axis in list(zip(*rows))[2:]:
-        column = f"{name}.{axis.lower()}" if what == "Position" else f"{name}.{what.lower()}.{axis.lower()}"
+        column = (
+            f"{name}.{axis.lower()}"
+            if what == "Position"
+            else f"{name}.{what.lower()}.{axis.lower()}"
+        )
         column = column if axis else f"{name}.{what}"
         names.append(column if column not in taken else f"{column} ({kind})")
         taken.add(names[-1])
@@ -78,7 +95,9 @@ def open_motive(path: Path) -> TextColumns:
     return _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""))
 
 
-def _rows(path: Path, names: list[str], delimiter: str, cells: list[list[str]], at: int, unit: str) -> TextColumns:
+def _rows(
+    path: Path, names: list[str], delimiter: str, cells: list[list[str]], at: int, unit: str
+) -> TextColumns:
     """The rows below the head: where they begin, and the unit of the coordinates."""
     while at < len(cells) and not (cells[at] and cells[at][0] and is_number(cells[at][0])):
         at += 1
@@ -88,6 +107,8 @@ def _rows(path: Path, names: list[str], delimiter: str, cells: list[list[str]], 
     if extra > 0 and not any(cells[at][len(names) :]):  # tabs at the end of each line
         names = [*names, *[""] * extra]
     known = _UNITS.get(unit.strip().lower())
-    places = [name for name in names if name[-2:] in (".x", ".y", ".z") and ".rotation." not in name]
+    places = [
+        name for name in names if name[-2:] in (".x", ".y", ".z") and ".rotation." not in name
+    ]
     units = dict.fromkeys(places, known) if known else {}
     return TextColumns(path, names, at + 1, delimiter, ".", units=units)

@@ -1,7 +1,8 @@
 """Read the arrays of a log in NumPy's formats: `.npz` by name, `.npy` as one array called `data`.
 
-Never unpickles: arrays of Python objects are left out and named. Sizes are checked against the archive before anything
-is unpacked, and the checksums of the archive are checked. Arrays with named fields become one column a field.
+Never unpickles: arrays of Python objects are left out and named. Sizes are checked against the
+archive before anything is unpacked, and the checksums of the archive are checked. Arrays with named
+fields become one column a field.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ def open_npz(path: Path) -> ArrayColumns:
     """Read the arrays of a log.
 
     Raises:
-        RunError: the file is damaged or too large, is a run, or no array in it holds columns of numbers.
+        RunError: the file is damaged or too large, is a run, or no array in it holds columns of
+            numbers.
     """
     arrays: dict[str, NDArray[Any]] = {}
     texts: dict[str, list[str]] = {}
@@ -36,11 +38,14 @@ def open_npz(path: Path) -> ArrayColumns:
             _sort(name, array, arrays, texts, left_out)
     except RunError:
         raise
-    except Exception as fault:  # zipfile, zlib, ast and tokenize raise a dozen kinds on damaged files
+    # zipfile, zlib, ast and tokenize raise a dozen kinds on damaged files
+    except Exception as fault:
         why = brief(fault) or type(fault).__name__
         raise RunError(f"{path}: is a damaged NumPy file ({why}); save it again") from None
     if "t" in arrays and any(entry.startswith("command_unit ") for entry in left_out):
-        raise RunError(f"{path}: is a run already; `softmap check {path.name}` says what it can identify")
+        raise RunError(
+            f"{path}: is a run already; `softmap check {path.name}` says what it can identify"
+        )
     if sum(array.size for array in arrays.values()) > MOST:
         raise RunError(f"{path}: holds more than {MOST} numbers; split the log")
     return columns_of_arrays(path, arrays, texts, left_out=left_out)
@@ -65,8 +70,8 @@ def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]
         total = sum(entry.file_size for entry in entries)
         if total > LIMIT or len(entries) > MOST_ARRAYS:
             raise RunError(
-                f"{path}: {len(entries)} arrays of {total} bytes when unpacked, at most {MOST_ARRAYS} of {LIMIT} are "
-                "read"
+                f"{path}: {len(entries)} arrays of {total} bytes when unpacked, at most "
+                f"{MOST_ARRAYS} of {LIMIT} are read"
             )
         for entry in entries:
             name = entry.filename.removesuffix(".npy")
@@ -86,7 +91,9 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
     if head.dtype.hasobject:
         return None
     if head.bytes > size:
-        raise ValueError(f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {size} are there")
+        raise ValueError(
+            f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {size} are there"
+        )
     data = bytearray(head.bytes)
     view, at = memoryview(data), 0
     while at < head.bytes:
@@ -99,7 +106,11 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
 
 
 def _sort(
-    name: str, array: NDArray[Any], arrays: dict[str, NDArray[Any]], texts: dict[str, list[str]], left_out: list[str]
+    name: str,
+    array: NDArray[Any],
+    arrays: dict[str, NDArray[Any]],
+    texts: dict[str, list[str]],
+    left_out: list[str],
 ) -> None:
     """Add an array to the numbers, the texts, or the names that are left out."""
     if name in arrays or name in texts:
@@ -136,4 +147,6 @@ def _texts(array: NDArray[np.generic]) -> list[str]:
 
 
 def _what(array: NDArray[np.generic]) -> str:
-    return {"c": "complex numbers", "V": "bytes"}.get(array.dtype.kind, f"text of shape {array.shape}")
+    return {"c": "complex numbers", "V": "bytes"}.get(
+        array.dtype.kind, f"text of shape {array.shape}"
+    )

@@ -1,4 +1,6 @@
-"""Add the column `time` to a log that states its rate in its head, from frame numbers or row numbers."""
+"""Add the column `time` to a log that states its rate in its head, from frame numbers or row
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ TIME = "time"
 
 @dataclass(frozen=True)
 class PacedColumns:
-    """A text log, and a last column `time` (s) of its frame numbers, or of its rows, at a rate that the file states.
+    """A text log, and a last column `time` (s) of its frame numbers, or of its rows, at a rate that
+    the file states.
 
     Attributes:
         inner: the columns of the file.
@@ -92,7 +95,10 @@ class PacedColumns:
         for j, place in enumerate(places):
             time = self.start_s + count / self.rate_hz
             table[:, j] = time if place == at else cells.numbers[:, asked.index(place)]
-        note = f"time counts {'rows' if self.frame is None else 'frames'} at {self.rate_hz:g} Hz, as the file states"
+        note = (
+            f"time counts {'rows' if self.frame is None else 'frames'} at {self.rate_hz:g} Hz, as "
+            "the file states"
+        )
         return replace(cells, numbers=table, notes=(*cells.notes, note))
 
 
@@ -118,7 +124,8 @@ def paced(
         hertz = 0.0
     if not 1e-3 <= hertz <= 1e7:
         raise RunError(
-            f"{columns.path}: states the rate '{rate[:20]}', expected frames a second; correct it, or export again"
+            f"{columns.path}: states the rate '{rate[:20]}', expected frames a second; correct "
+            "it, or export again"
         )
     place = columns.names.index(frame) if frame is not None and frame in columns.names else None
     return PacedColumns(columns, hertz, place, first_frame)

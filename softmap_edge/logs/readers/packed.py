@@ -1,8 +1,9 @@
 """Unpack a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
 
-The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At most LIMIT bytes
-are unpacked, of a text log no more than is read of one, and never more than half of what is free on the disk. A file
-that grows more than `_DENSEST`-fold is refused early. Checksums that the packing carries are checked.
+The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At
+most LIMIT bytes are unpacked, of a text log no more than is read of one, and never more than half
+of what is free on the disk. A file that grows more than `_DENSEST`-fold is refused early. Checksums
+that the packing carries are checked.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ _SKIPPED = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")  # a frame without content, a
 GZIP = b"\x1f\x8b\x08"
 LIMIT = 2**32  # bytes when unpacked
 _UNSUSPECTED = 2**28  # bytes unpacked, below which their ratio to the packed ones is not looked at
-_DENSEST = 200  # times smaller when packed: a log of one repeated line reaches it, no recording does
-_FRAMES, _FRAME = 10_000, 2**12  # frames of a file, and the bytes of each on average, if it has more
+# times smaller when packed: a log of one repeated line reaches it, no recording does
+_DENSEST = 200
+# frames of a file, and the bytes of each on average, if it has more
+_FRAMES, _FRAME = 10_000, 2**12
 _NESTED = ("zstd", "gzip")  # refused when unpacked
 _PIECE = 2**20  # bytes at a time
 _SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
@@ -45,7 +48,8 @@ class Unpacked:
 
 
 def unpack(path: Path) -> Unpacked:
-    """Unpack a file packed by zstd or gzip into a temporary folder, under its name without the last ending.
+    """Unpack a file packed by zstd or gzip into a temporary folder, under its name without the last
+    ending.
 
     Raises:
         RunError: `zstandard` is not installed, or the file is damaged or too large.
@@ -61,7 +65,9 @@ def unpack(path: Path) -> Unpacked:
 
 
 def skipped_frames(start: bytes) -> int:
-    """Return the bytes of the frames without content with which a file begins, from its first bytes."""
+    """Return the bytes of the frames without content with which a file begins, from its first
+    bytes.
+    """
     at = 0
     while _SKIPPED.match(start, at):
         at += 8 + int.from_bytes(start[at + 4 : at + 8], "little")
@@ -82,17 +88,22 @@ def _unpack(path: Path, file: Path) -> None:
                 total += len(piece)
                 if total > room:
                     raise RunError(
-                        f"{path}: holds more than {room} bytes when unpacked; unpack it yourself and split it"
+                        f"{path}: holds more than {room} bytes when unpacked; unpack it yourself "
+                        "and split it"
                     )
                 if total > _UNSUSPECTED and total > _DENSEST * packed.tell():
                     raise RunError(
-                        f"{path}: unpacks to more than {_DENSEST} times its size, as no recording does; unpack it "
-                        "yourself and look at it"
+                        f"{path}: unpacks to more than {_DENSEST} times its size, as no recording "
+                        "does; unpack it yourself and look at it"
                     )
     except (EOFError, gzip.BadGzipFile, zlib.error) as fault:
-        raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
+        raise RunError(
+            f"{path}: is a damaged packed file ({brief(fault)}); copy it again"
+        ) from None
     except OSError as cause:
-        raise RunError(f"{path}: cannot be unpacked ({cause.strerror or cause}); unpack it yourself") from cause
+        raise RunError(
+            f"{path}: cannot be unpacked ({cause.strerror or cause}); unpack it yourself"
+        ) from cause
 
 
 def _limit_of(path: Path, file: Path) -> int:
@@ -127,12 +138,15 @@ def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
         import zstandard
     except ImportError:
         raise RunError(
-            f"{path}: files packed by zstd need zstandard; run pip install 'softmap-edge[logs]', or zstd -d {path.name}"
+            f"{path}: files packed by zstd need zstandard; run pip install 'softmap-edge[logs]', "
+            f"or zstd -d {path.name}"
         ) from None
     try:
         yield from _frames(zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW), packed)
     except zstandard.ZstdError as fault:
-        raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
+        raise RunError(
+            f"{path}: is a damaged packed file ({brief(fault)}); copy it again"
+        ) from None
 
 
 def _frames(packer: Any, packed: BinaryIO) -> Iterator[bytes]:

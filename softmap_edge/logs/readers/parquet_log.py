@@ -1,8 +1,9 @@
 """Read a log in Parquet, such as an episode of a LeRobot dataset, by pyarrow in a child process.
 
-A column of numbers keeps its name; one of lists of numbers becomes `action[0]` … or, where the dataset's
-`meta/info.json` names them, `action[shoulder_pan.pos]`. Of several episodes one is read. Times become seconds, texts
-labels; checksums of pages are checked where the file has them. Images and structs are left out and named.
+A column of numbers keeps its name; one of lists of numbers becomes `action[0]` … or, where the
+dataset's `meta/info.json` names them, `action[shoulder_pan.pos]`. Of several episodes one is read.
+Times become seconds, texts labels; checksums of pages are checked where the file has them. Images
+and structs are left out and named.
 """
 
 from __future__ import annotations
@@ -34,25 +35,38 @@ def open_parquet(path: Path, episode: int | None = None, first: bool = False) ->
         first: read the first of several if none is asked for.
 
     Raises:
-        RunError: pyarrow is not installed, the file is damaged or too large, or the episode is not in it.
+        RunError: pyarrow is not installed, the file is damaged or too large, or the episode is not
+            in it.
     """
     if path.stat().st_size > LIMIT:
-        raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
+        raise RunError(
+            f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log"
+        )
     answer = read_in_child(path, "Parquet file", read_parquet, episode=episode, first=first)
     info = info_near(path)
     document = answer.document
     notes = [str(note) for note in document["notes"]]
     labels = {} if info is None else info.names
-    return columns_of_arrays(path, answer.arrays, document["texts"], labels, notes, _left_out(document, info))
+    return columns_of_arrays(
+        path, answer.arrays, document["texts"], labels, notes, _left_out(document, info)
+    )
 
 
 def _left_out(document: dict[str, Any], info: Info | None) -> list[str]:
     absent = [str(entry) for entry in document["left_out"]]
-    return absent if info is None else [*absent, *(f"{name} (in files of video)" for name in _videos(document, info))]
+    return (
+        absent
+        if info is None
+        else [*absent, *(f"{name} (in files of video)" for name in _videos(document, info))]
+    )
 
 
 def _videos(document: dict[str, Any], info: Info) -> list[str]:
-    return [name for name in info.names if name.startswith("observation.image") and name not in document["names"]]
+    return [
+        name
+        for name in info.names
+        if name.startswith("observation.image") and name not in document["names"]
+    ]
 
 
 def episodes_in(path: Path) -> tuple[int, int] | None:
@@ -70,8 +84,12 @@ def _file(path: Path) -> Any:
     try:
         import pyarrow.parquet
     except ImportError:
-        raise RunError(f"{path}: Parquet needs pyarrow; run pip install 'softmap-edge[logs]'") from None
-    return pyarrow.parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False, memory_map=False)
+        raise RunError(
+            f"{path}: Parquet needs pyarrow; run pip install 'softmap-edge[logs]'"
+        ) from None
+    return pyarrow.parquet.ParquetFile(
+        path, page_checksum_verification=True, pre_buffer=False, memory_map=False
+    )
 
 
 def read_episodes(path: Path) -> Answer:
@@ -100,7 +118,9 @@ def read_parquet(path: Path, episode: int | None, first: bool) -> Answer:
             raise RunError(f"{path}: {len(schema)} columns, at most {MOST_COLUMNS} are read")
         names = list(dict.fromkeys(one.name for one in schema if _is_read(pyarrow, one.type)))
         gathered = _Gathered(path, names, episode)
-        gathered.left_out = [f"{one.name} ({str(one.type)[:30]})" for one in schema if one.name not in names]
+        gathered.left_out = [
+            f"{one.name} ({str(one.type)[:30]})" for one in schema if one.name not in names
+        ]
         for batch in file.iter_batches(_BATCH, columns=names, use_threads=False):
             table = {name: batch.column(k) for k, name in enumerate(batch.schema.names)}
             keep = gathered.of_episode(table)
@@ -133,8 +153,11 @@ class _Gathered:
             self.episode = min(self.seen)
         return np.asarray(each == self.episode)
 
-    def add(self, name: str, values: NDArray[np.generic] | None, keep: NDArray[np.bool_] | None) -> None:
-        """Add the rows to `keep` (rows,) of the values (rows, …) of a column; None where they have no common shape.
+    def add(
+        self, name: str, values: NDArray[np.generic] | None, keep: NDArray[np.bool_] | None
+    ) -> None:
+        """Add the rows to `keep` (rows,) of the values (rows, …) of a column; None where they have
+        no common shape.
 
         Raises:
             RunError: the file holds too many numbers.
@@ -158,17 +181,24 @@ class _Gathered:
         if EPISODE in self.names and not self.parts[EPISODE]:
             listed = f"{min(self.seen)} to {max(self.seen)}" if self.seen else "none"
             raise RunError(
-                f"{self.path}: holds no episode {self.episode}; there are {listed}; change `episode` in the mapping"
+                f"{self.path}: holds no episode {self.episode}; there are {listed}; change "
+                "`episode` in the mapping"
             )
         columns = {
-            name: np.concatenate(parts) for name, parts in self.parts.items() if parts and name not in self.ragged
+            name: np.concatenate(parts)
+            for name, parts in self.parts.items()
+            if parts and name not in self.ragged
         }
         for name in self.names:
             if name not in columns:
                 why = "lists of different lengths" if name in self.ragged else "empty"
                 self.left_out.append(f"{name} ({why})")
         arrays = {name: as_floats(one) for name, one in columns.items() if one.dtype.kind in "biuf"}
-        texts = {name: [str(text)[:200] for text in one] for name, one in columns.items() if one.dtype.kind == "O"}
+        texts = {
+            name: [str(text)[:200] for text in one]
+            for name, one in columns.items()
+            if one.dtype.kind == "O"
+        }
         notes = [] if self.episode is None else [f"episode {self.episode}"]
         document = {"texts": texts, "left_out": self.left_out, "notes": notes, "names": self.names}
         return Answer(arrays, document)
@@ -176,8 +206,8 @@ class _Gathered:
 
 def _ask(path: Path, rows: int) -> None:
     raise RunError(
-        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; name one in the mapping: "
-        "episode = 0"
+        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; name one in "
+        "the mapping: episode = 0"
     )
 
 
@@ -188,13 +218,20 @@ def _is_read(pyarrow: Any, kind: Any) -> bool:
         return bool(types.is_floating(kind.value_type) or types.is_integer(kind.value_type))
     if types.is_dictionary(kind):
         return _is_read(pyarrow, kind.value_type)
-    numbers = types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind)
+    numbers = (
+        types.is_floating(kind)
+        or types.is_integer(kind)
+        or types.is_boolean(kind)
+        or types.is_decimal(kind)
+    )
     times = types.is_timestamp(kind) or types.is_duration(kind)
     return bool(numbers or times or types.is_string(kind) or types.is_large_string(kind))
 
 
 def _values(pyarrow: Any, column: Any) -> NDArray[np.generic] | None:
-    """Return a column as an array: (rows,), or (rows, elements) of lists; None of lists of different lengths."""
+    """Return a column as an array: (rows,), or (rows, elements) of lists; None of lists of
+    different lengths.
+    """
     types = pyarrow.types
     kind = column.type
     if types.is_dictionary(kind):
@@ -206,7 +243,11 @@ def _values(pyarrow: Any, column: Any) -> NDArray[np.generic] | None:
         ticks = column.cast(pyarrow.int64())
         return as_floats(ticks.to_numpy(zero_copy_only=False)) / per_second
     if types.is_decimal(kind) or types.is_boolean(kind):
-        column = column.cast(pyarrow.float64()) if types.is_decimal(kind) else column.cast(pyarrow.int8())
+        column = (
+            column.cast(pyarrow.float64())
+            if types.is_decimal(kind)
+            else column.cast(pyarrow.int8())
+        )
     if types.is_string(kind) or types.is_large_string(kind):
         return np.array(["" if text is None else text for text in column.to_pylist()], dtype=object)
     return as_floats(column.to_numpy(zero_copy_only=False))
@@ -216,7 +257,11 @@ def _lists(column: Any) -> NDArray[np.float64] | None:
     """Return lists of one length as rows; None where they differ or one is absent."""
     if column.null_count:
         return None
-    lengths = np.unique(np.asarray(column.value_lengths().to_numpy(zero_copy_only=False))) if len(column) else [0]
+    lengths = (
+        np.unique(np.asarray(column.value_lengths().to_numpy(zero_copy_only=False)))
+        if len(column)
+        else [0]
+    )
     if len(lengths) != 1 or not 0 < lengths[0] <= MOST_COLUMNS:
         return None
     flat = as_floats(column.flatten().to_numpy(zero_copy_only=False))

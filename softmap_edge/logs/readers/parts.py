@@ -1,8 +1,10 @@
-"""Read several files of one log one after another: the parts of a split bag, or logs with equal mappings.
+"""Read several files of one log one after another: the parts of a split bag, or logs with equal
+mappings.
 
-The order of day and month of their dates is decided by all parts together. Parts whose times of day begin again after
-midnight follow those before it. Parts of another clock that rolls over follow one another in the order of their names,
-if the mapping mends roll-overs. Pinned by tests/logs/test_csv_parts.py.
+The order of day and month of their dates is decided by all parts together. Parts whose times of day
+begin again after midnight follow those before it. Parts of another clock that rolls over follow one
+another in the order of their names, if the mapping mends roll-overs. Pinned by
+tests/logs/test_csv_parts.py.
 """
 
 from __future__ import annotations
@@ -59,7 +61,11 @@ class JoinedColumns:
     @property
     def units(self) -> dict[str, str]:
         """The units that the files state."""
-        return {name: unit for _, columns in reversed(self.parts) for name, unit in columns.units.items()}
+        return {
+            name: unit
+            for _, columns in reversed(self.parts)
+            for name, unit in columns.units.items()
+        }
 
     @property
     def clocks(self) -> dict[int, TimeText]:
@@ -96,12 +102,20 @@ class JoinedColumns:
             notes.append(f"the time passes {what} and counts on in later parts: {after[:400]}")
         listed = ", ".join(self.parts[k][0] for k in order)
         notes.insert(
-            0, f"{len(order)} parts read one after another: {listed[:400]}{'' if rolls else _pause(order, times)}"
+            0,
+            f"{len(order)} parts read one after another: "
+            f"{listed[:400]}{'' if rolls else _pause(order, times)}",
         )
         cells = [cells[k] for k in order]
-        labels = None if label is None else np.concatenate([np.asarray(one.labels) for one in cells])
-        notes += [_noted(self.parts[k][0], note) for k, one in zip(order, cells) for note in one.notes]
-        doubts += [_noted(self.parts[k][0], doubt) for k, one in zip(order, cells) for doubt in one.doubts]
+        labels = (
+            None if label is None else np.concatenate([np.asarray(one.labels) for one in cells])
+        )
+        notes += [
+            _noted(self.parts[k][0], note) for k, one in zip(order, cells) for note in one.notes
+        ]
+        doubts += [
+            _noted(self.parts[k][0], doubt) for k, one in zip(order, cells) for doubt in one.doubts
+        ]
         return Cells(
             np.concatenate([one.numbers for one in cells])[:rows],
             None if labels is None else labels[:rows],
@@ -138,11 +152,17 @@ class JoinedColumns:
 
     def _rolls(self, times: Sequence[Array]) -> bool:
         """Whether a clock that rolls over, as the mapping declares, runs on from file to file."""
-        if self.clock.jumps != "mend" or self._period or len({without_numbers(name) for name, _ in self.parts}) > 1:
+        if (
+            self.clock.jumps != "mend"
+            or self._period
+            or len({without_numbers(name) for name, _ in self.parts}) > 1
+        ):
             return False
         order = self._by_name()
         falls = any((np.diff(t) < 0).any() for t in times)
-        return falls or any(times[k].max() > times[later].min() for k, later in zip(order, order[1:]))
+        return falls or any(
+            times[k].max() > times[later].min() for k, later in zip(order, order[1:])
+        )
 
     def _by_name(self) -> list[int]:
         """Return the order of the files by the numbers in their names."""
@@ -150,25 +170,35 @@ class JoinedColumns:
         return sorted(range(len(names)), key=lambda k: numbers_in(names[k]))
 
     def _doubts(self, order: Sequence[int]) -> list[str]:
-        """Return a doubt if the numbers in the names show another order, and a clock that begins again explains it."""
+        """Return a doubt if the numbers in the names show another order, and a clock that begins
+        again explains it.
+        """
         named = self._by_name()
-        dated = any(place(self.path, self.names, column) in self.clocks for column in self.clock.columns)
+        dated = any(
+            place(self.path, self.names, column) in self.clocks for column in self.clock.columns
+        )
         turned = any([*named[k:], *named[:k]] == [*order] for k in range(1, len(named)))
         if len({without_numbers(name) for name, _ in self.parts}) > 1 or [*order] == named:
             return []
         if self._period:
             return [
-                "t: the parts follow one another by their times of day, not by their names: give dates if it is wrong"
+                "t: the parts follow one another by their times of day, not by their names: give "
+                "dates if it is wrong"
             ]
         if dated or not turned:
             return []
         return [
-            "t: the parts follow one another by their times, not by the numbers in their names: if the clock rolled "
+            "t: the parts follow one another by their times, not by the numbers in their names: "
+            "if the clock rolled "
             'over between two of them, set time.jumps = "mend"'
         ]
 
-    def _read(self, columns: Columns, places: list[int], label: int | None, rows: int | None) -> tuple[Cells, Array]:
-        """Return the cells of some columns of one file, NaN where it has no such column, and their times (rows,) s."""
+    def _read(
+        self, columns: Columns, places: list[int], label: int | None, rows: int | None
+    ) -> tuple[Cells, Array]:
+        """Return the cells of some columns of one file, NaN where it has no such column, and their
+        times (rows,) s.
+        """
         own = self._places(columns)
         clocks = [place(self.path, columns.names, column) for column in self.clock.columns]
         here = sorted({*(own[k] for k in places if k in own), *clocks})
@@ -177,7 +207,9 @@ class JoinedColumns:
         for j, k in enumerate(places):
             if k in own:
                 numbers[:, j] = cells.numbers[:, here.index(own[k])]
-        labels = np.full(len(numbers), "") if label is not None and label not in own else cells.labels
+        labels = (
+            np.full(len(numbers), "") if label is not None and label not in own else cells.labels
+        )
         times = raw_times(self.path, columns, cells, here, self.clock)
         return Cells(numbers, labels, cells.lines, cells.notes, doubts=cells.doubts), times
 
@@ -185,7 +217,11 @@ class JoinedColumns:
         """Return the places of a file's columns by their places among those of all files."""
         if self._alike():
             return {k: k for k in range(len(columns.names))}
-        return {k: columns.names.index(name) for k, name in enumerate(self.names) if name in columns.names}
+        return {
+            k: columns.names.index(name)
+            for k, name in enumerate(self.names)
+            if name in columns.names
+        }
 
     def _apart(self, order: Sequence[int], times: list[Array]) -> None:
         """Raise RunError if two files overlap in time."""
@@ -194,9 +230,10 @@ class JoinedColumns:
                 end, begin = differing(float(times[k].max()), float(times[later].min()))
                 name = " and ".join(str(column) for column in self.clock.columns)
                 raise RunError(
-                    f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time ({name} ends at "
-                    f"{end} s and begins at {begin} s), so they are no parts of one recording; import each by itself, "
-                    "then join the runs with `softmap run join`"
+                    f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time "
+                    f"({name} ends at {end} s and begins at {begin} s), so they are no parts of "
+                    "one recording; import each by itself, then join the runs with `softmap run "
+                    "join`"
                 )
 
 
@@ -221,9 +258,16 @@ def joined(path: Path, parts: Sequence[tuple[str, Columns]], clock: Clock) -> Jo
             remedy = 'set time.date_order = "dmy" or "mdy" in the mapping'
             raise RunError(f"{path}: column {column}: {fault.args[0]}; {remedy}") from None
         if order is not None:
-            notes.append(f"{column}: the dates are {ORDER_WORDS[order]}, as all parts together show")
+            notes.append(
+                f"{column}: the dates are {ORDER_WORDS[order]}, as all parts together show"
+            )
             opened = [
-                (name, columns.dated(order) if k in dates and isinstance(columns, TextColumns) else columns)
+                (
+                    name,
+                    columns.dated(order)
+                    if k in dates and isinstance(columns, TextColumns)
+                    else columns,
+                )
                 for k, (name, columns) in enumerate(opened)
             ]
     return JoinedColumns(path, tuple(opened), clock, tuple(notes))

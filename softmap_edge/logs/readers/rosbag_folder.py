@@ -1,7 +1,9 @@
-"""Find the files of a recording that is a folder: of rosbag2, with `metadata.yaml`, or a LeRobot dataset.
+"""Find the files of a recording that is a folder: of rosbag2, with `metadata.yaml`, or a LeRobot
+dataset.
 
-Of metadata.yaml only the list of files is read, and of each only its name: paths out of the folder are not followed.
-Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the folder are its files.
+Of metadata.yaml only the list of files is read, and of each only its name: paths out of the folder
+are not followed. Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the
+folder are its files.
 """
 
 from __future__ import annotations
@@ -43,22 +45,30 @@ def files_of(folder: Path) -> Folder:
     if not (folder / METADATA).is_file():
         if recordings:
             return Folder(
-                tuple(recordings), (f"{folder.name} has no {METADATA}: the recorder was interrupted, or it is lost",)
+                tuple(recordings),
+                (f"{folder.name} has no {METADATA}: the recorder was interrupted, or it is lost",),
             )
-        raise RunError(f"{folder}: a folder without a recording: {_contents(inside)}; give the path of a log")
+        raise RunError(
+            f"{folder}: a folder without a recording: {_contents(inside)}; give the path of a log"
+        )
     names = named_files(_text(folder / METADATA))
     files = [_present(folder, name) for name in names]
     absent = [name for name, file in zip(names, files) if file is None]
     if absent:
         raise RunError(
-            f"{folder}: {METADATA} names {len(names)} files, and {', '.join(absent)[:200]} is not there; copy it too, "
-            "or give the files that you have instead of the folder"
+            f"{folder}: {METADATA} names {len(names)} files, and {', '.join(absent)[:200]} is not "
+            "there; copy it too, or give the files that you have instead of the folder"
         )
     found = [file for file in files if file is not None]
     if not found:
         if not recordings:
-            raise RunError(f"{folder}: {METADATA} names no files, and no recording is there; copy the folder again")
-        return Folder(tuple(recordings), (f"{METADATA} names no files; those of the folder are read",))
+            raise RunError(
+                f"{folder}: {METADATA} names no files, and no recording is there; copy the folder "
+                "again"
+            )
+        return Folder(
+            tuple(recordings), (f"{METADATA} names no files; those of the folder are read",)
+        )
     spare = [path.name for path in recordings if path not in found]
     remarks = (f"not named in {METADATA} and left out: {', '.join(spare)[:200]}",) if spare else ()
     return Folder(tuple(dict.fromkeys(found)), remarks)
@@ -71,7 +81,9 @@ def named_files(text: str) -> list[str]:
         return []
     rest = key["rest"].split(" #")[0].strip()
     if rest.startswith("["):  # the short form of a list
-        listed = re.findall(r"'(?:[^']|'')*'|\"(?:[^\"\\]|\\.)*\"|[^\s,\[\]]+", rest.partition("]")[0])
+        listed = re.findall(
+            r"'(?:[^']|'')*'|\"(?:[^\"\\]|\\.)*\"|[^\s,\[\]]+", rest.partition("]")[0]
+        )
         return [_name(item) for item in listed]
     names: list[str] = []
     for line in text[key.end() :].splitlines()[1:]:
@@ -113,23 +125,33 @@ def _text(path: Path) -> str:
         with path.open("rb") as file:
             return file.read(_LONGEST).decode("utf-8", "replace")
     except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); copy the folder again") from cause
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); copy the folder again"
+        ) from cause
 
 
 def _inside(folder: Path) -> list[Path]:
     try:
         found = [path for path, _ in zip(folder.iterdir(), range(_MOST))]
     except OSError as cause:
-        raise RunError(f"{folder}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+        raise RunError(
+            f"{folder}: cannot be read ({cause.strerror or cause}); give the path of a log"
+        ) from cause
     return sorted(found)
 
 
 def _contents(inside: list[Path]) -> str:
     """Return a text on the contents of a folder."""
-    bags = [path.name for path in inside if path.is_dir() and ((path / METADATA).is_file() or is_dataset(path))]
+    bags = [
+        path.name
+        for path in inside
+        if path.is_dir() and ((path / METADATA).is_file() or is_dataset(path))
+    ]
     if bags:
         return f"it holds the recordings {', '.join(bags)[:200]}: give one of them"
     names = [path.name for path in inside if path.is_file()]
     if not names:
         return "it holds no files"
-    return f"it holds {', '.join(names[:5])[:200]}" + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return f"it holds {', '.join(names[:5])[:200]}" + (
+        f" and {len(names) - 5} more" if len(names) > 5 else ""
+    )

@@ -1,9 +1,11 @@
-"""Read a topic of a rosbag2 recording in SQLite (.db3): one row per message, columns by `cdr.py`, as `mcap_file.py`.
+"""Read a topic of a rosbag2 recording in SQLite (.db3): one row per message, columns by `cdr.py`,
+as `mcap_file.py`.
 
-The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or memory maps, and
-with limits of size and steps, because it may be malicious. A log that an interrupted recorder left (`-wal`) is
-merged in a copy. Recordings up to Humble hold no definitions of their messages: `message_types.py` has the common
-ones, and then a message must be used up to its last byte. SQLite files carry no checksum.
+The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or
+memory maps, and with limits of size and steps, because it may be malicious. A log that an
+interrupted recorder left (`-wal`) is merged in a copy. Recordings up to Humble hold no definitions
+of their messages: `message_types.py` has the common ones, and then a message must be used up to its
+last byte. SQLite files carry no checksum.
 """
 
 from __future__ import annotations
@@ -31,13 +33,18 @@ _TOPICS = 4096
 _STEPS = 100_000  # of SQLite's machine between two looks at how many there were
 _MOST_STEPS = 30_000_000  # for a small file: some seconds
 _STEPS_A_BYTE = 4  # more for a large one; a message takes some 20 steps
-_TABLES = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
+_TABLES = {
+    "topics": {"id", "name", "type", "serialization_format"},
+    "messages": {"topic_id", "timestamp", "data"},
+}
 _RECOVER = "copy it again, or save what is left: sqlite3 FILE .recover | sqlite3 NEW.db3"
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """One topic of the database: its rows in `topics`, the type of its messages and their definition."""
+    """One topic of the database: its rows in `topics`, the type of its messages and their
+    definition.
+    """
 
     ids: tuple[int, ...]
     name: str
@@ -55,11 +62,15 @@ def topics_of_db3(path: Path) -> list[Topic]:
     """
     with _opened(path) as (database, _):
         found = _channels(path, database)
-    return [Topic(one.name, one.type, one.count, one.count > 0 and _types(one) is not None) for one in found]
+    return [
+        Topic(one.name, one.type, one.count, one.count > 0 and _types(one) is not None)
+        for one in found
+    ]
 
 
 def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
-    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading early.
+    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading
+    early.
 
     Raises:
         RunError: the file is damaged, or the topic is not there or cannot be decoded.
@@ -70,12 +81,19 @@ def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColu
         rows = MessageRows(path, channel.name)
         for k, (logged, data) in enumerate(_messages(path, database, channel, most)):
             try:
-                numbers = read_message(channel.type, types, data, complete=channel.definition is None)
+                numbers = read_message(
+                    channel.type, types, data, complete=channel.definition is None
+                )
             except CdrError as fault:
                 why = "the file is damaged"
                 if channel.definition is None:
-                    why += f", or its {channel.type} is not the common one: convert it with `ros2 bag convert` to MCAP"
-                raise RunError(f"{path}: topic {channel.name[:60]}, message {k + 1}: {fault}; {why}") from None
+                    why += (
+                        f", or its {channel.type} is not the common one: convert it with `ros2 "
+                        "bag convert` to MCAP"
+                    )
+                raise RunError(
+                    f"{path}: topic {channel.name[:60]}, message {k + 1}: {fault}; {why}"
+                ) from None
             rows.add(numbers, 1e-9 * logged)
     return rows.columns(tuple(notes), by_time=True)
 
@@ -86,7 +104,9 @@ def _chosen(path: Path, channels: list[_Channel], topic: str | None) -> _Channel
     if topic is None and len(fits) != 1:
         raise several_topics(path, {one.name: one.type for one in channels})
     if not fits or not fits[0].count:
-        raise no_message(path, fits[0].name if fits else str(topic), (one.name for one in channels if one.count))
+        raise no_message(
+            path, fits[0].name if fits else str(topic), (one.name for one in channels if one.count)
+        )
     return fits[0]
 
 
@@ -108,12 +128,18 @@ def _types_or_fault(path: Path, channel: _Channel) -> Types:
         return found
     where = f"{path}: topic {channel.name[:60]}"
     if channel.encoding != "cdr":
-        raise RunError(f"{where} is {channel.encoding[:40] or 'of no encoding'}, expected cdr, as rosbag2 writes")
+        raise RunError(
+            f"{where} is {channel.encoding[:40] or 'of no encoding'}, expected cdr, as rosbag2 "
+            "writes"
+        )
     if channel.definition is not None:
-        raise RunError(f"{where}: the definition of {channel.type[:60]} cannot be read; the file is damaged")
+        raise RunError(
+            f"{where}: the definition of {channel.type[:60]} cannot be read; the file is damaged"
+        )
     raise RunError(
-        f"{where}: its type {channel.type[:60]} is not one of the common ones, and the file holds no definition; "
-        "convert the recording where ROS knows the type: `ros2 bag convert` to MCAP"
+        f"{where}: its type {channel.type[:60]} is not one of the common ones, and the file holds "
+        "no definition; convert the recording where ROS knows the type: `ros2 bag convert` to "
+        "MCAP"
     )
 
 
@@ -126,7 +152,9 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
         try:
             size = path.stat().st_size
             if size > LIMIT:
-                raise RunError(f"{path}: {size} bytes, at most {LIMIT} are read; split the recording")
+                raise RunError(
+                    f"{path}: {size} bytes, at most {LIMIT} are read; split the recording"
+                )
             file = _merged(path, notes, stack)
             database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
             stack.callback(database.close)
@@ -136,13 +164,19 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
             why = "it takes too long to read" if "interrupted" in str(fault) else brief(fault)
             raise RunError(f"{path}: is a damaged SQLite file ({why}); {_RECOVER}") from None
         except (OverflowError, UnicodeError) as fault:
-            raise RunError(f"{path}: is a damaged SQLite file ({brief(fault)}); {_RECOVER}") from None
+            raise RunError(
+                f"{path}: is a damaged SQLite file ({brief(fault)}); {_RECOVER}"
+            ) from None
         except OSError as cause:
-            raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+            raise RunError(
+                f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
+            ) from cause
 
 
 def _merged(path: Path, notes: list[str], stack: contextlib.ExitStack) -> Path:
-    """Return the file, or a copy merged with the log that an interrupted recorder left next to it."""
+    """Return the file, or a copy merged with the log that an interrupted recorder left next to
+    it.
+    """
     log = path.with_name(path.name + "-wal")
     if not log.is_file() or log.stat().st_size == 0:
         return path
@@ -167,28 +201,47 @@ def _harden(database: sqlite3.Connection, size: int) -> None:
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
     database.text_factory = lambda data: data.decode("utf-8", "replace")
-    for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "mmap_size = 0", "cache_size = -16384"):
+    for pragma in (
+        "trusted_schema = OFF",
+        "cell_size_check = ON",
+        "mmap_size = 0",
+        "cache_size = -16384",
+    ):
         database.execute(f"PRAGMA {pragma}").fetchall()
 
 
 def _channels(path: Path, database: sqlite3.Connection) -> list[_Channel]:
     """Return the topics of a recording."""
-    tables = dict(database.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table' LIMIT 1000"))
+    tables = dict(
+        database.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table' LIMIT 1000")
+    )
     for name, columns in _TABLES.items():
         held = {row[1]: row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")}
         virtual = str(tables.get(name)).lstrip().upper().startswith("CREATE VIRTUAL")
-        if name not in tables or virtual or not columns <= held.keys() or any(held[one] for one in columns):
+        if (
+            name not in tables
+            or virtual
+            or not columns <= held.keys()
+            or any(held[one] for one in columns)
+        ):
             raise RunError(
-                f"{path}: is an SQLite file, but no recording of rosbag2 (no table `{name}` with its columns); "
-                "export its rows as CSV: sqlite3 -header -csv FILE 'SELECT * FROM TABLE' > LOG.csv"
+                f"{path}: is an SQLite file, but no recording of rosbag2 (no table `{name}` with "
+                "its columns); export its rows as CSV: sqlite3 -header -csv FILE 'SELECT * FROM "
+                "TABLE' > LOG.csv"
             )
-    counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT 4096"))
+    counts = dict(
+        database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT 4096")
+    )
     definitions = _definitions(database) if "message_definitions" in tables else {}
     found: dict[str, _Channel] = {}
-    listed = database.execute(f"SELECT id, name, type, serialization_format FROM topics LIMIT {_TOPICS}")
+    listed = database.execute(
+        f"SELECT id, name, type, serialization_format FROM topics LIMIT {_TOPICS}"
+    )
     for number, *texts in listed:
         if not isinstance(number, int) or not all(isinstance(text, str) for text in texts):
-            raise RunError(f"{path}: is a damaged SQLite file (a topic without a name or type); {_RECOVER}")
+            raise RunError(
+                f"{path}: is a damaged SQLite file (a topic without a name or type); {_RECOVER}"
+            )
         name, kind, encoding = texts
         had = found.get(name)
         count = int(counts.get(number, 0)) + (had.count if had else 0)
@@ -201,13 +254,19 @@ def _definitions(database: sqlite3.Connection) -> dict[str, str]:
     """Return the definitions that the file holds, by type."""
     columns = "topic_type, encoding, encoded_message_definition"
     rows = database.execute(f"SELECT {columns} FROM message_definitions LIMIT {_TOPICS}")
-    return {kind: text for kind, how, text in rows if how == "ros2msg" and isinstance(text, str) and text}
+    return {
+        kind: text
+        for kind, how, text in rows
+        if how == "ros2msg" and isinstance(text, str) and text
+    }
 
 
 def _messages(
     path: Path, database: sqlite3.Connection, channel: _Channel, most: int | None
 ) -> Iterator[tuple[int, bytes]]:
-    """The time (ns) and bytes of each message of a channel, in the order in which they were written."""
+    """The time (ns) and bytes of each message of a channel, in the order in which they were
+    written.
+    """
     marks = ", ".join("?" * len(channel.ids))
     rows = database.execute(
         f"SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?",
@@ -215,5 +274,7 @@ def _messages(
     )
     for logged, data in rows:
         if not isinstance(logged, int) or not isinstance(data, bytes):
-            raise RunError(f"{path}: is a damaged SQLite file (a message without time or bytes); {_RECOVER}")
+            raise RunError(
+                f"{path}: is a damaged SQLite file (a message without time or bytes); {_RECOVER}"
+            )
         yield logged, data

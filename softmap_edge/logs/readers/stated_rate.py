@@ -1,7 +1,8 @@
-"""Read the rate of a log out of the lines above its table: `Sample rate: 200 Hz`, `Delta_X<tab>0.005`, `# fs = 50`.
+"""Read the rate of a log out of the lines above its table: `Sample rate: 200 Hz`,
+`Delta_X<tab>0.005`, `# fs = 50`.
 
-Rates of a serial port or of the heart are none. Where lines state different rates, none of them counts. Pinned by
-tests/logs/test_stated_rate.py.
+Rates of a serial port or of the heart are none. Where lines state different rates, none of them
+counts. Pinned by tests/logs/test_stated_rate.py.
 """
 
 from __future__ import annotations
@@ -10,16 +11,21 @@ import re
 from collections.abc import Iterable
 
 _LONG = 200  # characters of a line
-_OF = r"(?:sampl(?:e|ing)|capture|camera|frame|acquisition|logging|log|export|recording|video|update)s?"
+_OF = (
+    r"(?:sampl(?:e|ing)|capture|camera|frame|acquisition|logging|log|export|recording|video"
+    r"|update)s?"
+)
 _BEGIN = rf"(?:^[\W_]*|[,;\t|][\W_]*|\b{_OF}[ _-]*)"
 _NUMBER = r"[^\w+-]*(?P<number>\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*"
 _RATE = re.compile(
-    rf"{_BEGIN}(?:rate|frequency|freq|fs|fps|frames[ _]per[ _]second)\b\W*(?:(?:in[ _])?(?:k?hz|fps|1/s)\b)?{_NUMBER}"
+    rf"{_BEGIN}(?:rate|frequency|freq|fs|fps|frames[ _]per[ _]second)\b\W*"
+    rf"(?:(?:in[ _])?(?:k?hz|fps|1/s)\b)?{_NUMBER}"
     r"(?P<unit>k?hz|fps|1/s)?",
     re.IGNORECASE,
 )
 _STEP = re.compile(
-    r"(?:\bdelta_x\b|\bsampl(?:e|ing)[ _-]*(?:interval|period|time)\b|\btime[ _-]*step\b|^[\W_]*dt\b)"
+    r"(?:\bdelta_x\b|\bsampl(?:e|ing)[ _-]*(?:interval|period|time)\b"
+    r"|\btime[ _-]*step\b|^[\W_]*dt\b)"
     rf"\W*(?:(?P<before>ms|us|µs|s)\b)?{_NUMBER}(?P<unit>ms|us|µs|s)?\b",
     re.IGNORECASE,
 )
@@ -29,7 +35,9 @@ _SAME = 1e-3  # of a rate: rates that differ by less are one
 
 
 def stated_rate(lines: Iterable[str]) -> float | None:
-    """Return the rate (Hz) that lines above a table state; None if they state none, or several that differ."""
+    """Return the rate (Hz) that lines above a table state; None if they state none, or several that
+    differ.
+    """
     found = [rate for line in lines if len(line) <= _LONG for rate in _rates(line)]
     found = [rate for rate in found if _ALLOWED[0] <= rate <= _ALLOWED[1]]
     return found[0] if found and max(found) - min(found) <= _SAME * max(found) else None
@@ -41,6 +49,9 @@ def _rates(line: str) -> list[float]:
         kilo = 1e3 if (match["unit"] or "").lower().startswith("k") else 1.0
         rates.append(kilo * float(match["number"].replace(",", ".")))
     for match in _STEP.finditer(line):
-        step = float(match["number"].replace(",", ".")) * _STEPS[(match["unit"] or match["before"] or "s").lower()]
+        step = (
+            float(match["number"].replace(",", "."))
+            * _STEPS[(match["unit"] or match["before"] or "s").lower()]
+        )
         rates += [1.0 / step] if step > 0 else []
     return rates

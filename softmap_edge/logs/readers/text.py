@@ -1,10 +1,11 @@
-"""Read a delimited text log (CSV and its like) block by block; a cell that cannot be read is named with its line.
+"""Read a delimited text log (CSV and its like) block by block; a cell that cannot be read is named
+with its line.
 
-The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment (as numpy writes
-it). It also finds a line of units, decimal commas, blank lines, empty cells at the end of rows, and dates and times
-(`time_text.py`). Each block of lines goes through numpy's compiled reader, with empty cells as NaN. If that fails, the
-lines are read one by one to find the fault. A million rows of 16 columns need seconds and little more memory than their
-numbers
+The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment
+(as numpy writes it). It also finds a line of units, decimal commas, blank lines, empty cells at the
+end of rows, and dates and times (`time_text.py`). Each block of lines goes through numpy's compiled
+reader, with empty cells as NaN. If that fails, the lines are read one by one to find the fault. A
+million rows of 16 columns need seconds and little more memory than their numbers
 (tests/logs/test_import_csv.py, `python -m benches.import_rows`).
 """
 
@@ -54,18 +55,23 @@ class TextColumns:
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
-    fewest: int | None = None  # cells of a full row whose last cells are left out; as many as names where None
+    # cells of a full row whose last cells are left out; as many as names where None
+    fewest: int | None = None
     stop: int | None = None  # the line number after the last row; None: the end of the file
-    clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
+    # columns of dates or times, read as s
+    clocks: dict[int, TimeText] = field(default_factory=dict)
     words: Words = field(default_factory=Words)  # of the last reading
     head_line: int | None = None  # the number of the line that names the columns
-    head: tuple[str, ...] = ()  # the lines above the rows that hold no numbers; loggers write them again
+    # the lines above the rows that hold no numbers; loggers write them again
+    head: tuple[str, ...] = ()
     grouped: str | None = None  # the mark between groups of three digits
     marks: Marks = field(default_factory=Marks)  # what the first rows show
     stated: bool = False  # whether the mapping states the decimal mark
 
     def texts(self, rows: int) -> dict[str, list[str]]:
-        """Return the columns that hold text in the first rows, with that text; times are no text."""
+        """Return the columns that hold text in the first rows, with that text; times are no
+        text.
+        """
         found: dict[str, list[str]] = {}
         for place, (name, column) in enumerate(zip(self.names, zip(*self._first_rows(rows)))):
             if place in self.clocks:
@@ -81,11 +87,16 @@ class TextColumns:
         return [row for row in cells if len(row) == len(self.names)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
-        """Return the same with its columns of dates and times known; `order` (dmy, mdy) is of dates like 5/7/2031."""
+        """Return the same with its columns of dates and times known; `order` (dmy, mdy) is of dates
+        like 5/7/2031.
+        """
         clocks: dict[int, TimeText] = {}
         for place, column in enumerate(zip(*self._first_rows(_FIRST))):
             filled = [cell for cell in column if cell.lower() not in EMPTY]
-            if not all(map(is_number, filled)) and (clock := time_text_of(filled, order)) is not None:
+            if (
+                not all(map(is_number, filled))
+                and (clock := time_text_of(filled, order)) is not None
+            ):
                 clocks[place] = clock
         units = {self.names[place]: "s" for place in clocks}
         return replace(self, clocks=clocks, units=self.units | units) if clocks else self
@@ -113,7 +124,9 @@ class TextColumns:
                 kept = [k for k, line in enumerate(block) if line.strip()]
                 numbers, block = numbers[kept], [block[k] for k in kept]
             if block:
-                block, numbers = between.rows(block, numbers, self.head, self.delimiter, len(self.names))
+                block, numbers = between.rows(
+                    block, numbers, self.head, self.delimiter, len(self.names)
+                )
             if not block:
                 continue
             recent = [*recent, *block[-RECENT:]][-RECENT:]
@@ -122,12 +135,16 @@ class TextColumns:
             lines.append(numbers)
             for place, column in zip(timed, texts):
                 times[place].append(self._times(place, column, numbers))
-            labels += [known.setdefault(text, text) for text in texts[-1]] if label is not None else []
+            labels += (
+                [known.setdefault(text, text) for text in texts[-1]] if label is not None else []
+            )
             count += len(block)
             if rows is not None and count >= rows:
                 break
         if not parts:
-            raise RunError(f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows")
+            raise RunError(
+                f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows"
+            )
         found = np.array(labels) if label is not None else None
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count - sum(line < at[-1] for line in between.found)
@@ -148,15 +165,16 @@ class TextColumns:
         """Return a doubt if the file ends within its last cell, or seems to."""
         if is_cut(self.path):
             return (
-                f"the file was cut: it ends within a character of line {line}, and that row may be wrong: set "
-                "skip_last_rows = 1 to leave it out",
+                f"the file was cut: it ends within a character of line {line}, and that row may "
+                "be wrong: set skip_last_rows = 1 to leave it out",
             )
         last = cut_within(self.path, recent, self.delimiter)
         if last is None:
             return ()
         return (
-            f"the file may be cut within its last cell: line {line} ends in '{last[:40]}' without a line end, and is "
-            f"shorter there than the {len(recent) - 1} rows above: set skip_last_rows = 1 to leave the row out",
+            f"the file may be cut within its last cell: line {line} ends in '{last[:40]}' without "
+            f"a line end, and is shorter there than the {len(recent) - 1} rows above: set "
+            "skip_last_rows = 1 to leave the row out",
         )
 
     def both_orders(self, place: int) -> Array:
@@ -182,30 +200,38 @@ class TextColumns:
         for (other, word), (_, line) in self.words.found.items():
             if other == column:
                 raise RunError(
-                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a number; "
-                    f"{self._below(word) or 'correct or remove the line'}"
+                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a "
+                    f"number; {self._below(word) or 'correct or remove the line'}"
                 )
 
     def _worded(self, rows: int) -> tuple[str, ...]:
-        """Return the sentence on words in columns of numbers; raise RunError where a column holds text."""
+        """Return the sentence on words in columns of numbers; raise RunError where a column holds
+        text.
+        """
         if (text := self.words.mostly(rows)) is not None:
             raise RunError(
-                f"{self.path}: line {text[2]}, column {self.names[text[0]]}: '{text[1]}' is not a number; this column "
-                "holds text: leave it out of the mapping, or name it as `block`"
+                f"{self.path}: line {text[2]}, column {self.names[text[0]]}: '{text[1]}' is not a "
+                "number; this column holds text: leave it out of the mapping, or name it as "
+                "`block`"
             )
         return tuple(self.words.line(self.names, rows))
 
     def _times(self, place: int, cells: Sequence[str], lines: NDArray[np.int64]) -> Array:
         """The seconds (rows, 2) of a column of times, in both orders of day and month."""
         try:
-            return self.clocks[place].parse(["" if cell.lower() in EMPTY else cell for cell in cells])
+            return self.clocks[place].parse(
+                ["" if cell.lower() in EMPTY else cell for cell in cells]
+            )
         except TimeTextError as fault:
             line = int(lines[fault.args[1]])
             raise RunError(
-                f"{self.path}: line {line}, column {self.names[place]}: {fault.args[0]}; correct or remove the line"
+                f"{self.path}: line {line}, column {self.names[place]}: {fault.args[0]}; correct "
+                "or remove the line"
             ) from None
 
-    def _joined(self, numbers: Array, places: list[int], times: dict[int, Array]) -> tuple[Array, list[str]]:
+    def _joined(
+        self, numbers: Array, places: list[int], times: dict[int, Array]
+    ) -> tuple[Array, list[str]]:
         """Numbers and times in the order that was asked for, and notes on the times."""
         if not times:
             return numbers, []
@@ -218,7 +244,9 @@ class TextColumns:
                 table[:, j], note = self.clocks[place].settle(times[place])
             except TimeTextError as fault:
                 remedy = 'set time.date_order = "dmy" or "mdy" in the mapping'
-                raise RunError(f"{self.path}: column {self.names[place]}: {fault.args[0]}; {remedy}") from None
+                raise RunError(
+                    f"{self.path}: column {self.names[place]}: {fault.args[0]}; {remedy}"
+                ) from None
             notes += [] if note is None else [f"{self.names[place]}: {note}"]
         return table, notes
 
@@ -231,7 +259,9 @@ class TextColumns:
         if any(line.count(mark) != cut for line in block):
             block = [self._fitted(line) for line in block]
         cells = self._fast(block, places) if places else np.empty((len(block), 0))
-        if cells is None or (asked and any('"' in line or line.count(mark) != cut for line in block)):
+        if cells is None or (
+            asked and any('"' in line or line.count(mark) != cut for line in block)
+        ):
             return self._slow(block, numbers, places, asked)
         if not asked:
             return cells, []
@@ -239,7 +269,9 @@ class TextColumns:
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _fitted(self, line: str) -> str:
-        """A line with as many cells as names, where only empty ones are too many or left out at the end."""
+        """A line with as many cells as names, where only empty ones are too many or left out at the
+        end.
+        """
         cut, mark = len(self.names) - 1, self.delimiter
         if line.count(mark) == cut:
             return line
@@ -254,18 +286,24 @@ class TextColumns:
         cut, mark = len(self.names) - 1, self.delimiter
         if self.grouped == "." or "" in block or any(line.count(mark) != cut for line in block):
             return None
-        if self.decimal == "," and any("." in line and self._has_points(line, places) for line in block):
+        if self.decimal == "," and any(
+            "." in line and self._has_points(line, places) for line in block
+        ):
             return None
         for attempt in range(2):
             if attempt:  # once more with empty cells as NaN
                 text = "\n" + "\n".join(block) + "\n"
-                for old, new in ((mark * 2, f"{mark}nan{mark}"),) * 2 + ((f"\n{mark}", f"\nnan{mark}"),):
+                for old, new in ((mark * 2, f"{mark}nan{mark}"),) * 2 + (
+                    (f"\n{mark}", f"\nnan{mark}"),
+                ):
                     text = text.replace(old, new)
                 block = text.replace(f"{mark}\n", f"{mark}nan\n")[1:-1].split("\n")
             elif self.decimal == ",":
                 block = "\n".join(block).replace(",", ".").split("\n")
             try:
-                cells = np.loadtxt(block, delimiter=mark, usecols=places, comments=None, ndmin=2, dtype=float)
+                cells = np.loadtxt(
+                    block, delimiter=mark, usecols=places, comments=None, ndmin=2, dtype=float
+                )
             except (ValueError, OverflowError):
                 continue
             return cells if len(cells) == len(block) else None
@@ -284,33 +322,47 @@ class TextColumns:
         except csv.Error as cause:
             raise RunError(f"{self.path}: is not a CSV log ({cause}); export it again") from cause
         if len(rows) != len(block):
-            raise RunError(f"{self.path}: a quoted cell runs over several lines; export the log without quotes")
+            raise RunError(
+                f"{self.path}: a quoted cell runs over several lines; export the log without quotes"
+            )
         cells = np.empty((len(rows), len(places)))
         for k, row in enumerate(rows):
             self._complete(row, int(numbers[k]))
-            if self.header and row[0].strip() in self.names and {*map(str.strip, row)} == {*self.names}:
+            if (
+                self.header
+                and row[0].strip() in self.names
+                and {*map(str.strip, row)} == {*self.names}
+            ):
                 raise RunError(
-                    f"{self.path}: line {numbers[k]} names the columns again, in another order; cut the log there, and "
-                    "import each part"
+                    f"{self.path}: line {numbers[k]} names the columns again, in another order; "
+                    "cut the log there, and import each part"
                 )
             for j, column in enumerate(places):
                 cells[k, j] = self._number(row[column].strip(), int(numbers[k]), column)
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _complete(self, row: list[str], line: int) -> None:
-        """Give a row as many cells as there are names, where only empty ones are too many or left out."""
+        """Give a row as many cells as there are names, where only empty ones are too many or left
+        out.
+        """
         full, count = len(self.names), len(row)
         while len(row) > full and not row[-1].strip():
             row.pop()
         if len(row) < full and count >= (full if self.fewest is None else self.fewest):
             row.extend([""] * (full - len(row)))
         if len(row) != full:
-            raise RunError(f"{self.path}: line {line} has {count} cells, expected {full}; {self._misfit(count, line)}")
+            raise RunError(
+                f"{self.path}: line {line} has {count} cells, expected {full}; "
+                f"{self._misfit(count, line)}"
+            )
 
     def _misfit(self, count: int, line: int) -> str:
         """Return the remedy for a line whose number of cells differs from the number of names."""
         if line == self.first:
-            return "if the table begins in another line, set skip_rows to the number of lines above its names"
+            return (
+                "if the table begins in another line, set skip_rows to the number of lines above "
+                "its names"
+            )
         if count > len(self.names):
             return "cells of the line are not named: correct the line, or the delimiter"
         if below := self._below(None):
@@ -318,9 +370,15 @@ class TextColumns:
         return "the file may be cut short: remove the line, or set skip_last_rows"
 
     def _below(self, word: str | None) -> str:
-        """Return the remedy for lines below the table; with a word, only if one of them begins so."""
-        below = lines_below(self.path, self.delimiter, len(self.names)) if self.skip_last == 0 else []
-        if not below or (word is not None and not any(line.lstrip('" ').startswith(word) for line in below)):
+        """Return the remedy for lines below the table; with a word, only if one of them begins
+        so.
+        """
+        below = (
+            lines_below(self.path, self.delimiter, len(self.names)) if self.skip_last == 0 else []
+        )
+        if not below or (
+            word is not None and not any(line.lstrip('" ').startswith(word) for line in below)
+        ):
             return ""
         lines = "line at the end is no row" if len(below) == 1 else "lines at the end are no rows"
         return f"{len(below)} {lines} ('{below[0][:40]}'): set skip_last_rows = {len(below)}"
@@ -331,7 +389,11 @@ class TextColumns:
         other = other_mark(self.decimal)
         odd = is_alike(cell, other) and other not in self.marks.decimals
         mark = other if odd and self.stated else self.grouped
-        if mark is not None and mark != self.decimal and (whole := ungrouped(cell, mark)) is not None:
+        if (
+            mark is not None
+            and mark != self.decimal
+            and (whole := ungrouped(cell, mark)) is not None
+        ):
             return float(whole)
         plain = cell.replace(",", ".") if self.decimal == "," else cell
         if not odd and is_plain(plain):
@@ -347,27 +409,41 @@ class TextColumns:
         )
 
     def _remedy(self, cell: str, odd: bool) -> str:
-        """Return what to do about a cell that is no number because of its commas or points; "" of any other."""
+        """Return what to do about a cell that is no number because of its commas or points; "" of
+        any other.
+        """
         if odd and self.decimal in self.marks.decimals:
-            return f'; if its digits are in groups of three, set decimal = "{self.decimal}" in the mapping'
+            return (
+                "; if its digits are in groups of three, "
+                f'set decimal = "{self.decimal}" in the mapping'
+            )
         if "," not in cell:
             return NO_NUMBER if odd else ""
         comma = self.decimal == "." and "." not in self.marks.decimals and is_number(cell)
         return '; set decimal = "," in the mapping' if comma else NO_NUMBER
 
     def _contradicted(self) -> tuple[str, ...]:
-        """Return a doubt if the mapping states a decimal mark that only separates groups of digits in the log."""
+        """Return a doubt if the mapping states a decimal mark that only separates groups of digits
+        in the log.
+        """
         other, cell = other_mark(self.decimal), self.marks.alike.get(self.decimal)
-        if not self.stated or cell is None or self.decimal in self.marks.decimals or other not in self.marks.decimals:
+        if (
+            not self.stated
+            or cell is None
+            or self.decimal in self.marks.decimals
+            or other not in self.marks.decimals
+        ):
             return ()
         return (
-            f"numbers such as '{cell}' are read as {cell.replace(',', '.')}, for the mapping states decimal = "
-            f"\"{self.decimal}\", but other cells have '{other}' as their decimal mark: leave decimal out to read "
-            f"{cell.replace(self.decimal, '')}",
+            f"numbers such as '{cell}' are read as {cell.replace(',', '.')}, for the mapping "
+            f"states decimal = \"{self.decimal}\", but other cells have '{other}' as their "
+            f"decimal mark: leave decimal out to read {cell.replace(self.decimal, '')}",
         )
 
     def _unclear(self, numbers: Array, places: Sequence[int], count: int) -> None:
-        """Raise RunError if a column (rows, columns) may hold decimals, or whole numbers in groups of three digits."""
+        """Raise RunError if a column (rows, columns) may hold decimals, or whole numbers in groups
+        of three digits.
+        """
         if self.stated or self.decimal in self.marks.decimals or self.grouped is not None:
             return
         for j, place in enumerate(places):
@@ -382,9 +458,10 @@ class TextColumns:
                 continue
             small, large = cell.replace(",", "."), cell.replace(self.decimal, "")
             raise RunError(
-                f"{self.path}: column {self.names[place]}: '{cell}' may be {small} or {large}, and no cell of the log "
-                f'shows its decimal mark: set decimal = "{self.decimal}" in the mapping to read {small}, or decimal = '
-                f'"{other_mark(self.decimal)}" to read {large}'
+                f"{self.path}: column {self.names[place]}: '{cell}' may be {small} or {large}, "
+                "and no cell of the log "
+                f'shows its decimal mark: set decimal = "{self.decimal}" in the mapping to read '
+                f'{small}, or decimal = "{other_mark(self.decimal)}" to read {large}'
             )
 
 
@@ -410,12 +487,18 @@ def open_text(
         order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
 
     Raises:
-        RunError: the file is absent, too large, not text, empty, or has no header where one is expected.
+        RunError: the file is absent, too large, not text, empty, or has no header where one is
+            expected.
     """
     start = first_lines(path, LINES, skip_rows + 1)
-    at = next((k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"), len(start))
+    at = next(
+        (k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"),
+        len(start),
+    )
     if at == len(start):
-        raise RunError(f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data")
+        raise RunError(
+            f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data"
+        )
     table = find_table(without_heads(start), delimiter, EMPTY)
     if table is None:  # no line of numbers: the first line is taken for names
         cut = delimiter or find_delimiter(start[at])
@@ -425,38 +508,67 @@ def open_text(
         raise RunError(f"{path}: {_no_names(start, table, skip_rows)}")
     first, names = table.first, table.names or []
     if header is False or table.names is None:
-        first = table.header if table.header is not None and _is_row(start[table.header], table) else table.first
+        first = (
+            table.header
+            if table.header is not None and _is_row(start[table.header], table)
+            else table.first
+        )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
     skipped = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
-        notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
+        notes.append(
+            f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty "
+            "cells"
+        )
     notes += [note] if (note := encoding_of(path)[1]) is not None else []
     named = header is not False and table.names is not None
     columns = TextColumns(
-        path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
+        path,
+        names,
+        skip_rows + 1 + first,
+        table.delimiter,
+        decimal or ".",
+        skip_last,
+        notes=tuple(notes),
+        header=named,
     )
-    columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
+    columns = replace(
+        columns, units=table.units if named else {}, fewest=min(table.fewest, len(names))
+    )
     if named and table.header is not None:
         columns = replace(columns, head_line=skip_rows + 1 + table.header)
-    above = [line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)]
+    above = [
+        line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)
+    ]
     columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
     return _marked(columns, start[first : first + _FIRST], decimal).with_clocks(order)
 
 
 def _marked(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
-    """The same columns with the decimal mark and the mark between groups of digits that the first rows show."""
+    """The same columns with the decimal mark and the mark between groups of digits that the first
+    rows show.
+    """
     marks = marks_of(cell for row in rows for cell in split(row, columns.delimiter))
     notes, found = list(columns.notes), decimal or "."
     if decimal is None and "." not in marks.decimals and "," not in marks.groups:
-        found = "," if "." in marks.groups or "," in marks.decimals or [*marks.alike] == [","] else "."
+        found = (
+            "," if "." in marks.groups or "," in marks.decimals or [*marks.alike] == [","] else "."
+        )
         notes += ["numbers have decimal commas"] if found == "," else []
     known = found in marks.decimals or decimal is not None or bool(marks.groups)
     mark, example = marks.grouped(found) or (None, "") if known else (None, "")
     notes += [] if mark is None else [f"digits are in groups of three, such as '{example}'"]
-    return replace(columns, decimal=found, grouped=mark, marks=marks, stated=decimal is not None, notes=tuple(notes))
+    return replace(
+        columns,
+        decimal=found,
+        grouped=mark,
+        marks=marks,
+        stated=decimal is not None,
+        notes=tuple(notes),
+    )
 
 
 def _no_names(start: list[str], table: Table, skipped: int) -> str:
@@ -466,13 +578,14 @@ def _no_names(start: list[str], table: Table, skipped: int) -> str:
         cells = [cell for cell in split(start[table.first], cut) if cell]
         numbers = sum(map(is_number, cells))
         return (
-            f"has no header line: line {row} looks like a row, not like names ({numbers} of {len(cells)} cells are "
-            "numbers); set header = false and give column numbers"
+            f"has no header line: line {row} looks like a row, not like names ({numbers} of "
+            f"{len(cells)} cells are numbers); set header = false and give column numbers"
         )
     widths = widths_of(start[: table.first + 1], cut)
     return (
-        f"no line above the table names its {table.width} columns: the first lines differ in width ({widths}), and the "
-        f"table seems to begin in line {row}: set skip_rows = {row - 1} and header = false, and give column numbers"
+        f"no line above the table names its {table.width} columns: the first lines differ in "
+        f"width ({widths}), and the table seems to begin in line {row}: set skip_rows = {row - 1} "
+        "and header = false, and give column numbers"
     )
 
 
@@ -484,7 +597,9 @@ def _is_row(line: str, table: Table) -> bool:
 
 # --- the lines -----------------------------------------------------------------------------
 def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
-    """Return at most `count` lines of a text log from line `first` on, fewer where they are very long."""
+    """Return at most `count` lines of a text log from line `first` on, fewer where they are very
+    long.
+    """
     found: list[str] = []
     for _, lines in _blocks(path, first):
         found += lines[: count - len(found)]
@@ -511,13 +626,20 @@ def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list
 
 
 def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The lines from number `first` on, to before `stop`, some thousand at a time, with the number of the first."""
+    """The lines from number `first` on, to before `stop`, some thousand at a time, with the number
+    of the first.
+    """
     number, rest, encoding = 1, "", PLAIN
     try:
         if not path.is_file():
-            raise RunError(f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a log")
+            raise RunError(
+                f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a "
+                "log"
+            )
         if path.stat().st_size > LIMIT:
-            raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
+            raise RunError(
+                f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log"
+            )
         encoding = encoding_of(path)[0]
         for text in decoded(path, encoding, _BLOCK):
             if "\0" in text:
@@ -525,7 +647,10 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
             lines = (rest + text).split("\n")
             rest = lines.pop()
             if len(rest) > LONGEST:
-                raise RunError(f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again")
+                raise RunError(
+                    f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; "
+                    "export again"
+                )
             if number + len(lines) > first:
                 end = len(lines) if stop is None else max(stop - number, 0)
                 yield max(number, first), lines[max(first - number, 0) : end]
@@ -533,7 +658,9 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
             if stop is not None and number >= stop:
                 return
     except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
+        ) from cause
     except UnicodeDecodeError as cause:
         if is_wide(encoding):
             raise RunError(
@@ -541,19 +668,24 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
             ) from cause
         if b"\0" in cause.object:
             raise RunError(f"{path}: is not text; give the log of a recording, as CSV") from cause
-        raise RunError(f"{path}: is not text in UTF-8 (byte {cause.start} of a part); save the log as UTF-8") from cause
+        raise RunError(
+            f"{path}: is not text in UTF-8 (byte {cause.start} of a part); save the log as UTF-8"
+        ) from cause
     if rest.strip() and number >= first:
         yield number, [rest]
 
 
-def _held_back(blocks: Iterator[tuple[int, list[str]]], count: int) -> Iterator[tuple[int, list[str]]]:
+def _held_back(
+    blocks: Iterator[tuple[int, list[str]]], count: int
+) -> Iterator[tuple[int, list[str]]]:
     """The same lines without the last `count` that are not blank."""
     held: list[str] = []
     start = 1
     for first, lines in blocks:
         start = start if held else first
         held += lines
-        keep = count + (_blank_at_end(held) if count else 0)  # blank lines at the end are not counted among them
+        # blank lines at the end are not counted among them
+        keep = count + (_blank_at_end(held) if count else 0)
         if len(held) > keep:
             yield start, held[: len(held) - keep]
             start, held = start + len(held) - keep, held[len(held) - keep :]

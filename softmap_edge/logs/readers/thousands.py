@@ -1,9 +1,10 @@
 """Read numbers whose digits are in groups of three: `25,039.0`, `25.039,0`, `1'234.5`, `1 234,5`.
 
-A cell counts if it cannot mean anything else: it has a decimal mark of another kind as well, or several commas. A cell
-such as `25,039` alone may be a decimal comma. It counts only in a log in which other cells are clear: grouped numbers,
-or decimals with the other mark (`0.05`). A log without clear cells whose whole numbers below 1000 stand next to cells
-such as `1.003` is ambiguous: the mapping must state its `decimal`. Pinned by tests/logs/test_thousands.py.
+A cell counts if it cannot mean anything else: it has a decimal mark of another kind as well, or
+several commas. A cell such as `25,039` alone may be a decimal comma. It counts only in a log in
+which other cells are clear: grouped numbers, or decimals with the other mark (`0.05`). A log
+without clear cells whose whole numbers below 1000 stand next to cells such as `1.003` is ambiguous:
+the mapping must state its `decimal`. Pinned by tests/logs/test_thousands.py.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from dataclasses import dataclass, field
 _SPACES = "'\u2019\u00a0\u202f\u2009 "
 _FORMS = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({group}\d{{3}})+({decimal}\d*)?([eE][+-]?\d+)?")
-    for mark, group, decimal in ((",", ",", r"\."), (".", r"\.", ","), ("'", f"[{_SPACES}]", "[.,]"))
+    for mark, group, decimal in (
+        (",", ",", r"\."),
+        (".", r"\.", ","),
+        ("'", f"[{_SPACES}]", "[.,]"),
+    )
 }
 
 _ALIKE = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(\{mark}\d{{3}})+") for mark in ".,"}
@@ -30,7 +35,8 @@ class Marks:
 
     Attributes:
         decimals: marks that some cell uses as its decimal mark, without doubt.
-        alike: mark → a cell such as `1.003`, which is either a decimal or has groups of three digits.
+        alike: mark → a cell such as `1.003`, which is either a decimal or has groups of three
+            digits.
         groups: mark → a cell that can only be a number in groups of three digits.
     """
 
@@ -39,11 +45,17 @@ class Marks:
     groups: Mapping[str, str] = field(default_factory=dict)
 
     def grouped(self, decimal: str) -> tuple[str, str] | None:
-        """Return the mark between groups of digits for this decimal mark, and a cell with it; None without any."""
+        """Return the mark between groups of digits for this decimal mark, and a cell with it; None
+        without any.
+        """
         other = other_mark(decimal)
         if (mark := next((mark for mark in self.groups if mark != decimal), None)) is not None:
             return mark, self.groups[mark]
-        return (other, self.alike[other]) if other in self.alike and other not in self.decimals else None
+        return (
+            (other, self.alike[other])
+            if other in self.alike and other not in self.decimals
+            else None
+        )
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
@@ -66,14 +78,18 @@ def other_mark(mark: str) -> str:
 
 
 def is_alike(cell: str, mark: str) -> bool:
-    """Return whether a cell such as `1.003` is either a decimal or one or more groups of three digits."""
+    """Return whether a cell such as `1.003` is either a decimal or one or more groups of three
+    digits.
+    """
     return _ALIKE[mark].fullmatch(cell) is not None
 
 
 def unclear(cells: Sequence[str], mark: str) -> str | None:
-    """Return a cell of a column that may be a decimal or a grouped number; None if the column is clear.
+    """Return a cell of a column that may be a decimal or a grouped number; None if the column is
+    clear.
 
-    It is unclear if every cell with the mark looks like a group, and whole numbers below 1000 stand next to them.
+    It is unclear if every cell with the mark looks like a group, and whole numbers below 1000 stand
+    next to them.
 
     Args:
         cells: of the column. mark: `.` or `,`, which would be its decimal mark.
@@ -81,14 +97,22 @@ def unclear(cells: Sequence[str], mark: str) -> str | None:
     filled = {cell for cell in cells if cell}
     marked = {cell for cell in filled if mark in cell}
     plain = filled - marked
-    if not all(is_alike(cell, mark) for cell in marked) or any(len(cell.lstrip("+-0")) > 3 for cell in plain):
+    if not all(is_alike(cell, mark) for cell in marked) or any(
+        len(cell.lstrip("+-0")) > 3 for cell in plain
+    ):
         return None
     small = {cell for cell in plain if _SMALL.fullmatch(cell)}
-    return next((cell for cell in cells if cell in marked), None) if min(len(marked), len(small)) >= _LEAST else None
+    return (
+        next((cell for cell in cells if cell in marked), None)
+        if min(len(marked), len(small)) >= _LEAST
+        else None
+    )
 
 
 def grouping_of(cell: str) -> str | None:
-    """Return the mark between the groups of a cell that can only be a grouped number: `,`, `.` or `'`; else None."""
+    """Return the mark between the groups of a cell that can only be a grouped number: `,`, `.` or
+    `'`; else None.
+    """
     if "," not in cell and not any(c in cell for c in _SPACES):
         return None
     clear = (mark for mark, form in _FORMS.items() if form.fullmatch(cell) and _clear(cell, mark))
@@ -105,7 +129,8 @@ def plain(cell: str, mark: str | None) -> str | None:
 
     Args:
         cell: as in the file.
-        mark: between groups, where another cell of the log is clear; None to read only what is clear by itself.
+        mark: between groups, where another cell of the log is clear; None to read only what is
+            clear by itself.
     """
     own = grouping_of(cell)
     mark = own or mark

@@ -1,8 +1,10 @@
-"""Read the older CSV export of OptiTrack (Tracking Tools, ARENA): the first cell of a row names its type.
+"""Read the older CSV export of OptiTrack (Tracking Tools, ARENA): the first cell of a row names its
+type.
 
-A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after its count:
-`frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name …]`. A row lists only what was
-seen, so a marker that is missing from a row was not seen. Units are m. Pinned by tests/logs/test_vendor_text.py.
+A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after
+its count: `frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name
+…]`. A row lists only what was seen, so a marker that is missing from a row was not seen. Units are
+m. Pinned by tests/logs/test_vendor_text.py.
 """
 
 from __future__ import annotations
@@ -17,7 +19,17 @@ from softmap_edge.logs.readers.cells import is_plain, split
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.text import lines_of
 
-_TYPES = ("comment", "righthanded", "lefthanded", "info", "rigidbody", "frame", "marker", "trackable", "tool")
+_TYPES = (
+    "comment",
+    "righthanded",
+    "lefthanded",
+    "info",
+    "rigidbody",
+    "frame",
+    "marker",
+    "trackable",
+    "tool",
+)
 BODY = 11  # cells of a rigid body: id, place, quaternion, angles
 MARKER = 5  # cells of a marker: place, id, name
 MOST_NAMES = 2000  # bodies and markers of one file
@@ -27,8 +39,14 @@ _QUATERNION = ("rotation.x", "rotation.y", "rotation.z", "rotation.w")
 
 def is_typed(start: str) -> bool:
     """Return whether a file that begins so has rows of types."""
-    kinds = [line.split(",", 1)[0].strip().lower() for line in start.split("\n")[:-1] if line.strip()]
-    return bool(kinds) and all(kind in _TYPES for kind in kinds) and bool({"frame", "info"} & set(kinds))
+    kinds = [
+        line.split(",", 1)[0].strip().lower() for line in start.split("\n")[:-1] if line.strip()
+    ]
+    return (
+        bool(kinds)
+        and all(kind in _TYPES for kind in kinds)
+        and bool({"frame", "info"} & set(kinds))
+    )
 
 
 def open_typed(path: Path) -> HeldColumns:
@@ -38,7 +56,8 @@ def open_typed(path: Path) -> HeldColumns:
         RunError: a row does not hold what its counts state, or the file holds too many names.
     """
     columns: dict[str, int] = {"frame": 0, "time": 1}
-    where, values, ends = array("i"), array("d"), [0]  # of each row: its columns and their values, end to end
+    # of each row: its columns and their values, end to end
+    where, values, ends = array("i"), array("d"), [0]
     for number, line in lines_of(path):
         if line[:6].lower() != "frame,":
             continue
@@ -48,14 +67,19 @@ def open_typed(path: Path) -> HeldColumns:
         ends.append(len(values))
         if len(columns) > 7 * MOST_NAMES or (len(ends) - 1) * len(columns) > MOST_CELLS:
             raise RunError(
-                f"{path}: more than {MOST_NAMES} names, or {MOST_CELLS} cells; export a shorter part, or as C3D"
+                f"{path}: more than {MOST_NAMES} names, or {MOST_CELLS} cells; export a shorter "
+                "part, or as C3D"
             )
     rows, names = len(ends) - 1, list(columns)
     if not rows:
         raise RunError(f"{path}: holds no rows of type frame; export it again, as CSV 1.2 or C3D")
     numbers = np.full((rows, len(names)), np.nan)
-    numbers[np.repeat(np.arange(rows), np.diff(ends)), np.frombuffer(where, np.intc)] = np.frombuffer(values)
-    units = {name: "m" for name in names if name[-2:] in (".x", ".y", ".z") and ".rotation." not in name}
+    numbers[np.repeat(np.arange(rows), np.diff(ends)), np.frombuffer(where, np.intc)] = (
+        np.frombuffer(values)
+    )
+    units = {
+        name: "m" for name in names if name[-2:] in (".x", ".y", ".z") and ".rotation." not in name
+    }
     note = f"an export with rows of types: {rows} frames, places in m as this format has them"
     return HeldColumns(path, names, numbers, units | {"time": "s"}, notes=(note,))
 
@@ -67,8 +91,9 @@ def _frame(path: Path, number: int, cells: list[str]) -> dict[str, float]:
     count = _count(path, number, cells, markers)
     if len(cells) < markers + 1 + MARKER * count:
         raise RunError(
-            f"{path}: line {number} states {bodies} bodies and {count} markers and has {len(cells)} cells, expected "
-            f"{markers + 1 + MARKER * count}; remove the line, or export as CSV 1.2 or C3D"
+            f"{path}: line {number} states {bodies} bodies and {count} markers and has "
+            f"{len(cells)} cells, expected {markers + 1 + MARKER * count}; remove the line, or "
+            "export as CSV 1.2 or C3D"
         )
     row = {"frame": _float(path, number, cells[1]), "time": _float(path, number, cells[2])}
     for k in range(bodies):
@@ -90,8 +115,8 @@ def _count(path: Path, number: int, cells: list[str], at: int) -> int:
         return int(cells[at])
     found = cells[at][:20] if at < len(cells) else "nothing"
     raise RunError(
-        f"{path}: line {number}, cell {at + 1}: {found} is no count of bodies or markers; remove the line, or export "
-        "as CSV 1.2 or C3D"
+        f"{path}: line {number}, cell {at + 1}: {found} is no count of bodies or markers; remove "
+        "the line, or export as CSV 1.2 or C3D"
     )
 
 
@@ -100,4 +125,6 @@ def _float(path: Path, number: int, cell: str) -> float:
         return np.nan
     if is_plain(cell):
         return float(cell)
-    raise RunError(f"{path}: line {number}: '{cell[:40]}' is not a number; remove the line, or export it again")
+    raise RunError(
+        f"{path}: line {number}: '{cell[:40]}' is not a number; remove the line, or export it again"
+    )

@@ -31,25 +31,34 @@ def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
     Raises:
         RunError: naming the columns, a cell and the remedy.
     """
-    found = {name: unit for name, cells in texts.items() if (unit := unit_behind(cells)) is not None}
+    found = {
+        name: unit for name, cells in texts.items() if (unit := unit_behind(cells)) is not None
+    }
     if not found:
         return
     name, unit = next(iter(found.items()))
     cell = next(cell for cell in texts[name] if _CELL.fullmatch(cell) and not is_number(cell))
     raise RunError(
-        f"{path}: columns {listed(found, _NAMED)} hold numbers with a unit, such as '{cell[:30]}'; "
-        f"export the log with numbers only (or remove '{unit}' from the cells), and give the unit in the mapping"
+        f"{path}: columns {listed(found, _NAMED)} hold numbers with a unit, such as "
+        f"'{cell[:30]}'; export the log with numbers only (or remove '{unit}' from the cells), "
+        "and give the unit in the mapping"
     )
 
 
 def unit_behind(cells: Sequence[str]) -> str | None:
     """Return the unit behind the numbers of a column; None if they are labels, or have no unit."""
     filled = [cell for cell in cells if cell]
-    units = [match[1] for cell in filled if not is_number(cell) and (match := _CELL.fullmatch(cell))]
+    units = [
+        match[1] for cell in filled if not is_number(cell) and (match := _CELL.fullmatch(cell))
+    ]
     if len(filled) < _LEAST or len(set(units)) != 1:
         return None
     if sum(map(is_number, filled)) > _MOSTLY * len(filled):  # here and there
-        return units[0] if is_unit(units[0]) and (len(units[0]) > 1 or not units[0].isalpha()) else None
+        return (
+            units[0]
+            if is_unit(units[0]) and (len(units[0]) > 1 or not units[0].isalpha())
+            else None
+        )
     if len(units) < _MOST * len(filled):
         return None
     return units[0] if len(set(filled)) > _DISTINCT * len(filled) else None

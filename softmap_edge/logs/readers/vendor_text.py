@@ -1,9 +1,12 @@
-"""Read text exports whose head states more than names: Qualisys TSV, Vicon Nexus CSV and LabVIEW LVM.
+"""Read text exports whose head states more than names: Qualisys TSV, Vicon Nexus CSV and LabVIEW
+LVM.
 
-- Qualisys: lines `KEY<tab>value`; `FREQUENCY` is the rate, `MARKER_NAMES` (or `BODY_NAMES`) name the columns, in mm.
-- Nexus: the section `Trajectories`, its rate in the line below, names over `X, Y, Z`, a line of units. Other sections
-  (devices, forces) are skipped.
-- LVM: the head states separator and decimal sign; a file without X columns states `Delta_X` of its first channel.
+- Qualisys: lines `KEY<tab>value`; `FREQUENCY` is the rate, `MARKER_NAMES` (or `BODY_NAMES`) name
+the columns, in mm.
+- Nexus: the section `Trajectories`, its rate in the line below, names over `X, Y, Z`, a line of
+  units. Other sections (devices, forces) are skipped.
+- LVM: the head states separator and decimal sign; a file without X columns states `Delta_X` of its
+first channel.
 
 Pinned by tests/logs/test_vendor_text.py.
 """
@@ -20,7 +23,16 @@ from softmap_edge.logs.readers.text import TextColumns, first_lines, lines_that,
 
 _HEAD = 60  # lines in which the rows must begin
 _QTM = ("NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "NO_OF_BODIES", "FREQUENCY")
-_SECTIONS = ("trajectories", "devices", "joints", "segments", "model outputs", "forces", "markers", "events")
+_SECTIONS = (
+    "trajectories",
+    "devices",
+    "joints",
+    "segments",
+    "model outputs",
+    "forces",
+    "markers",
+    "events",
+)
 _BODY = ("x", "y", "z", "roll", "pitch", "yaw", "residual", *(f"rot{k}" for k in range(9)))
 
 
@@ -30,7 +42,9 @@ def is_qtm(start: str) -> bool:
 
 
 def is_nexus(start: str) -> bool:
-    """Return whether a file that begins so is a CSV export of Vicon Nexus: a section and its rate."""
+    """Return whether a file that begins so is a CSV export of Vicon Nexus: a section and its
+    rate.
+    """
     lines = [line.strip(' ,\t\r"').lower() for line in start.split("\n")[:2]]
     return len(lines) == 2 and lines[0] in _SECTIONS and is_number(lines[1])
 
@@ -59,8 +73,8 @@ def open_qtm(path: Path) -> TextColumns | PacedColumns:
     each = (width - len(lead)) // len(labels) if labels else 0
     if not labels or each * len(labels) + len(lead) != width or each < 3:
         raise RunError(
-            f"{path}: names {len(labels)} markers and its rows have {width} cells, expected three for each marker; "
-            "export it again as TSV, with the names of the trajectories"
+            f"{path}: names {len(labels)} markers and its rows have {width} cells, expected three "
+            "for each marker; export it again as TSV, with the names of the trajectories"
         )
     axes = _BODY if bodies else ("x", "y", "z", *(f"value {k}" for k in range(each - 3)))
     parts = [axes[k] if k < len(axes) else f"value {k}" for k in range(each)]
@@ -69,7 +83,9 @@ def open_qtm(path: Path) -> TextColumns | PacedColumns:
     columns = TextColumns(path, names, at + 1, "\t", ".", units=dict.fromkeys(places, "mm"))
     if "time" in lead:
         return columns
-    return paced(columns, (stated.get("FREQUENCY") or [""])[0], "frame" if "frame" in lead else None)
+    return paced(
+        columns, (stated.get("FREQUENCY") or [""])[0], "frame" if "frame" in lead else None
+    )
 
 
 def _turn(part: str) -> str:
@@ -87,10 +103,19 @@ def open_nexus(path: Path) -> TextColumns | PacedColumns:
         RunError: it has no such section, or its head is damaged.
     """
     sections = lines_that(path, lambda line: line.strip(' ,\t\r"').lower() in _SECTIONS)
-    begin = next((number for number, line in sections if "traj" in line.lower() or "markers" in line.lower()), None)
+    begin = next(
+        (
+            number
+            for number, line in sections
+            if "traj" in line.lower() or "markers" in line.lower()
+        ),
+        None,
+    )
     if begin is None:
         named = ", ".join(line.strip(' ,\t\r"') for _, line in sections[:5])
-        raise RunError(f"{path}: holds {named} and no section Trajectories; export the trajectories as well")
+        raise RunError(
+            f"{path}: holds {named} and no section Trajectories; export the trajectories as well"
+        )
     rate = first_lines(path, 1, begin + 1)[0].strip(' ,\t\r"')
     stop = next((number for number, _ in sections if number > begin), None)
     columns = replace(open_text(path, None, None, True, begin + 1, 0), stop=stop, notes=())
@@ -113,14 +138,19 @@ def open_lvm(path: Path, header: bool | None, order: str | None) -> TextColumns 
     pairs = [trimmed(split(line, _separator(lines))) for line in lines]
     stated = {row[0].lower(): row[1:] for row in pairs if len(row) > 1}
     decimal = (stated.get("decimal_separator") or [""])[0]
-    columns = open_text(path, _separator(lines), decimal if decimal in (".", ",") else None, header, 0, 0, order)
-    columns = replace(columns, notes=tuple(note for note in columns.notes if "above the table" not in note))
+    columns = open_text(
+        path, _separator(lines), decimal if decimal in (".", ",") else None, header, 0, 0, order
+    )
+    columns = replace(
+        columns, notes=tuple(note for note in columns.notes if "above the table" not in note)
+    )
     if (stated.get("x_columns") or ["One"])[0].lower() != "no" or "delta_x" not in stated:
         return columns
     step = stated["delta_x"][0].replace(",", ".")
     if not is_number(step) or not float(step) > 0:
         raise RunError(
-            f"{path}: Delta_X = '{step[:20]}', expected the step in s; correct it, or export with an X column"
+            f"{path}: Delta_X = '{step[:20]}', expected the step in s; correct it, or export with "
+            "an X column"
         )
     return paced(columns, repr(1.0 / float(step)))
 
@@ -130,5 +160,9 @@ def _separator(lines: list[str]) -> str:
     for line in lines:
         if line.startswith("Separator"):
             word = line[len("Separator") :].strip()
-            return "," if word.lower().startswith("comma") or line[len("Separator") :][:1] == "," else "\t"
+            return (
+                ","
+                if word.lower().startswith("comma") or line[len("Separator") :][:1] == ","
+                else "\t"
+            )
     return "\t"

@@ -1,9 +1,9 @@
 """Count cells that hold no number by column: words for a missing value.
 
-A column of numbers holds a word here and there: `#N/A` of a spreadsheet, `--` or `lost` of a tracker, `NULL` of a
-database. A cell counts as such a word if it holds no digit, or if it is an error that a program writes with digits
-(`#DIV/0!`, `1.#QNAN`, `nan(0x8000)`). Any other cell that is no number, such as `12mm`, is a fault of the file. So is a
-column that holds mostly words.
+A column of numbers holds a word here and there: `#N/A` of a spreadsheet, `--` or `lost` of a
+tracker, `NULL` of a database. A cell counts as such a word if it holds no digit, or if it is an
+error that a program writes with digits (`#DIV/0!`, `1.#QNAN`, `nan(0x8000)`). Any other cell that
+is no number, such as `12mm`, is a fault of the file. So is a column that holds mostly words.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 from softmap_edge.files.printable import listed
 
-EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # not reported to the user: their meaning is clear
+# not reported to the user: their meaning is clear
+EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}
 MOSTLY = 0.5  # of the cells: a column with more words is no column of numbers
 _ERROR = re.compile(r"#.*|[+-]?1\.#[a-z]+\d*|[+-]?(nan|inf)\S*", re.IGNORECASE)
 _LONG = 20  # characters of a word that are shown
@@ -28,7 +29,9 @@ def is_word(cell: str) -> bool:
 
 
 def is_text(column: Sequence[str], is_number: Callable[[str], bool]) -> bool:
-    """Whether a column, of which the first cells are given, holds text and not numbers with a word here and there."""
+    """Whether a column, of which the first cells are given, holds text and not numbers with a word
+    here and there.
+    """
     filled = [cell for cell in column if cell.lower() not in EMPTY]
     texts = [cell for cell in filled if not is_number(cell)]
     return len(texts) > MOSTLY * len(filled) or not all(map(is_word, texts))
@@ -36,9 +39,12 @@ def is_text(column: Sequence[str], is_number: Callable[[str], bool]) -> bool:
 
 @dataclass
 class Words:
-    """The words that stand for missing values in one file: how often each, and the line of the first."""
+    """The words that stand for missing values in one file: how often each, and the line of the
+    first.
+    """
 
-    found: dict[tuple[int, str], list[int]] = field(default_factory=dict)  # (column, word) → [count, first line]
+    # (column, word) → [count, first line]
+    found: dict[tuple[int, str], list[int]] = field(default_factory=dict)
 
     def take(self, cell: str, column: int, line: int) -> None:
         """Count a word."""
@@ -47,7 +53,9 @@ class Words:
         seen[0] += 1
 
     def mostly(self, rows: int) -> tuple[int, str, int] | None:
-        """Return column, word and first line of a column that holds mostly words, if there is one."""
+        """Return column, word and first line of a column that holds mostly words, if there is
+        one.
+        """
         counts: dict[int, int] = {}
         for (column, _), (count, _) in self.found.items():
             counts[column] = counts.get(column, 0) + count

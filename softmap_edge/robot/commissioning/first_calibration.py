@@ -1,10 +1,12 @@
-"""A first calibration without a camera: the pulleys' radius, which way each servo bends the finger, one ruler reading.
+"""A first calibration without a camera: the pulleys' radius, which way each servo bends the finger,
+one ruler reading.
 
-A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b = 0). What nobody
-measured is not claimed: no coupling is known, so that every other entry is 0 with a standard deviation of COUPLING of
-the servo's own; home was judged by eye, as far as homing lets it be off. `held_out` is what these deviations expect
-over the model's range, since no block was left out. A camera's calibration (`softmap model calibrate`) replaces it.
-Pinned by tests/robot/test_calibrate_bench.py.
+A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b
+= 0). What nobody measured is not claimed: no coupling is known, so that every other entry is 0 with
+a standard deviation of COUPLING of the servo's own; home was judged by eye, as far as homing lets
+it be off. `held_out` is what these deviations expect over the model's range, since no block was
+left out. A camera's calibration (`softmap model calibrate`) replaces it. Pinned by
+tests/robot/test_calibrate_bench.py.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ CALIPER = 0.1  # of the radius: a tendon lies on top of the pulley and winds in 
 RULER_MM = 0.5  # standard deviation of a reading of the ruler
 SHORTEST_MM = 2.0  # of tendon: what a ruler must read to say anything
 AGREE = 3.0  # standard deviations that radius and ruler may lie apart
-COUPLING = 0.1  # of a servo's own slope: how far a servo may move another command that nobody looked at
+# of a servo's own slope: how far a servo may move another command that nobody looked at
+COUPLING = 0.1
 AXES = "xyz"
 
 
@@ -44,29 +47,33 @@ class Radius:
 
 
 def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius:
-    """Return the radius at which tendon is wound: the pulley's, weighed with a reading (ticks, mm) of the ruler.
+    """Return the radius at which tendon is wound: the pulley's, weighed with a reading (ticks, mm)
+    of the ruler.
 
     Raises:
         CalibrationError: out of range, or the two do not agree.
     """
     if not RADIUS[0] <= pulley_mm <= RADIUS[1]:
-        raise CalibrationError(f"a pulley of {pulley_mm:g} mm; allowed are {RADIUS[0]:g} to {RADIUS[1]:g} mm of radius")
+        raise CalibrationError(
+            f"a pulley of {pulley_mm:g} mm; allowed are {RADIUS[0]:g} to {RADIUS[1]:g} mm of radius"
+        )
     sigma = CALIPER * pulley_mm
     if ruler is None:
         return Radius(pulley_mm, sigma, f"pulley {pulley_mm:g} mm, no ruler")
     ticks, mm = abs(ruler[0]), abs(ruler[1])
     if not (np.isfinite([ticks, mm]).all() and ticks >= 1.0 and mm >= SHORTEST_MM):
         raise CalibrationError(
-            f"a ruler reading of {ruler[1]:g} mm for {ruler[0]:g} ticks; at least {SHORTEST_MM:g} mm of tendon "
-            "are needed: turn the servo farther"
+            f"a ruler reading of {ruler[1]:g} mm for {ruler[0]:g} ticks; at least {SHORTEST_MM:g} "
+            "mm of tendon are needed: turn the servo farther"
         )
     turn = TURN / (2.0 * np.pi * ticks)
     read, doubt = mm * turn, RULER_MM * turn
     apart = abs(read - pulley_mm) / np.hypot(sigma, doubt)
     if apart > AGREE:
         raise CalibrationError(
-            f"the ruler says a radius of {read:.3g} ± {doubt:.2g} mm, the pulley has {pulley_mm:g} ± {sigma:.2g}: "
-            f"{apart:.1f} standard deviations apart, allowed are {AGREE:g}; measure both again (radius, not diameter)"
+            f"the ruler says a radius of {read:.3g} ± {doubt:.2g} mm, the pulley has "
+            f"{pulley_mm:g} ± {sigma:.2g}: {apart:.1f} standard deviations apart, allowed are "
+            f"{AGREE:g}; measure both again (radius, not diameter)"
         )
     weights = np.array([sigma, doubt]) ** -2.0
     both = float(weights @ [pulley_mm, read] / weights.sum())
@@ -75,7 +82,9 @@ def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius
 
 
 def bends(model: Model, k: int) -> str:
-    """Return where the tip goes for more of command `k`: its largest axis of the base frame, as `+x`."""
+    """Return where the tip goes for more of command `k`: its largest axis of the base frame, as
+    `+x`.
+    """
     low, high = np.zeros((2, model.channels))
     reach = np.asarray(model.command_range, float)[k]
     low[k], high[k] = 0.25 * reach
@@ -86,7 +95,8 @@ def bends(model: Model, k: int) -> str:
 
 
 def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
-    """Return the calibration of a bench whose servo k pulls command k by `signs[k]`, ±1, on pulleys of one radius.
+    """Return the calibration of a bench whose servo k pulls command k by `signs[k]`, ±1, on pulleys
+    of one radius.
 
     Raises:
         ServoError: a home is not known, or servos, signs and commands do not agree.
@@ -95,11 +105,13 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
     count = model.channels
     if len(rig.servos) != count or len(signs) != count:
         raise ServoError(
-            f"the rig has {len(rig.servos)} servos, the model {count} commands, {len(signs)} signs are given; servo k "
-            "of the rig pulls command k, so they must agree"
+            f"the rig has {len(rig.servos)} servos, the model {count} commands, {len(signs)} "
+            "signs are given; servo k of the rig pulls command k, so they must agree"
         )
     if model.command_unit != "mm":
-        raise CalibrationError(f"the model's commands are {model.command_unit}; a radius gives only mm of tendon")
+        raise CalibrationError(
+            f"the model's commands are {model.command_unit}; a radius gives only mm of tendon"
+        )
     homes = [servo.home for servo in rig.servos]
     if missing := [servo.id for servo in rig.servos if servo.home is None]:
         raise ServoError(no_home(missing))
@@ -121,18 +133,27 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
 
 
 def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
-    """Return the error that these deviations expect, RMS over the model's range; of the shape at its ends."""
+    """Return the error that these deviations expect, RMS over the model's range; of the shape at
+    its ends.
+    """
     box = np.asarray(model.command_range, float)
-    square = (box[:, 0] ** 2 + box[:, 0] * box[:, 1] + box[:, 1] ** 2) / 3.0  # mean of u² over each range
-    command = float(np.sqrt(np.mean((share**2 + COUPLING**2 * (len(box) - 1)) * square + at_home**2)))
+    # mean of u² over each range
+    square = (box[:, 0] ** 2 + box[:, 0] * box[:, 1] + box[:, 1] ** 2) / 3.0
+    command = float(
+        np.sqrt(np.mean((share**2 + COUPLING**2 * (len(box) - 1)) * square + at_home**2))
+    )
     inside = 0.5 * box[:, 1]
-    shapes = np.asarray(model.prior.evaluate(np.array([inside, inside + command]))).reshape(2, -1, 3)
+    shapes = np.asarray(model.prior.evaluate(np.array([inside, inside + command]))).reshape(
+        2, -1, 3
+    )
     shape = float(np.sqrt(np.mean(np.sum((shapes[1] - shapes[0]) ** 2, axis=-1))))
     return {"command": command, "shape_mm": shape, "matched_shape_mm": 0.0}
 
 
 def document(found: Calibration, model: Model, warnings: Sequence[str]) -> Document:
-    """Return softmap.calibration/1 as `softmap model calibrate` prints it; there are no matched pairs."""
+    """Return softmap.calibration/1 as `softmap model calibrate` prints it; there are no matched
+    pairs.
+    """
     matched: Document = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
     return found.to_dict() | {
         "affine": True,

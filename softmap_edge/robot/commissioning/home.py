@@ -1,7 +1,8 @@
-"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a mark of the proof.
+"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a
+mark of the proof.
 
-Turns are lost without power (modes 4 and 5), so it is done again after each power-up; `proof.py` keeps who has not.
-Pinned by tests/robot/test_home.py.
+Turns are lost without power (modes 4 and 5), so it is done again after each power-up; `proof.py`
+keeps who has not. Pinned by tests/robot/test_home.py.
 """
 
 from __future__ import annotations
@@ -25,15 +26,18 @@ from softmap_edge.robot.servo.examined import examined, members, refusal
 from softmap_edge.robot.servo.home_mark import marked, set_mark
 from softmap_edge.robot.servo.rig import FARTHEST, Rig, RigServo
 
-NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
+# ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
+NEAR = 150
 STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3
 WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is looked at meanwhile
 
 
 @dataclass(frozen=True)
 class Homed:
-    """What homing found: the bench with its homes, how far (ticks) each servo stands from its own, and the turns (of
-    the count of each servo) by which a stored home was moved. `first` names servos that had no home."""
+    """What homing found: the bench with its homes, how far (ticks) each servo stands from its own,
+    and the turns (of the count of each servo) by which a stored home was moved. `first` names
+    servos that had no home.
+    """
 
     rig: Rig
     away: tuple[int, ...]
@@ -43,21 +47,32 @@ class Homed:
     def __str__(self) -> str:
         lines = []
         for servo, away, turns in zip(self.rig.servos, self.away, self.turns):
-            how = "set now" if servo.id in self.first else f"{away:+d} ticks from the stored one, {turns:+d} turns"
+            how = (
+                "set now"
+                if servo.id in self.first
+                else f"{away:+d} ticks from the stored one, {turns:+d} turns"
+            )
             lines.append(f"servo {servo.id}: home at {servo.home} ({how})")
         return "\n".join(lines)
 
     def to_dict(self) -> Document:
         """Return the document softmap.home/1."""
         servos = [
-            {"id": one.id, "home": one.home, "away_ticks": away, "turns": turns, "first": one.id in self.first}
+            {
+                "id": one.id,
+                "home": one.home,
+                "away_ticks": away,
+                "turns": turns,
+                "first": one.id in self.first,
+            }
             for one, away, turns in zip(self.rig.servos, self.away, self.turns)
         ]
         return {"schema": "softmap.home/1", "servos": servos, "near_ticks": NEAR}
 
 
 def relax(rig: Rig) -> list[int]:
-    """Switch torque off and check that the servos are those of `rig` and set up; returns their firmware.
+    """Switch torque off and check that the servos are those of `rig` and set up; returns their
+    firmware.
 
     Raises:
         ServoError: one does not answer, is another model, is not set up, or reports an error.
@@ -69,14 +84,17 @@ def relax(rig: Rig) -> list[int]:
 
 
 def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
-    """Prove home: watch the finger stand, take the turn nearest to each stored home, leave the marks.
+    """Prove home: watch the finger stand, take the turn nearest to each stored home, leave the
+    marks.
 
     Args:
-        rig: whose servos are relaxed (`relax`) and whose finger somebody found straight. confirmed: by whom or how.
+        rig: whose servos are relaxed (`relax`) and whose finger somebody found straight. confirmed:
+            by whom or how.
         new: what stands now is home, whatever was stored.
 
     Raises:
-        ServoError: the finger moves, or stands too far from the stored home; nothing is marked then.
+        ServoError: the finger moves, or stands too far from the stored home; nothing is marked
+            then.
     """
     firmware = relax(rig)
     with opened(rig.port, rig.baud) as bus:
@@ -111,19 +129,29 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     return Homed(changed, tuple(away), tuple(turns), first)
 
 
-def _far(servo: RigServo, position: int, home: int, turned: int, most: float) -> tuple[str, str] | None:
-    """Return why a servo is not where its home is, and the commands that turn it back; None if it is near.
+def _far(
+    servo: RigServo, position: int, home: int, turned: int, most: float
+) -> tuple[str, str] | None:
+    """Return why a servo is not where its home is, and the commands that turn it back; None if it
+    is near.
 
     Raises:
         ServoError: no home can be there.
     """
     if abs(home) > FARTHEST:
-        raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
+        raise ServoError(
+            f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with "
+            "--new"
+        )
     if turned != 0:
-        stands = f"stands {turned:+d} turns from its home, which is still known: a tendon is wound up"
+        stands = (
+            f"stands {turned:+d} turns from its home, which is still known: a tendon is wound up"
+        )
         return f"servo {servo.id} {stands}", jogs(servo.id, home - turned * TURN - position, most)
     if abs(position - home) > NEAR:
-        stands = f"stands at {position}, {position - home:+d} ticks from the stored home within a turn"
+        stands = (
+            f"stands at {position}, {position - home:+d} ticks from the stored home within a turn"
+        )
         return f"servo {servo.id} {stands}", jogs(servo.id, home - position, most)
     return None
 
@@ -134,9 +162,9 @@ def _check_near(far: Sequence[tuple[str, str]]) -> None:
         return
     found, turns = (", ".join(texts) for texts in zip(*far))
     raise ServoError(
-        f"{found}, allowed are {NEAR}; straighten the finger: {turns}, or look for a slipped tendon, then home it "
-        "again. --new is for another finger or another mounting only: it makes this shape command 0, and calibrations "
-        "made before no longer fit"
+        f"{found}, allowed are {NEAR}; straighten the finger: {turns}, or look for a slipped "
+        "tendon, then home it again. --new is for another finger or another mounting only: it "
+        "makes this shape command 0, and calibrations made before no longer fit"
     )
 
 
@@ -161,9 +189,11 @@ def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:
     for servo, moved in zip(rig.servos, np.ptp(looked, axis=0)):
         if moved > STEADY:
             raise ServoError(
-                f"the finger moves: servo {servo.id} turned by {moved} ticks in {WATCHED:g} s, allowed are {STEADY}; "
-                "let it come to rest and home it again"
+                f"the finger moves: servo {servo.id} turned by {moved} ticks in {WATCHED:g} s, "
+                f"allowed are {STEADY}; let it come to rest and home it again"
             )
         if heard(bus, servo.id, enable, 1) != b"\x00":
-            raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
+            raise ServoError(
+                f"servo {servo.id} has torque: another program drives it; stop that first"
+            )
     return [int(tick) for tick in np.rint(np.median(looked, axis=0))]

@@ -1,11 +1,13 @@
-"""Jogs: small slow moves of single servos under little current, in the guard's commissioning state, home known or not.
+"""Jogs: small slow moves of single servos under little current, in the guard's commissioning state,
+home known or not.
 
     with Jog(rig) as jog:
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
-Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody
-holds, and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog
-as it binds a drive, its ticks where it is homed. Pinned by tests/robot/test_move.py.
+Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it
+brakes when nobody holds, and torque goes off after the limit `hold`. What the bench allows
+(`[ceiling]` and each `[[servo]]`) binds a jog as it binds a drive, its ticks where it is homed.
+Pinned by tests/robot/test_move.py.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ WAITS = 3.0  # s beyond the time that a jog should take
 
 
 class Deadman(Protocol):
-    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on, or `Held`."""
+    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on,
+    or `Held`.
+    """
 
     how: str  # it is let go, in words
 
@@ -71,11 +75,13 @@ class Jog:
     """The servos of `rig`, jogged one at a time; from entering to leaving.
 
     Args:
-        travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's; the bench's bind
-            what is given too. tell: called with each line for the user on the servos and the bus.
+        travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's;
+            the bench's bind what is given too. tell: called with each line for the user on the
+            servos and the bus.
 
     Raises:
-        ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.
+        ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig
+            says.
     """
 
     def __init__(
@@ -102,7 +108,10 @@ class Jog:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.robot.time.there(driving=False)
         try:
@@ -114,7 +123,9 @@ class Jog:
 
     @property
     def position(self) -> Ticks:
-        """Where the servos stand (C,), ticks, by the last period that heard each: one lost answer is no place."""
+        """Where the servos stand (C,), ticks, by the last period that heard each: one lost answer
+        is no place.
+        """
         return self.robot.position
 
     @property
@@ -126,24 +137,33 @@ class Jog:
     @property
     def current(self) -> Ticks:
         """What they draw (C,), mA; NaN of those that do not measure it."""
-        return np.array([np.nan if one is None else one for one in self.robot.report["current_mA"]], float)
+        return np.array(
+            [np.nan if one is None else one for one in self.robot.report["current_mA"]], float
+        )
 
     def press(self, servo: int, ticks: float) -> Literal["", "window", "travel"]:
-        """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a pressed deadman.
+        """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a
+        pressed deadman.
 
-        Torque comes on with the first. Ticks beyond the servo's window or the travel of the jog are cut off; returns
-        which of the two it has come to the end of.
+        Torque comes on with the first. Ticks beyond the servo's window or the travel of the jog are
+        cut off; returns which of the two it has come to the end of.
 
         Raises:
-            ServoError: there is no such servo, `ticks` is not finite, the guard denies it, or a fault ended the jog.
+            ServoError: there is no such servo, `ticks` is not finite, the guard denies it, or a
+                fault ended the jog.
         """
         self._check(servo, ticks)
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
             bench = self.rig.file is not None
-            where, onward = words.where(report, self.robot.limits), words.onward(report, terminal=True, bench=bench)
-            raise GuardStopped.by(f"the guard ended the jog: the robot is {where}; {onward}", report.get("cause"))
+            where, onward = (
+                words.where(report, self.robot.limits),
+                words.onward(report, terminal=True, bench=bench),
+            )
+            raise GuardStopped.by(
+                f"the guard ended the jog: the robot is {where}; {onward}", report.get("cause")
+            )
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None
@@ -151,7 +171,10 @@ class Jog:
         target = self.goal if self._target is None else self._target.copy()
         # What the guard allows, so that arriving there counts.
         limits, at = self.robot.limits["servos"][servo], float(began[servo])
-        low, high = max(at - self.travel, min(at, limits["low"])), min(at + self.travel, max(at, limits["high"]))
+        low, high = (
+            max(at - self.travel, min(at, limits["low"])),
+            min(at + self.travel, max(at, limits["high"])),
+        )
         target[servo] = min(max(ticks, low), high)
         self._target = target
         self.robot.target(target)
@@ -160,7 +183,9 @@ class Jog:
         return "travel" if abs(target[servo] - at) >= self.travel - ARRIVED else "window"
 
     def push(self, servo: int, direction: int) -> Literal["", "window", "travel"]:
-        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and again; as `press`."""
+        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and
+        again; as `press`.
+        """
         return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
     def keep(self) -> None:
@@ -187,15 +212,18 @@ class Jog:
             self.robot.emergency()
             raise ServoError(PRESSED)
 
-    def by(self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None) -> float:
-        """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque if held.
+    def by(
+        self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None
+    ) -> float:
+        """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque
+        if held.
 
         Args:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: there is no such servo, `ticks` is not finite, a fault or the emergency stop ended it, or it did
-                not arrive in time.
+            ServoError: there is no such servo, `ticks` is not finite, a fault or the emergency stop
+                ended it, or it did not arrive in time.
         """
         self._check(servo, ticks)
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
@@ -228,7 +256,9 @@ class Jog:
         if not 0 <= servo < count:
             raise ServoError(f"no servo number {servo}; the rig has {count}, counted from 0")
         if not np.isfinite(ticks):
-            raise ServoError(f"a jog of {ticks} ticks; give a finite number of at most {FARTHEST:g}")
+            raise ServoError(
+                f"a jog of {ticks} ticks; give a finite number of at most {FARTHEST:g}"
+            )
 
     def _aim(self, servo: int) -> float:
         return float("nan") if self._target is None else float(self._target[servo])
@@ -240,10 +270,16 @@ def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
-    """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that the bench says."""
+    """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that
+    the bench says.
+    """
     robot, servos = of_bench(rig), _servos(rig)
     anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
-    names = [name for name in loop_limits(servos, jump=anywhere) if name not in ("servos", "period", "jump")]
+    names = [
+        name
+        for name in loop_limits(servos, jump=anywhere)
+        if name not in ("servos", "period", "jump")
+    ]
     table = {name: found[0] for name in names if (found := robot(name))}
     for name, value in asked.items():
         if value is not None:
@@ -256,7 +292,9 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
 
 
 def _allowed(limit: tuple[float, str, str] | None, otherwise: float) -> float:
-    """Return the value of a limit of the bench (`of_bench`), `otherwise` where the bench has none."""
+    """Return the value of a limit of the bench (`of_bench`), `otherwise` where the bench has
+    none.
+    """
     return otherwise if limit is None else float(limit[0])
 
 
@@ -268,7 +306,11 @@ def _servos(rig: Rig) -> list[ServoLimits]:
             bench = of_bench(rig, servo)
             low, high = ((bench(side) or (None,))[0] for side in ("low", "high"))
             limits = servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
-            if servo.home is not None and (low, high) != (None, None) and marked(bus, servo.id, servo.home):
+            if (
+                servo.home is not None
+                and (low, high) != (None, None)
+                and marked(bus, servo.id, servo.home)
+            ):
                 low = -FARTHEST - servo.home if low is None else low
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))

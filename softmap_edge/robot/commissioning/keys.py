@@ -1,7 +1,9 @@
-"""A held key of a terminal as the deadman of moves of commissioning: holding begins with the first repetition.
+"""A held key of a terminal as the deadman of moves of commissioning: holding begins with the first
+repetition.
 
-A key that was pressed once may have been let go at once, and this is unknown for 0.7 s (`terminal_keys.RepeatedKey`):
-nothing runs on so long after a tap. Pinned by tests/robot/test_move.py and tests/robot/test_emergency_key.py.
+A key that was pressed once may have been let go at once, and this is unknown for 0.7 s
+(`terminal_keys.RepeatedKey`): nothing runs on so long after a tap. Pinned by
+tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ STOP = (EMERGENCY, "escape", " ", "q", "\x03")
 
 
 class Keys:
-    """A held key of the terminal `file` (standard input) as a deadman (`jog.Deadman`), from entering to leaving.
+    """A held key of the terminal `file` (standard input) as a deadman (`jog.Deadman`), from
+    entering to leaving.
 
     Args:
         always: no key has to be held, but those that stop do.
@@ -30,7 +33,9 @@ class Keys:
     def __init__(self, file: int | None = None, *, always: bool = False) -> None:
         file = terminal() if file is None else file
         if file is None or not os.isatty(file):
-            raise ServoError("no terminal whose keys could be held; start it in one, or give --hold")
+            raise ServoError(
+                "no terminal whose keys could be held; start it in one, or give --hold"
+            )
         self._typed, self._always = Typed(file), always
         self._name, self._key = "", RepeatedKey()
         self.presses = 0
@@ -43,12 +48,16 @@ class Keys:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._typed.__exit__(kind, fault, trace)
 
     def key(self) -> str:
-        """Return the key that is down, by the name that `named` gives, empty if none: pressed lately, or repeating.
+        """Return the key that is down, by the name that `named` gives, empty if none: pressed
+        lately, or repeating.
 
         `.presses` counts how often one was pressed again.
         """
@@ -63,6 +72,8 @@ class Keys:
         return self._name if not self.stopped and self._key.held(now) else ""
 
     def held(self) -> bool:
-        """Return whether any key is held and repeats, or none has to be, and none has stopped it."""
+        """Return whether any key is held and repeats, or none has to be, and none has stopped
+        it.
+        """
         self.key()
         return not self.stopped and (self._always or self._key.repeats(time.monotonic()))

@@ -1,10 +1,12 @@
-"""The pull test: the current that each servo draws where the finger is at its stroke, measured in slow held moves.
+"""The pull test: the current that each servo draws where the finger is at its stroke, measured in
+slow held moves.
 
-Each servo goes alone, the others at home, through the guard's commissioning state: from home to one end of the window
-in force, to the other, and home. Standing takes less current than turning does, so that the larger of both counts; the
-ceiling is MARGIN times that and IDLE of the stall current for motor and gears at speed. Torque off between two legs
-would let the finger spring back, so that it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer
-is reached by a straight line, a stroke much longer is refused. Pinned by tests/robot/test_pull.py.
+Each servo goes alone, the others at home, through the guard's commissioning state: from home to one
+end of the window in force, to the other, and home. Standing takes less current than turning does,
+so that the larger of both counts; the ceiling is MARGIN times that and IDLE of the stall current
+for motor and gears at speed. Torque off between two legs would let the finger spring back, so that
+it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer is reached by a
+straight line, a stroke much longer is refused. Pinned by tests/robot/test_pull.py.
 """
 
 from __future__ import annotations
@@ -41,13 +43,15 @@ PATIENCE = 3.0  # s more in which they have to come, and in which a servo comes 
 STILL = 3.0  # ticks by which a servo at rest may move
 STANDS = 0.6  # s at an end over which the current is taken
 OUTER = 0.9  # of a leg from which on the current of the move counts
-RISES = 2.0  # steps of its current reading by which a servo draws more at the stroke than at home, standing
+# steps of its current reading by which a servo draws more at the stroke than at home, standing
+RISES = 2.0
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One side of a pull: the stroke and how far it came, ticks about home; `mA` there, standing `rises` mA above
-    home; what was read on the way (n, 2), ticks about home and mA."""
+    """One side of a pull: the stroke and how far it came, ticks about home; `mA` there, standing
+    `rises` mA above home; what was read on the way (n, 2), ticks about home and mA.
+    """
 
     stroke: float
     reached: float
@@ -68,23 +72,38 @@ class Pulled:
     def to_dict(self) -> Document:
         """Return it as a document."""
         legs = [
-            {"stroke_ticks": leg.stroke, "reached_ticks": leg.reached, "mA": leg.mA, "read": leg.read.tolist()}
+            {
+                "stroke_ticks": leg.stroke,
+                "reached_ticks": leg.reached,
+                "mA": leg.mA,
+                "read": leg.read.tolist(),
+            }
             for leg in self.legs
         ]
         return {"id": self.servo.id, "legs": legs, "current_mA": self.ceiling_mA}
 
     def __str__(self) -> str:
         low, high = self.legs
-        return f"servo {self.servo.id}: {_told(low)}, {_told(high)}; its ceiling is {self.ceiling_mA:g} mA"
+        return (
+            f"servo {self.servo.id}: {_told(low)}, {_told(high)}; its ceiling is "
+            f"{self.ceiling_mA:g} mA"
+        )
 
     def provenance(self, when: str) -> str:
         """Return in words how its ceiling was found."""
         low, high = self.legs
-        return f"{when}: {_told(low)}, {_told(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, and {IDLE:g} of stall"
+        return (
+            f"{when}: {_told(low)}, {_told(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, "
+            f"and {IDLE:g} of stall"
+        )
 
 
 def _told(leg: Leg) -> str:
-    how = "" if abs(leg.reached) >= abs(leg.stroke) - LEAST_SHORT else f" (by a straight line from {leg.reached:+.0f})"
+    how = (
+        ""
+        if abs(leg.reached) >= abs(leg.stroke) - LEAST_SHORT
+        else f" (by a straight line from {leg.reached:+.0f})"
+    )
     return f"{leg.mA:.0f} mA at {leg.stroke:+.0f} ticks{how}"
 
 
@@ -101,21 +120,29 @@ def pull(
     progress: Callable[[str, float], None] = lambda what, share: None,
     tell: Callable[[str], None] = lambda line: None,
 ) -> list[Pulled]:
-    """Pull each servo of the bench (or those of `ids`) to both ends of its window while `hand` holds.
+    """Pull each servo of the bench (or those of `ids`) to both ends of its window while `hand`
+    holds.
 
     Args:
-        found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and `jog_travel`.
-        progress: called with the moving part and the completed share of the test. tell: called with each line for the
-            user on the servos and the bus.
+        found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and
+            `jog_travel`.
+        progress: called with the moving part and the completed share of the test. tell: called with
+            each line for the user on the servos and the bus.
 
     Raises:
-        ServoError: a servo reports no current or is not homed, the finger does not come to its stroke, its current
-            does not rise, or somebody stopped it; nothing follows then.
+        ServoError: a servo reports no current or is not homed, the finger does not come to its
+            stroke, its current does not rise, or somebody stopped it; nothing follows then.
     """
-    rig, numbers = found.rig, [k for k, one in enumerate(found.rig.servos) if not ids or one.id in ids]
+    rig, numbers = (
+        found.rig,
+        [k for k, one in enumerate(found.rig.servos) if not ids or one.id in ids],
+    )
     missing = [id for id in ids if id not in [servo.id for servo in rig.servos]]
     if missing:
-        raise ServoError(f"the rig has no servo {missing[0]}; it has {', '.join(str(one.id) for one in rig.servos)}")
+        raise ServoError(
+            f"the rig has no servo {missing[0]}; it has "
+            f"{', '.join(str(one.id) for one in rig.servos)}"
+        )
     for k in numbers:
         _check_measures(rig.servos[k])
     ends = strokes(found)
@@ -124,7 +151,9 @@ def pull(
         _check_reach(rig.servos[k], ends[k], allowed)
     with opened(rig.port, rig.baud) as bus:
         check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
-    inside = tuple(replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends))
+    inside = tuple(
+        replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends)
+    )
     most = min(allowed, max(abs(end) for k in numbers for end in ends[k]) + LEAST_SHORT)
     done: list[Pulled] = []
     for k in numbers:
@@ -137,25 +166,33 @@ def pull(
             progress(f"{name}, home", share + 0.8 / len(numbers))
             _go(jog, k, 0.0, hand, [])
             jog.stop()
-        done.append(Pulled(rig.servos[k], jog.slew, (low, high), _allowed(rig.servos[k], (low, high))))
+        done.append(
+            Pulled(rig.servos[k], jog.slew, (low, high), _allowed(rig.servos[k], (low, high)))
+        )
     return done
 
 
 def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
     """Return the bench with the ceilings that were found, and how."""
-    by_id, when = {one.servo.id: one for one in done}, datetime.now(UTC).isoformat(timespec="seconds")
+    by_id, when = (
+        {one.servo.id: one for one in done},
+        datetime.now(UTC).isoformat(timespec="seconds"),
+    )
     servos = tuple(
-        replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo for servo in rig.servos
+        replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo
+        for servo in rig.servos
     )
     said = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
-    return replace(rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}})
+    return replace(
+        rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}}
+    )
 
 
 def _check_measures(servo: RigServo) -> None:
     if servo_model(servo.model)["current_unit_mA"] is None:
         raise ServoError(
-            f"servo {servo.id}, a {servo.model}, reports no current: its PWM is capped instead (softmap servo limits), "
-            "a pull test finds nothing; give --servo ID for those that do"
+            f"servo {servo.id}, a {servo.model}, reports no current: its PWM is capped instead "
+            "(softmap servo limits), a pull test finds nothing; give --servo ID for those that do"
         )
 
 
@@ -163,9 +200,10 @@ def _check_reach(servo: RigServo, ends: tuple[float, float], allowed: float) -> 
     longest = max(abs(end) for end in ends)
     if longest > BEYOND * allowed:
         raise ServoError(
-            f"servo {servo.id}: its stroke of {longest:.0f} ticks is beyond {BEYOND:g} times the {allowed:.0f} that a "
-            "move of commissioning may do; narrow low and high of this servo in rig.toml, or raise jog_travel in its "
-            f"[ceiling], to {FARTHEST_LEG:.0f} at most"
+            f"servo {servo.id}: its stroke of {longest:.0f} ticks is beyond {BEYOND:g} times the "
+            f"{allowed:.0f} that a move of commissioning may do; narrow low and high of this "
+            f"servo in rig.toml, or raise jog_travel in its [ceiling], to {FARTHEST_LEG:.0f} at "
+            "most"
         )
 
 
@@ -181,14 +219,17 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
     reached = float(np.median([away for away, _ in stood]))
     if abs(reached - target) > max(LEAST_SHORT, SHORT * abs(target)):
         raise ServoError(
-            f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to {reached:+.0f} under "
-            f"{_most_current(jog, k):g} mA: look what holds it, or raise jog_current in [ceiling], or its current_mA, "
-            "knowingly"
+            f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to "
+            f"{reached:+.0f} under {_most_current(jog, k):g} mA: look what holds it, or raise "
+            "jog_current in [ceiling], or its current_mA, knowingly"
         )
     way = np.array(read + stood)
     side = way[way[:, 0] * np.sign(stroke) > 0.0]
     outer = side[np.abs(side[:, 0]) >= OUTER * abs(reached), 1]
-    end = max(float(np.median([abs(mA) for _, mA in stood])), float(np.median(np.abs(outer))) if len(outer) else 0.0)
+    end = max(
+        float(np.median([abs(mA) for _, mA in stood])),
+        float(np.median(np.abs(outer))) if len(outer) else 0.0,
+    )
     rises = float(np.median([abs(mA) for _, mA in stood])) - rest
     return Leg(stroke, reached, round(_at(stroke, reached, end, side), 1), rises, np.round(side, 1))
 
@@ -199,7 +240,9 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Stand until a servo is still, PATIENCE more at most, and return its readings over the last STANDS."""
+    """Stand until a servo is still, PATIENCE more at most, and return its readings over the last
+    STANDS.
+    """
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []
@@ -220,12 +263,16 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
         if whole and (np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + PATIENCE):
             return lately
         if held >= STANDS + PATIENCE:
-            raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
+            raise ServoError(
+                f"servo {servo.id} says nothing of its current; look at the wiring of the bus"
+            )
         time.sleep(EVERY)
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
-    """Return the current at the stroke, by the line of the outer half of a leg where that ended before."""
+    """Return the current at the stroke, by the line of the outer half of a leg where that ended
+    before.
+    """
     outer = side[np.abs(side[:, 0]) >= 0.5 * abs(reached)]
     if abs(stroke) <= abs(reached) or len(outer) < 3:
         return mA
@@ -247,7 +294,9 @@ def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, fl
 
 
 def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
-    """Return where a servo stands about home and its mA; nothing in a period that did not hear both."""
+    """Return where a servo stands about home and its mA; nothing in a period that did not hear
+    both.
+    """
     now = float(jog.position[k]) - float(jog.rig.servos[k].home or 0), float(jog.current[k])
     return [now] if np.isfinite(now).all() else []
 
@@ -269,8 +318,9 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     for leg in legs:
         if not leg.rises > RISES * (entry["current_unit_mA"] or 0.0):
             raise ServoError(
-                f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, {leg.rises:+.1f} against home: it "
-                "pulls nothing there; look for a torn or slack tendon, or a stroke that is too short to measure"
+                f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, "
+                f"{leg.rises:+.1f} against home: it pulls nothing there; look for a torn or slack "
+                "tendon, or a stroke that is too short to measure"
             )
     stroke = max(leg.mA for leg in legs)
     return round(MARGIN * stroke + IDLE * float(entry["stall_current_mA"]), 1)

@@ -1,7 +1,8 @@
-"""Restart a servo that has shut itself down: torque off first, its errors before and after, then home it again.
+"""Restart a servo that has shut itself down: torque off first, its errors before and after, then
+home it again.
 
-A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all volatile registers.
-Pinned by tests/robot/test_reboot.py.
+A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all
+volatile registers. Pinned by tests/robot/test_reboot.py.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Restarted:
-    """A servo that was restarted at `port`, and its hardware error bits (register 70) before that."""
+    """A servo that was restarted at `port`, and its hardware error bits (register 70) before
+    that.
+    """
 
     port: str
     baud: int
@@ -35,24 +38,32 @@ class Restarted:
     def __str__(self) -> str:
         was = hardware(self.reported) if self.reported else "no error"
         return (
-            f"servo {self.id} was restarted: it reported {was} before, and no error now; torque is off and its turns "
-            "are lost"
+            f"servo {self.id} was restarted: it reported {was} before, and no error now; torque "
+            "is off and its turns are lost"
         )
 
     def to_dict(self) -> Document:
         """Return the document softmap.restarted/1."""
         said = hardware(self.reported)
-        return {"schema": "softmap.restarted/1", "port": self.port, "baud": self.baud, "id": self.id, "reported": said}
+        return {
+            "schema": "softmap.restarted/1",
+            "port": self.port,
+            "baud": self.baud,
+            "id": self.id,
+            "reported": said,
+        }
 
 
 def restart(port: str, baud: int, id: int) -> Restarted:
     """Switch the torque of every servo off and restart servo `id`; home the robot again afterwards.
 
     Args:
-        port, baud, id: of the servo. A control loop holds the port exclusively, so no servo restarts while it drives.
+        port, baud, id: of the servo. A control loop holds the port exclusively, so no servo
+            restarts while it drives.
 
     Raises:
-        ServoError: the port is in use, the servo does not answer, keeps its torque, or still reports an error.
+        ServoError: the port is in use, the servo does not answer, keeps its torque, or still
+            reports an error.
     """
     try:
         return _restarted(port, baud, id)
@@ -74,8 +85,8 @@ def _restarted(port: str, baud: int, id: int) -> Restarted:
         now = _errors(bus, id)
     if now:
         raise ServoError(
-            f"servo {id} was restarted and still reports {hardware(now)}; find the cause (a load, its supply, heat, a "
-            "cable), then switch its supply off and on"
+            f"servo {id} was restarted and still reports {hardware(now)}; find the cause (a load, "
+            "its supply, heat, a cable), then switch its supply off and on"
         )
     return Restarted(port, baud, id, reported)
 

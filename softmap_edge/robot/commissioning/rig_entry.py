@@ -1,7 +1,8 @@
 """Enter a servo that was set up into its rig; it keeps its place if its id changes.
 
-A servo has no serial number. A servo that was set up before and answers at the rate of the rig is taken for the one
-listed under its old id. A servo with factory settings is another one. Pinned by tests/robot/test_set_up.py.
+A servo has no serial number. A servo that was set up before and answers at the rate of the rig is
+taken for the one listed under its old id. A servo with factory settings is another one. Pinned by
+tests/robot/test_set_up.py.
 """
 
 from __future__ import annotations
@@ -19,14 +20,18 @@ from softmap_edge.robot.servo.rig import Rig, RigServo
 
 @dataclass(frozen=True)
 class Entry:
-    """The place of a servo in `rig` (None: a new rig): the id listed there, None if the servo is appended."""
+    """The place of a servo in `rig` (None: a new rig): the id listed there, None if the servo is
+    appended.
+    """
 
     rig: Rig | None
     listed: int | None
 
     @property
     def asked(self) -> Asked | None:
-        """The requirements of the rig for this servo, without the gains, which set-up determines."""
+        """The requirements of the rig for this servo, without the gains, which set-up
+        determines.
+        """
         known = {} if self.rig is None else {one.id: one.asked for one in members(self.rig)}
         found = None if self.listed is None else known.get(self.listed)
         return None if found is None else replace(found, gains=())
@@ -36,22 +41,27 @@ def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: i
     """Return the place in `rig` of a servo that is about to be set up.
 
     Args:
-        rig: the rig; None if there is none yet. found: the servo as it answers now. new_id, new_baud: its new values.
+        rig: the rig; None if there is none yet. found: the servo as it answers now. new_id,
+            new_baud: its new values.
 
     Raises:
-        ServoError: it would have another rate than the rig, or the rig lists its new id for another servo.
+        ServoError: it would have another rate than the rig, or the rig lists its new id for another
+            servo.
     """
     id, baud = (found.id if new_id is None else new_id), new_baud or found.baud
     if rig is None:
         return Entry(None, None)
     if rig.baud != baud:
-        raise ServoError(f"the bench runs at {rig.baud} baud, servo {found.id} at {baud}; give --new-baud {rig.baud}")
+        raise ServoError(
+            f"the bench runs at {rig.baud} baud, servo {found.id} at {baud}; give --new-baud "
+            f"{rig.baud}"
+        )
     ids = [servo.id for servo in rig.servos]
     if id != found.id and found.id in ids and _known(rig, found):
         if id in ids:
             raise ServoError(
-                f"the rig lists servo {found.id}, which this is, and another servo {id}; give an id that it does not "
-                f"list, or take servo {id} out of it first"
+                f"the rig lists servo {found.id}, which this is, and another servo {id}; give an "
+                f"id that it does not list, or take servo {id} out of it first"
             )
         return Entry(rig, found.id)
     return Entry(rig, id if id in ids else None)
@@ -61,7 +71,8 @@ def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
     """Return the rig with the servo in its place; home and measured current must be found again.
 
     Args:
-        entry: its place. done: the servo after set-up. gains: its gains, in the order of `known_state.GAINS`.
+        entry: its place. done: the servo after set-up. gains: its gains, in the order of
+            `known_state.GAINS`.
     """
     assert done.model is not None
     name = done.model["name"]
@@ -69,12 +80,18 @@ def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
     if old is None:
         return Rig(done.port, done.baud, (servo,), made={SET_UP: {f"servo_{done.id}": list(gains)}})
     servos = [
-        replace(one, id=done.id, model=name, home=None, current_mA=None) if one.id == entry.listed else one
+        replace(one, id=done.id, model=name, home=None, current_mA=None)
+        if one.id == entry.listed
+        else one
         for one in old.servos
     ]
     if entry.listed is None:
         servos.append(servo)
-    kept = {key: value for key, value in old.made.get(SET_UP, {}).items() if key != f"servo_{entry.listed}"}
+    kept = {
+        key: value
+        for key, value in old.made.get(SET_UP, {}).items()
+        if key != f"servo_{entry.listed}"
+    }
     made = {**old.made, SET_UP: {**kept, f"servo_{done.id}": list(gains)}}
     return replace(old, port=done.port, servos=tuple(servos), made=made)
 
@@ -86,20 +103,28 @@ def changes(entry: Entry, found: ServoState, done: ServoState, file: str | Path)
     ids = [servo.id for servo in entry.rig.servos]
     said = []
     for one in entry.rig.servos:
-        held = {"home": one.home, "measured current": one.current_mA} if one.id == entry.listed else {}
+        held = (
+            {"home": one.home, "measured current": one.current_mA} if one.id == entry.listed else {}
+        )
         if names := [name for name, value in held.items() if value is not None]:
             said.append(f"{file} held its {' and '.join(names)}: taken out, to be found again")
     if found.id != done.id and entry.listed == found.id:
         said.append(
-            f"{file}: servo {found.id} is servo {done.id} now and keeps its place, command {ids.index(found.id) + 1}"
+            f"{file}: servo {found.id} is servo {done.id} now and keeps its place, command "
+            f"{ids.index(found.id) + 1}"
         )
     elif found.id != done.id and found.id in ids:
-        said.append(f"{file} keeps its servo {found.id}: this one was not set up yet, so that it is another servo")
+        said.append(
+            f"{file} keeps its servo {found.id}: this one was not set up yet, so that it is "
+            "another servo"
+        )
     return said
 
 
 def _known(rig: Rig, found: ServoState) -> bool:
-    """Return whether a servo may be the one that `rig` lists under its id: it is set up, at the rig's rate."""
+    """Return whether a servo may be the one that `rig` lists under its id: it is set up, at the
+    rig's rate.
+    """
     listed = dict(rig.numbers)[found.id]
     if found.baud != rig.baud or found.model is None or found.number != listed:
         return False
@@ -108,5 +133,7 @@ def _known(rig: Rig, found: ServoState) -> bool:
             values = registers(bus, found.id)
     except ServoError:
         return False
-    fixed = [need for need in differing(found.model, values) if not need.passing and need.least is None]
+    fixed = [
+        need for need in differing(found.model, values) if not need.passing and need.least is None
+    ]
     return not [need for need in fixed if need.register != "status_return_level"]

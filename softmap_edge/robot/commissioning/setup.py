@@ -1,7 +1,7 @@
 """Set servos up on a bench: find them, read them, make them ready to be driven.
 
-What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads again. Pinned by
-tests/robot/test_servo_verbs.py and tests/robot/test_set_up.py.
+What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads
+again. Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_set_up.py.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ def set_up(
 
     Args:
         found: the servo. new_id, new_baud: what it gets, where it gets another one.
-        tell: called with a line for each correction. asked: the requirements of the rig; without one its limits become
-            the factory settings.
+        tell: called with a line for each correction. asked: the requirements of the rig; without
+            one its limits become the factory settings.
 
     Raises:
-        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it can have, another
-            servo would obey as well, or it keeps other values.
+        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it
+            can have, another servo would obey as well, or it keeps other values.
     """
     model = found.model
     if model is None:
@@ -97,7 +97,8 @@ def set_up(
         raise ServoError(f"id {id}; allowed are 0 to 252")
     if baud not in model["baud_rates"]:
         raise ServoError(
-            f"{model['name']} has no rate of {baud} baud; it has {', '.join(map(str, model['baud_rates']))}"
+            f"{model['name']} has no rate of {baud} baud; it has "
+            f"{', '.join(map(str, model['baud_rates']))}"
         )
     asked = most(model) if asked is None else asked  # without a rig the factory limits apply
     with opened(found.port, found.baud) as bus:
@@ -134,18 +135,22 @@ def _check_free(bus: _core.ServoBus, found: ServoState, id: int) -> None:
         ServoError: another servo has it, or would take it.
     """
     if pinged(bus, id) is not None:
-        raise ServoError(f"id {id} is taken by another servo on this bus; connect one servo at a time")
+        raise ServoError(
+            f"id {id} is taken by another servo on this bus; connect one servo at a time"
+        )
     address, size, _ = _core.servo_registers()["secondary_id"]
     for other in {one for one, _, _ in bus.scan()} - {found.id}:
         if heard(bus, other, address, size) == bytes([found.id]):
             raise ServoError(
-                f"servo {other} obeys id {found.id} too (its secondary id), so that it would get id {id} as well; "
-                f"run {setup_command(found.port, found.baud, other)} first"
+                f"servo {other} obeys id {found.id} too (its secondary id), so that it would get "
+                f"id {id} as well; run {setup_command(found.port, found.baud, other)} first"
             )
 
 
 def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> None:
-    """Set the status return level so that a servo answers every request; it may not answer this write."""
+    """Set the status return level so that a servo answers every request; it may not answer this
+    write.
+    """
     address, size, _ = _core.servo_registers()["status_return_level"]
     try:
         level = int.from_bytes(patiently(bus.read, id, address, size), "little")
@@ -159,14 +164,24 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
         with suppress(NoAnswer):
             bus.write(id, address, bytes([ALWAYS]))
             break
-    was = "it answered pings only (status return level 0)" if level is None else f"status return level is {level}"
+    was = (
+        "it answered pings only (status return level 0)"
+        if level is None
+        else f"status return level is {level}"
+    )
     tell(f"{was}: it becomes {ALWAYS}")
 
 
 def _made_ready(
-    bus: _core.ServoBus, found: ServoState, model: ServoModel, tell: Callable[[str], None], asked: Asked | None
+    bus: _core.ServoBus,
+    found: ServoState,
+    model: ServoModel,
+    tell: Callable[[str], None],
+    asked: Asked | None,
 ) -> None:
-    """Write registers that differ, torque off; the servo then resets its gains, as with each new operating mode."""
+    """Write registers that differ, torque off; the servo then resets its gains, as with each new
+    operating mode.
+    """
     before = registers(bus, found.id)
     if before["torque_enable"]:
         tell("its torque was on: it is off")
@@ -184,7 +199,9 @@ def _made_ready(
     for need in passing(found, registers(bus, found.id), asked):
         _write(bus, found.id, need.register, need.value)
     after = registers(bus, found.id)
-    for name in dict.fromkeys([*GAINS, *(need.register for need in needs(model, asked) if need.passing)]):
+    for name in dict.fromkeys(
+        [*GAINS, *(need.register for need in needs(model, asked) if need.passing)]
+    ):
         if after[name] != before[name]:
             tell(f"{holds(found, name, before[name])}: it becomes {after[name]}")
 

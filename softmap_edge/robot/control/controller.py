@@ -3,14 +3,16 @@
     with Controller(rig, calibration, limits) as robot:
         robot.engage()
         for u in path:
-            done = robot.target(u)   # mm in, what will be done out; call it at least every `stale` seconds
+            done = robot.target(u)   # mm in, what will be done out; call it at least every `stale`
+                                     seconds
             time.sleep(0.02)
 
-Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits for Python. A
-program that stops calling `target` is held, then its tension is released; so is one that ends or is killed. If the
-loop's own process dies or freezes, the servos stop by their watchdogs, and a thread of this side switches their torque
-off, whatever the program does meanwhile. A servo that has not confirmed that its torque is off at the end is an error.
-Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
+Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits
+for Python. A program that stops calling `target` is held, then its tension is released; so is one
+that ends or is killed. If the loop's own process dies or freezes, the servos stop by their
+watchdogs, and a thread of this side switches their torque off, whatever the program does meanwhile.
+A servo that has not confirmed that its torque is off at the end is an error. Pinned by
+tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 
 from __future__ import annotations
@@ -45,7 +47,17 @@ from softmap_edge.robot.servo.status_words import kept_words
 
 Floats = NDArray[np.float64]
 
-REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
+REQUESTS = (
+    "connect",
+    "home",
+    "arm",
+    "engage",
+    "hold",
+    "stop",
+    "acknowledge",
+    "disconnect",
+    "commission",
+)
 STARTS = 10.0  # s until the loop's process has reported something
 SAID = 2.0  # s within which every servo has reported whether it has torque
 PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
@@ -53,21 +65,23 @@ ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
 class Controller(Supervisor):
-    """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
+    """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by
+    `calibration`.
 
-    With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the effects of its model,
-    delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says
-    and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
-    CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
-    switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
-    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` then holds the
-    cause, and leaving raises `RecordingBroken`.
-    `tell` is called with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked for
-    (`bus`).
+    With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
+    effects of its model, delays aside, from what was really sent. Entering starts the loop, proves
+    that the servos are what the rig says and that home was proved since they got power
+    (`proof.py`), and goes to READY. With `commissioning` it goes to CONNECTED, home is not asked
+    for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and switches
+    torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to
+    that file, which must not exist (`recording.py`). A full disk ends the recording and not the
+    loop: `unrecorded` then holds the cause, and leaving raises `RecordingBroken`. `tell` is called
+    with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked
+    for (`bus`).
 
     Raises:
-        ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
-            why.
+        ServoError: a limit is missing or out of range, the loop cannot start, or a request is
+            denied; the message says why.
     """
 
     def __init__(
@@ -93,7 +107,9 @@ class Controller(Supervisor):
             check_bench(rig, self.limits)
         self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
-            raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
+            raise ServoError(
+                f"the model takes {kinematics.model.channels} commands, the rig has {count} servos"
+            )
         self.kinematics = kinematics
         self.tell = tell
         self._commissioning = commissioning
@@ -118,8 +134,14 @@ class Controller(Supervisor):
         session_mark.report_last(self.rig.port)
         self._start()
         try:
-            self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
-            self._mark = session_mark.begin(self.rig.port, self._record, self._process.pid if self._process else 0)
+            self._wait(
+                lambda: None not in (self._last.get("position") or [None]),
+                STARTS,
+                "the servos say nothing",
+            )
+            self._mark = session_mark.begin(
+                self.rig.port, self._record, self._process.pid if self._process else 0
+            )
             self._wait_for_release()
             for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self._reach(request)
@@ -131,12 +153,17 @@ class Controller(Supervisor):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         ended, kept = self._close()
         if isinstance(fault, GuardStopped) and fault.cause == self._last.get("cause"):
             ended = ""  # the fault that ended the drive, which is reported already
-        broken = None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
+        broken = (
+            None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
+        )
         said = "; ".join(filter(None, (ended, kept, broken)))
         if said and isinstance(fault, SoftmapError):
             raise ServoError(f"{fault}; {said}") from fault
@@ -147,36 +174,51 @@ class Controller(Supervisor):
 
     @property
     def time(self) -> Clock:
-        """The clock of the robot; that of a simulated robot may stand, or run faster than real time."""
+        """The clock of the robot; that of a simulated robot may stand, or run faster than real
+        time.
+        """
         return self.rig.time
 
     def request(self, name: str, seconds: float = 3.0) -> None:
-        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or
+        `commission`.
 
-        `home` is none of them: only a start checks that the robot was homed since the servos got power.
+        `home` is none of them: only a start checks that the robot was homed since the servos got
+        power.
 
         Raises:
             ServoError: no such request, it was denied, or the loop did not answer.
         """
         if name == "home":
             raise ServoError(
-                f"the robot is in state {self.state}, and a running loop cannot prove home (turns are lost without "
-                "power); close the Controller and start another, which looks for the proof of `softmap servo home`"
+                f"the robot is in state {self.state}, and a running loop cannot prove home (turns "
+                "are lost without power); close the Controller and start another, which looks "
+                "for the proof of `softmap servo home`"
             )
         if name not in REQUESTS:
-            raise ServoError(f"no request '{name}'; there are {', '.join(one for one in REQUESTS if one != 'home')}")
+            raise ServoError(
+                f"no request '{name}'; there are "
+                f"{', '.join(one for one in REQUESTS if one != 'home')}"
+            )
         if name in ("connect", "acknowledge"):
             self._reach(name, seconds)
         else:
             self._ask(name, seconds)
 
     def _ask(self, name: str, seconds: float = 3.0) -> None:
-        reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
+        reached = {
+            "connect": "connected",
+            "home": "homed",
+            "arm": "ready",
+            "disconnect": "off",
+        }.get(name)
         with self._heard:
             self._last.pop("denied", None)
             before = self._last.get("state")
         engages = name == "engage"
-        self._send(self._command if engages else None, deadman=engages, request=REQUESTS.index(name) + 1)
+        self._send(
+            self._command if engages else None, deadman=engages, request=REQUESTS.index(name) + 1
+        )
         if name in ("stop", "hold"):
             return
         self._wait(
@@ -186,7 +228,9 @@ class Controller(Supervisor):
         )
         if denied := self._last.get("denied"):
             why = words.denied(denied, self._last, self.limits)
-            raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before or 'off'})}: {why}"))
+            raise ServoError(
+                self._named(f"'{name}' is denied {words.where({'state': before or 'off'})}: {why}")
+            )
         if reached is not None and self._last["state"] != reached:
             raise ServoError(f"'{name}' led to another state: {self._stopped()}")
 
@@ -203,14 +247,15 @@ class Controller(Supervisor):
         return done
 
     def target(self, u: ArrayLike) -> Floats:
-        """Send the command `u` (C,) mm; returns the one that will be done: nearest within the window of the servos.
+        """Send the command `u` (C,) mm; returns the one that will be done: nearest within the
+        window of the servos.
 
-        One that is not finite is refused by the guard: then what was asked before will be done. It counts as a pressed
-        deadman: a program that stops calling it lets go.
+        One that is not finite is refused by the guard: then what was asked before will be done. It
+        counts as a pressed deadman: a program that stops calling it lets go.
 
         Raises:
-            ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the message says which
-                and why.
+            ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the
+                message says which and why.
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
@@ -223,8 +268,8 @@ class Controller(Supervisor):
         self._send(deadman=False)
 
     def emergency(self, pressed: bool = True) -> None:
-        """Press the emergency stop, or release it: torque is off at once and stays off until it is released and
-        `request("acknowledge")`; home is still known. May be called from any thread.
+        """Press the emergency stop, or release it: torque is off at once and stays off until it is
+        released and `request("acknowledge")`; home is still known. May be called from any thread.
 
         Raises:
             ServoError: the loop does not answer; its servos were released from here.
@@ -234,7 +279,9 @@ class Controller(Supervisor):
         if not pressed:
             return
         off = self.rig.time.wait_for(
-            self._heard, lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN
+            self._heard,
+            lambda: self._last.get("emergency") and not self._last.get("torque"),
+            FROZEN,
         )
         process = self._process  # another thread may be closing it
         if not off and process is not None:
@@ -245,8 +292,8 @@ class Controller(Supervisor):
         """Release tension, switch torque off, end the loop; whatever fails, torque off is sent.
 
         Raises:
-            ServoError: a servo has not confirmed that its torque is off, or a fault kept the finger from going home.
-                An earlier fault was raised by the earlier call.
+            ServoError: a servo has not confirmed that its torque is off, or a fault kept the finger
+                from going home. An earlier fault was raised by the earlier call.
             RecordingBroken: the recording ended before the loop did.
         """
         if said := "; ".join(filter(None, self._close())):
@@ -254,7 +301,9 @@ class Controller(Supervisor):
         self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
-        """Return what kept the finger from going home, and the message on servos that may have torque."""
+        """Return what kept the finger from going home, and the message on servos that may have
+        torque.
+        """
         process = self._process
         if process is None:
             return "", ""
@@ -264,7 +313,11 @@ class Controller(Supervisor):
                 self._send(request=REQUESTS.index("stop") + 1)
                 self.rig.time.wait_for(
                     self._heard,
-                    lambda: self._last.get("state") not in ACTIVE or self._frozen() or "gone" in self._last,
+                    lambda: (
+                        self._last.get("state") not in ACTIVE
+                        or self._frozen()
+                        or "gone" in self._last
+                    ),
                     float(self.limits["slacken"]) + 2.0,
                 )
             if active and self._last.get("state") == "fault" and not self._pressed:
@@ -313,12 +366,23 @@ class Controller(Supervisor):
         if self._record is not None:
             from softmap_edge.version import __version__
 
-            about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
+            about = {
+                "schema": "softmap.setup/1",
+                "softmap": __version__,
+                "calibration": self.calibration.to_dict(),
+            }
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         setup["session"] = session_mark.path_of(self.rig.port)
-        # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
+        # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in
+        # order.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "softmap_edge.robot.control.loop_process", str(orders), str(reports)],
+            [
+                sys.executable,
+                "-m",
+                "softmap_edge.robot.control.loop_process",
+                str(orders),
+                str(reports),
+            ],
             stdin=subprocess.PIPE,
             pass_fds=(orders, reports),
             start_new_session=True,
@@ -335,28 +399,38 @@ class Controller(Supervisor):
         self._reader.start()
 
     def _reach(self, request: str, seconds: float = 3.0) -> None:
-        """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
-        trouble that lasts."""
+        """Ask until it is granted: whether a servo has torque is heard five times a second, and one
+        late answer is no trouble that lasts.
+        """
         until = self.rig.time.now() + SAID
         while True:
             try:
                 return self._ask(request, seconds)
             except ServoError:
-                if not str(self._last.get("denied")).startswith(PASSING) or self.rig.time.now() > until:
+                if (
+                    not str(self._last.get("denied")).startswith(PASSING)
+                    or self.rig.time.now() > until
+                ):
                     raise
             self.rig.time.sleep(0.05)
 
     def _wait_for_release(self) -> None:
-        """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
+        """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be
+        heard.
+        """
         heard, last = self._heard, self._last
-        if not self.rig.time.wait_for(heard, lambda: not last.get("emergency") or "gone" in last, STARTS):
+        if not self.rig.time.wait_for(
+            heard, lambda: not last.get("emergency") or "gone" in last, STARTS
+        ):
             raise ServoError(
-                f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start `softmap servo "
-                "heartbeat` on its computer, or mend [emergency] of rig.toml"
+                f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start "
+                "`softmap servo heartbeat` on its computer, or mend [emergency] of rig.toml"
             )
 
     def _wait(self, what: Callable[[], object], seconds: float, said: str) -> None:
-        self.rig.time.wait_for(self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds)
+        self.rig.time.wait_for(
+            self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds
+        )
         with self._heard:
             last, came = self._last, what()
         if "error" in last:
@@ -364,14 +438,23 @@ class Controller(Supervisor):
         if "gone" in last:
             raise ServoError(str(last["gone"]))
         if not came:
-            raise ServoError(f"{said} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring")
+            raise ServoError(
+                f"{said} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring"
+            )
 
-    def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
+    def _send(
+        self, command: Floats | None = None, *, deadman: bool = False, request: int = 0
+    ) -> None:
         numbers = np.zeros(len(self.rig.servos)) if command is None else command
-        flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
-        frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, round(self.rig.time.now() * 1e9), *numbers)
+        flags = (
+            (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
+        )
+        frame = struct.pack(
+            f"<BB6xQ{len(numbers)}d", flags, request, round(self.rig.time.now() * 1e9), *numbers
+        )
         try:
-            with self._ordering:  # an emergency stop of another thread may come at any time, also before and after
+            # an emergency stop of another thread may come at any time, also before and after
+            with self._ordering:
                 if self._process is not None:
                     os.write(self._orders, frame)
         except (BlockingIOError, BrokenPipeError):
@@ -381,7 +464,9 @@ class Controller(Supervisor):
         u, shape = numbers(command), self.calibration.b.shape
         if u is None or u.shape != shape:
             found = f"'{command!s:.40}'" if u is None else f"of shape {u.shape}"
-            raise ServoError(f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo")
+            raise ServoError(
+                f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo"
+            )
         self._command, self._drove_at = u, self.rig.time.now()
         self._send(u, deadman=True)
         if np.isfinite(u).all():
@@ -391,10 +476,14 @@ class Controller(Supervisor):
     def _nearest(self, u: Floats) -> Floats:
         if self.kinematics is not None and self.kinematics.model.chain_names:
             return np.clip(u, *self.kinematics.acting_bounds.T)
-        return self.calibration.within(u, *([one[end] for one in self.limits["servos"]] for end in ("low", "high")))
+        return self.calibration.within(
+            u, *([one[end] for one in self.limits["servos"]] for end in ("low", "high"))
+        )
 
     def _let_go(self) -> None:
-        """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
+        """In a child that a program forks: close its copy of the orders' pipe, which would outlive
+        the program.
+        """
         if self._orders >= 0:
             os.close(self._orders)
             self._orders, self._process = -1, None

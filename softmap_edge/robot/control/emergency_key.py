@@ -4,8 +4,9 @@
     with EmergencyKey(robot, print), robot:     # the key works until torque is off
         ...
 
-A thread looks for the key, so that it works while the program computes or waits. Where standard input is no terminal
-of ours there is no key, and nothing is printed. Pinned by tests/robot/test_emergency_key.py.
+A thread looks for the key, so that it works while the program computes or waits. Where standard
+input is no terminal of ours there is no key, and nothing is printed. Pinned by
+tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations
@@ -23,16 +24,18 @@ from softmap_edge.robot.servo.terminal import EMERGENCY, Typed, terminal
 EVERY = 0.02  # s between two looks
 HELP = f"{EMERGENCY} is the emergency stop: torque off at once"
 PRESSED = (
-    "the emergency stop was pressed: torque is off, home is known as before; see that all is well, then start again"
+    "the emergency stop was pressed: torque is off, home is known as before; see that all is "
+    "well, then start again"
 )
 
 
 class EmergencyKey:
-    """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`, from entering to leaving; `say` is
-    called with the name of the key.
+    """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`, from entering to
+    leaving; `say` is called with the name of the key.
 
     Raises:
-        ServoError: on leaving, if it was pressed; whatever else failed because of that stands behind it.
+        ServoError: on leaving, if it was pressed; whatever else failed because of that stands
+            behind it.
     """
 
     def __init__(self, robot: Controller, say: Callable[[str], None]) -> None:
@@ -51,7 +54,10 @@ class EmergencyKey:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._typed is None:
             return
@@ -64,7 +70,10 @@ class EmergencyKey:
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
         """Leave the terminal to code that reads a line from it; use it while torque is off."""
-        with self._reading, contextlib.nullcontext() if self._typed is None else self._typed.aside():
+        with (
+            self._reading,
+            contextlib.nullcontext() if self._typed is None else self._typed.aside(),
+        ):
             yield
 
     def _watch(self) -> None:

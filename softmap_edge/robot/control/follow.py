@@ -1,7 +1,8 @@
 """Follow a recording while a loop writes it: the periods that are new since one asked last.
 
-The compiled core reads it (`rust/control/recording.rs`); a period is read once it is complete. A recording is
-somebody else's file: what is damaged ends it with a reason. Pinned by tests/robot/test_live.py.
+The compiled core reads it (`rust/control/recording.rs`); a period is read once it is complete. A
+recording is somebody else's file: what is damaged ends it with a reason. Pinned by
+tests/robot/test_live.py.
 """
 
 from __future__ import annotations
@@ -41,11 +42,17 @@ class Following:
         """
         try:
             messages, self.ended = self._recording.more()
-            documents = [(topic, json.loads(message)) for topic, _, message in messages if topic in (SETUP, LOOP)]
+            documents = [
+                (topic, json.loads(message))
+                for topic, _, message in messages
+                if topic in (SETUP, LOOP)
+            ]
         except SoftmapError as fault:
             raise RunError(str(fault)) from None
         except (ValueError, RecursionError) as fault:
-            raise RunError(f"{self._path}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+            raise RunError(
+                f"{self._path}: damaged ({type(fault).__name__} {fault!s:.60}); record again"
+            ) from None
         if not all(isinstance(document, dict) for _, document in documents):
             raise RunError(f"{self._path}: damaged (a message that is no object); record again")
         self.setup = next((document for topic, document in documents if topic == SETUP), self.setup)

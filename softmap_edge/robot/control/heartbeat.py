@@ -5,8 +5,9 @@
             heart.beat(pressed=button())
             time.sleep(0.02)
 
-Missing heartbeats press it: the control loop switches torque off (docs/reference/safety.md). Datagrams and
-sessions are those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/robot/test_emergency.py.
+Missing heartbeats press it: the control loop switches torque off (docs/reference/safety.md).
+Datagrams and sessions are those of `rust/control/heartbeat.rs`, which listens. Pinned by
+tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ PRESSED = 1
 
 
 class Heart(Sender):
-    """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it presses the stop.
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it
+    presses the stop.
 
     `.heard` is whether the robot has answered; until then the heartbeats have no effect.
 
@@ -36,7 +38,11 @@ class Heart(Sender):
         super().__init__(host, port, key, OFFER_MARK, mend)
 
     def beat(self, pressed: bool = False) -> bool:
-        """Beat once, and say whether the stop is `pressed`; False where it could not be sent just now."""
+        """Beat once, and say whether the stop is `pressed`; False where it could not be sent just
+        now.
+        """
         session, sequence = self._next()
         flags = PRESSED if pressed else 0
-        return self._put(signed(self._key, _BODY.pack(MARK, flags, session, sequence, time.monotonic_ns())))
+        return self._put(
+            signed(self._key, _BODY.pack(MARK, flags, session, sequence, time.monotonic_ns()))
+        )

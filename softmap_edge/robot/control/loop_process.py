@@ -2,11 +2,12 @@
 
 Its command is `python -m softmap_edge.robot.control.loop_process ORDERS REPORTS < setup`.
 
-ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
-be started is reported as `{"error": …}`. Set-up and home of the servos are checked here, as late as possible: the guard
-detects a servo that loses its turns afterwards. Registers that a start rewrites (a profile, gains) are reported as
-`{"mended": […]}`. Where a fault made home unknown, its
-proof is taken from the servos at the end. Pinned by tests/robot/test_controller.py and tests/robot/test_bad_input.py.
+ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input
+(`Controller`). What cannot be started is reported as `{"error": …}`. Set-up and home of the servos
+are checked here, as late as possible: the guard detects a servo that loses its turns afterwards.
+Registers that a start rewrites (a profile, gains) are reported as `{"mended": […]}`. Where a fault
+made home unknown, its proof is taken from the servos at the end. Pinned by
+tests/robot/test_controller.py and tests/robot/test_bad_input.py.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def main() -> int:
             host, port, key_file, timeout = setup["heartbeat"]
             setup["heartbeat"] = host, port, read_key(key_file), timeout
         if _core.control_loop(orders, reports, **setup):
-            forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])  # a fault made home unknown
+            # a fault made home unknown
+            forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])
         note_released(session)
     except SoftmapError as fault:
         _report(reported_to, error=str(fault))

@@ -1,8 +1,8 @@
 """A recording of the control loop: read, replayed through the guard, or taken as a run.
 
-The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, JSON a period, readable to the last message when
-it was cut short. A recording is somebody else's file: what is damaged ends it with a reason. Pinned by
-tests/robot/test_recording.py.
+The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, JSON a period, readable to
+the last message when it was cut short. A recording is somebody else's file: what is damaged ends it
+with a reason. Pinned by tests/robot/test_recording.py.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 class Recording:
     """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
 
-    short: why periods may be missing; None if the loop closed the file. incomplete: a sentence on this, with the end of
-        the readable part and the missing amount. doubtful: the checksum fails, so any number may be wrong.
+    short: why periods may be missing; None if the loop closed the file. incomplete: a sentence on
+    this, with the end of
+        the readable part and the missing amount. doubtful: the checksum fails, so any number may be
+        wrong.
     """
 
     file: Path
@@ -69,11 +71,15 @@ class Recording:
     def _first(self) -> int:
         first = next((k for k, period in enumerate(self.periods) if period["torque"]), None)
         if first is None:
-            raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
+            raise RunError(
+                f"{self.file}: torque was never on, so nothing was driven; record while the "
+                "finger moves"
+            )
         return first
 
     def replay(self) -> list[int]:
-        """Let the same guard decide every period again; returns the periods in which it decides otherwise.
+        """Let the same guard decide every period again; returns the periods in which it decides
+        otherwise.
 
         Raises:
             RunError: a period is not of this form.
@@ -85,14 +91,21 @@ class Recording:
         differ = []
         for k, (period, (state, cause, torque, goals)) in enumerate(zip(self.periods, again)):
             said = [goal if torque else None for goal in goals]
-            if (state, cause, torque, said) != (period["state"], period["cause"], period["torque"], period["goal"]):
+            if (state, cause, torque, said) != (
+                period["state"],
+                period["cause"],
+                period["torque"],
+                period["goal"],
+            ):
                 differ.append(k)
         return differ
 
     def run(self) -> Run:
-        """Return it as a run: goals and positions in ticks, currents, the hottest servo; nothing is seen.
+        """Return it as a run: goals and positions in ticks, currents, the hottest servo; nothing is
+        seen.
 
-        Periods before torque first came on are left out; without torque a goal is where the servo stands.
+        Periods before torque first came on are left out; without torque a goal is where the servo
+        stands.
 
         Raises:
             RunError: torque was never on, or a servo was not heard before it was.
@@ -102,19 +115,30 @@ class Recording:
         kept = self.periods[first:]
         try:
             columns = {
-                key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
+                key: _filled(
+                    [period[key] for period in kept],
+                    [period[key] for period in self.periods[:first]],
+                )
                 for key in ("position", "current_mA", "temperature_C")
             }
-            goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
+            goals = np.array(
+                [[np.nan if goal is None else goal for goal in period["goal"]] for period in kept],
+                float,
+            )
             now = np.array([period["now"] for period in kept], np.int64)
             if not columns["position"].shape == columns["current_mA"].shape[:2] == goals.shape[:2]:
                 raise ValueError("goals, positions and currents of different numbers of servos")
-            if np.nanmax(np.abs(np.stack([goals, columns["position"]])), initial=0.0) > FARTHEST or goals.ndim != 2:
+            if (
+                np.nanmax(np.abs(np.stack([goals, columns["position"]])), initial=0.0) > FARTHEST
+                or goals.ndim != 2
+            ):
                 raise ValueError("a tick that no servo has")
         except (ValueError, KeyError, TypeError, OverflowError) as fault:
             raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
         if np.isnan(columns["position"]).any():
-            raise RunError(f"{self.file}: a servo was not heard before torque came on; record again")
+            raise RunError(
+                f"{self.file}: a servo was not heard before torque came on; record again"
+            )
         goals = np.where(np.isnan(goals), columns["position"], goals)
         current = columns["current_mA"]
         return Run(
@@ -155,12 +179,16 @@ class Recording:
                 servos = _servos(period, servos)
                 heard.append(_told(period))
             except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
-                raise RunError(f"{self.file}: period {k} is damaged ({fault!s:.40}); record again") from None
+                raise RunError(
+                    f"{self.file}: period {k} is damaged ({fault!s:.40}); record again"
+                ) from None
         return heard
 
 
 def _servos(period: Document, servos: int | None) -> int:
-    """Return the number of servos of a period; raise where it is not of the form of one, or of another number."""
+    """Return the number of servos of a period; raise where it is not of the form of one, or of
+    another number.
+    """
     _told(period)
     forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
     if forms != [str, str, bool, list, int]:
@@ -179,13 +207,29 @@ def _told(period: Document) -> tuple[Any, ...]:
             continue
         health = None
         if period.get("hardware") is not None and period["hardware"][k] is not None:
-            health = (period["hardware"][k], period["has_torque"][k] == 1, period["tripped"][k] == 1)
+            health = (
+                period["hardware"][k],
+                period["has_torque"][k] == 1,
+                period["tripped"][k] == 1,
+            )
         rest = [period[key][k] for key in ("current_mA", "voltage_V", "temperature_C")]
         sensed.append((int(position), int(period["clock"][k]), *rest, health))
     target = period.get("target")
-    goal = None if target is None else [float("nan") if tick is None else float(tick) for tick in target]
+    goal = (
+        None
+        if target is None
+        else [float("nan") if tick is None else float(tick) for tick in target]
+    )
     deadman = bool(period["deadman"]) if period["heard"] else None
-    return period["now"], sensed, deadman, goal, "command" in period, period["request"], period["emergency"]
+    return (
+        period["now"],
+        sensed,
+        deadman,
+        goal,
+        "command" in period,
+        period["request"],
+        period["emergency"],
+    )
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -196,7 +240,10 @@ def read_recording(path: str | Path) -> Recording:
     """
     file = Path(path)
     if not file.is_file():
-        raise RunError(f"{file}: no such file; give what a loop recorded, as of `softmap track --record FILE.mcap`")
+        raise RunError(
+            f"{file}: no such file; give what a loop recorded, as of `softmap track --record "
+            "FILE.mcap`"
+        )
     try:
         messages = _core.read_recording(str(file))
         documents, broken = _documents(messages)
@@ -204,22 +251,28 @@ def read_recording(path: str | Path) -> Recording:
         periods = [document for topic, document in documents if topic == LOOP]
         if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
             raise RunError(
-                f"{file}: holds no periods of a control loop; give what `softmap` recorded, or make a run of another "
-                "MCAP file by `softmap import`"
+                f"{file}: holds no periods of a control loop; give what `softmap` recorded, or "
+                "make a run of another MCAP file by `softmap import`"
             )
         times = [time for topic, time, _ in messages[: len(documents)] if topic == LOOP]
-        lacks = find_shortfall(file, len(messages), len(documents), (times[-1] - times[0]) * 1e-9, broken)
+        lacks = find_shortfall(
+            file, len(messages), len(documents), (times[-1] - times[0]) * 1e-9, broken
+        )
         return Recording(file, setup, periods, lacks.why, lacks.sentence, lacks.doubtful)
     except RunError:
         raise
     except SoftmapError as fault:
         raise RunError(str(fault)) from None
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as fault:
-        raise RunError(f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+        raise RunError(
+            f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again"
+        ) from None
 
 
 def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, Any]], str | None]:
-    """Return topic and document of each message before the first that is none, and what is wrong with that one."""
+    """Return topic and document of each message before the first that is none, and what is wrong
+    with that one.
+    """
     found: list[tuple[str, Any]] = []
     servos = None
     for topic, _, message in messages:
@@ -230,14 +283,24 @@ def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, 
         try:
             servos = _servos(document, servos) if topic == LOOP else servos
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
-            return found, f"damaged (message {len(found)} is no period of a loop: {fault!s:.40}); record again"
+            return (
+                found,
+                f"damaged (message {len(found)} is no period of a loop: {fault!s:.40}); record "
+                "again",
+            )
         found.append((topic, document))
     return found, None
 
 
-def _filled(rows: list[list[float | None]], before: list[list[float | None]]) -> NDArray[np.float64]:
-    """Return (T, C) numbers, each missing one as the last that was there, also `before` the first row."""
-    whole = np.array([[np.nan if value is None else value for value in row] for row in before + rows], float)
+def _filled(
+    rows: list[list[float | None]], before: list[list[float | None]]
+) -> NDArray[np.float64]:
+    """Return (T, C) numbers, each missing one as the last that was there, also `before` the first
+    row.
+    """
+    whole = np.array(
+        [[np.nan if value is None else value for value in row] for row in before + rows], float
+    )
     at = np.where(np.isnan(whole), 0, np.arange(len(whole))[:, None])
     last = np.maximum.accumulate(at, axis=0)
     return np.asarray(np.take_along_axis(whole, last, axis=0)[len(before) :])

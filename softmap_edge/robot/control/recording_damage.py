@@ -1,7 +1,9 @@
-"""Find whether a recording of the loop was cut short, is damaged at one place, or is damaged at an unknown place.
+"""Find whether a recording of the loop was cut short, is damaged at one place, or is damaged at an
+unknown place.
 
-The file ends with a checksum of its data and the number of its messages. The compiled reader stops at a damaged
-record. Pinned by tests/robot/test_recording.py and tests/robot/test_recording_damage.py.
+The file ends with a checksum of its data and the number of its messages. The compiled reader stops
+at a damaged record. Pinned by tests/robot/test_recording.py and
+tests/robot/test_recording_damage.py.
 """
 
 from __future__ import annotations
@@ -14,12 +16,14 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.files.mcap_records import MESSAGE, Closing, Damage, Walk, read_closing
 
 CUT = "its loop did not close it: cut short"
-_ANYWHERE = "damaged (Data section CRC"  # how the reader begins where the checksum of everything fails
+# how the reader begins where the checksum of everything fails
+_ANYWHERE = "damaged (Data section CRC"
 
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Why a recording may be incomplete (None if it is complete), and a sentence on the missing amount.
+    """Why a recording may be incomplete (None if it is complete), and a sentence on the missing
+    amount.
 
     doubtful: the checksum of the data fails and the place is unknown, so any number may be wrong.
     """
@@ -29,7 +33,9 @@ class Shortfall:
     doubtful: bool = False
 
 
-def find_shortfall(file: Path, messages: int, read: int, seconds: float, broken: str | None) -> Shortfall:
+def find_shortfall(
+    file: Path, messages: int, read: int, seconds: float, broken: str | None
+) -> Shortfall:
     """Return why a recording is incomplete, and by how much.
 
     Args:
@@ -50,9 +56,16 @@ def find_shortfall(file: Path, messages: int, read: int, seconds: float, broken:
         start = size if closing is not None else _readable(Walk(stream, size), size)
     doubtful = why.startswith(_ANYWHERE)
     if doubtful:
-        text = f"{file} is damaged: the checksum of its data does not match, so any of its {read} messages may be wrong"
+        text = (
+            f"{file} is damaged: the checksum of its data does not match, so any of its {read} "
+            "messages may be wrong"
+        )
         return Shortfall(why, Damage(text), True)
-    parts = [_head(file, why, closing), f"it is read up to {seconds:.2f} s", *_missing(closing, messages, read)]
+    parts = [
+        _head(file, why, closing),
+        f"it is read up to {seconds:.2f} s",
+        *_missing(closing, messages, read),
+    ]
     if start < size:
         parts.append(f"{size - start} of {size} bytes cannot be read")
     if closing is None:
@@ -72,12 +85,16 @@ def _why(file: Path) -> str | None:
 def _head(file: Path, why: str, closing: Closing | None) -> str:
     cause = why.removesuffix("; record again")
     if closing is None:
-        return f"{file} was cut short: its loop did not close it" + ("" if why == CUT else f", and it is {cause}")
+        return f"{file} was cut short: its loop did not close it" + (
+            "" if why == CUT else f", and it is {cause}"
+        )
     return f"{file} is damaged at its end" if why == CUT else f"{file} is {cause}"
 
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
-    """Return the number of missing messages, out of those that the file states or that were found."""
+    """Return the number of missing messages, out of those that the file states or that were
+    found.
+    """
     stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:
@@ -87,9 +104,13 @@ def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
 
 def _unchecked(file: Path, closing: Closing | None, walk: Walk) -> Damage | None:
     """Return the damage of a file without a checksum; the loop always writes one."""
-    if (closing is not None and closing.data is not None) or all(record.kind != MESSAGE for record in walk):
+    if (closing is not None and closing.data is not None) or all(
+        record.kind != MESSAGE for record in walk
+    ):
         return None  # chunks have checksums of their own, which the reader checks
-    return Damage(f"{file} carries no checksum of its data: numbers that were damaged would not be noticed")
+    return Damage(
+        f"{file} carries no checksum of its data: numbers that were damaged would not be noticed"
+    )
 
 
 def _readable(walk: Walk, size: int) -> int:

@@ -31,9 +31,15 @@ def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> s
         ended: whether the loop has ended, so that the file must exist.
     """
     if fault is not None:
-        return f"{system_words(fault)}: {file}{_up_to(file)}; the recording broke off, and what it has is kept"
+        return (
+            f"{system_words(fault)}: {file}{_up_to(file)}; the recording broke off, and what it "
+            "has is kept"
+        )
     if ended and not file.exists():
-        return f"{file}: the recording is gone; the file was moved or removed while the robot was driven"
+        return (
+            f"{file}: the recording is gone; the file was moved or removed while the robot was "
+            "driven"
+        )
     if lost:
         return f"{file}: {lost} periods are missing; the disk was too slow for them"
     return None
@@ -44,4 +50,8 @@ def _up_to(file: Path) -> str:
     times: list[int] = []
     with contextlib.suppress(SoftmapError):
         times = [time for topic, time, _ in _core.read_recording(str(file)) if topic == LOOP]
-    return f", recorded up to {(times[-1] - times[0]) * 1e-9:.1f} s" if times else ", nothing was recorded"
+    return (
+        f", recorded up to {(times[-1] - times[0]) * 1e-9:.1f} s"
+        if times
+        else ", nothing was recorded"
+    )

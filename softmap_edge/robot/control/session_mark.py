@@ -1,9 +1,11 @@
-"""A mark of the session that drives a bench, so that the next start can report how the last one ended.
+"""A mark of the session that drives a bench, so that the next start can report how the last one
+ended.
 
-A session writes the mark to the user's state folder when it begins, and removes it when it ends normally. The mark
-stays if the program is killed or the computer stops. The loop outlives a killed program and notes in the mark that it
-has released the servos. Emulated robots at pseudo-terminals have no next start and get no mark. A start never fails
-because of the mark: if the folder is not writable, there is none. Pinned by tests/robot/test_session_mark.py.
+A session writes the mark to the user's state folder when it begins, and removes it when it ends
+normally. The mark stays if the program is killed or the computer stops. The loop outlives a killed
+program and notes in the mark that it has released the servos. Emulated robots at pseudo-terminals
+have no next start and get no mark. A start never fails because of the mark: if the folder is not
+writable, there is none. Pinned by tests/robot/test_session_mark.py.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ def report_last(port: str) -> None:
 
 
 def begin(port: str, record: Path | None, loop: int) -> Path | None:
-    """Write the mark of this session, whose control loop is the process `loop`; return its file, or None."""
+    """Write the mark of this session, whose control loop is the process `loop`; return its file, or
+    None.
+    """
     file = mark_file(port)
     if file is None:
         return None
@@ -96,18 +100,33 @@ def last_session(file: Path) -> str | None:
             return None
         loop_runs = not restarted and _runs(int(about["loop_pid"]), about.get("loop_began"))
         program, record = _printable(about["program"]), about["record"]
-    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ):
         return None
     if restarted:
         how = "the computer stopped or was restarted meanwhile"
     elif released:
         how = "its program was killed, and the control loop released the servos"
     elif loop_runs:
-        how = "its program was killed, and its control loop still runs: it releases the servos, or it is frozen"
+        how = (
+            "its program was killed, and its control loop still runs: it releases the servos, or "
+            "it is frozen"
+        )
     else:
         how = "its program was killed, and its control loop died before it released the servos"
     kept = f"; `softmap servo replay {_printable(record)}` reads what it recorded" if record else ""
-    return f"the last session of this bench ({program}, begun {begun}) ended without shutting down: {how}{kept}"
+    return (
+        f"the last session of this bench ({program}, begun {begun}) ended without shutting down: "
+        f"{how}{kept}"
+    )
 
 
 def _printable(name: object) -> str:
@@ -117,7 +136,8 @@ def _printable(name: object) -> str:
 def _runs(pid: int, began: object = None) -> bool:
     """Return whether the process runs that had this id and began then; this one counts as well.
 
-    Ids are used again: another process of the same id began at another time. A mark without that time counts by its id.
+    Ids are used again: another process of the same id began at another time. A mark without that
+    time counts by its id.
     """
     now = _began(pid)
     if began is not None and now is not None and began != now:
@@ -132,7 +152,9 @@ def _runs(pid: int, began: object = None) -> bool:
 
 
 def _began(pid: int) -> int | None:
-    """Return when a process began, clock ticks after the boot (field 22 of its stat); None if it is not known."""
+    """Return when a process began, clock ticks after the boot (field 22 of its stat); None if it is
+    not known.
+    """
     try:
         text = Path(f"/proc/{pid}/stat").read_text("ascii", "replace")
         return int(text.rpartition(")")[2].split()[19])  # its name, in brackets, may hold anything

@@ -1,4 +1,5 @@
-"""The process of a control loop, watched by a thread: its reports, and what follows when it dies or freezes.
+"""The process of a control loop, watched by a thread: its reports, and what follows when it dies or
+freezes.
 
 `controller.py` starts it. Pinned by tests/robot/test_nobody_watches.py.
 """
@@ -66,7 +67,8 @@ class Supervisor:
 
     rig: Rig
     limits: LoopLimits
-    at_terminal: bool = False  # whether a command of the CLI drives: its user has no methods to call
+    # whether a command of the CLI drives: its user has no methods to call
+    at_terminal: bool = False
     _drove_at: float | None
     _last: LoopReport
     _end: LoopReport
@@ -74,7 +76,9 @@ class Supervisor:
     _rescuing: threading.Lock
     _process: subprocess.Popen[bytes] | None
     _reader: threading.Thread
-    _silent: int  # looks of the reader, one after the other, that found no report: a frozen program itself misses one
+    # looks of the reader, one after the other, that found no report: a frozen program itself misses
+    # one
+    _silent: int
     _reports: int  # the pipe that reports come through, -1 without one
     _reading: threading.Lock
     _some: bytes  # of a report that is not complete yet
@@ -88,13 +92,17 @@ class Supervisor:
 
     @property
     def state(self) -> str:
-        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
+        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`,
+        `safe_stop`, `fault`, …
+        """
         self._rescue_if_needed()
         return str(self._last.get("state", "off"))
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer is no place."""
+        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer
+        is no place.
+        """
         return self._stood.copy()
 
     @property
@@ -114,7 +122,9 @@ class Supervisor:
 
     @property
     def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop (a full disk, for example); None if it goes on or is complete."""
+        """Why the recording ended before the loop (a full disk, for example); None if it goes on or
+        is complete.
+        """
         if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
             lost = int(self._end.get("lost", 0)) if ended else 0
@@ -140,7 +150,9 @@ class Supervisor:
         return bus_counts(self._last)
 
     def _stopped(self) -> str:
-        """Return state, cause and what to do, for who drives: a command of the CLI, or a program."""
+        """Return state, cause and what to do, for who drives: a command of the CLI, or a
+        program.
+        """
         what = self._silence() or words.where(self._last, self.limits)
         do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
         return self._named(f"the robot is {what}; {do}")
@@ -150,14 +162,22 @@ class Supervisor:
         return filled(said, self.rig.file)
 
     def _silence(self) -> str | None:
-        """Return state and cause where the guard let go because this program sent no target: that is the key."""
+        """Return state and cause where the guard let go because this program sent no target: that
+        is the key.
+        """
         silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
-        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
+        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(
+            self.limits["stale"]
+        ):
             return None
-        return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
+        return (
+            f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
+        )
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
-        """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
+        """Take the loop's reports until it ends; release its servos if it dies or freezes under
+        torque.
+        """
         whole = False
         while not whole:
             if _has_more(pipe, LOOK):
@@ -172,11 +192,15 @@ class Supervisor:
         if not self._ending and not self._end and "error" not in self._last:
             self._rescue(process)
         with self._heard:
-            self._last.setdefault("gone", self._last.get("rescued", "the process of the control loop has ended"))
+            self._last.setdefault(
+                "gone", self._last.get("rescued", "the process of the control loop has ended")
+            )
             self._heard.notify_all()
 
     def _take(self) -> bool:
-        """Process received reports; return whether more may come. Also called after each step of simulated time."""
+        """Process received reports; return whether more may come. Also called after each step of
+        simulated time.
+        """
         with self._reading:
             while self._reports >= 0 and _has_more(self._reports, 0.0):
                 self._silent, more = 0, os.read(self._reports, 65536)
@@ -200,7 +224,9 @@ class Supervisor:
                 denied = self._last.get("denied")
                 self._last |= document
                 self._last["denied"] = document.get("denied") or denied
-                heard = np.array([np.nan if at is None else at for at in document.get("position", [])], float)
+                heard = np.array(
+                    [np.nan if at is None else at for at in document.get("position", [])], float
+                )
                 if heard.shape == self._stood.shape:
                     self._stood = np.where(np.isnan(heard), self._stood, heard)
             self._heard.notify_all()
@@ -214,11 +240,15 @@ class Supervisor:
             return
         if process.poll() is not None and self._reader is not threading.current_thread():
             self._reader.join(self.rig.time.patience(0.6))  # why it ended is being read
-        if (process.poll() is not None and not self._end and "error" not in self._last) or self._frozen():
+        if (
+            process.poll() is not None and not self._end and "error" not in self._last
+        ) or self._frozen():
             self._rescue(process)
 
     def _rescue(self, process: subprocess.Popen[bytes]) -> None:
-        """End the loop and switch torque off from here, once: the servos hold by their watchdogs."""
+        """End the loop and switch torque off from here, once: the servos hold by their
+        watchdogs.
+        """
         with self._rescuing:
             if "rescued" in self._last:
                 return
@@ -229,10 +259,19 @@ class Supervisor:
                 with opened(self.rig.port, self.rig.baud, shared=True) as bus:
                     if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
                         kept = words.kept_words(left)
-                        said = f"the control loop died or froze; torque off was sent from here, but {kept}"
+                        said = (
+                            "the control loop died or froze; torque off was sent from here, but "
+                            f"{kept}"
+                        )
             except ServoError as fault:
                 kept = f"the servos could not be released ({fault}): switch them off"
                 said = f"the control loop died or froze, and {kept}"
             with self._heard:
-                self._last |= {"state": "fault", "cause": "loop", "torque": bool(kept), "rescued": said, "kept": kept}
+                self._last |= {
+                    "state": "fault",
+                    "cause": "loop",
+                    "torque": bool(kept),
+                    "rescued": said,
+                    "kept": kept,
+                }
                 self._heard.notify_all()

@@ -1,10 +1,11 @@
-"""Check what a computer or a rig lacks to drive a robot: nothing moves, each fault comes with its remedy.
+"""Check what a computer or a rig lacks to drive a robot: nothing moves, each fault comes with its
+remedy.
 
     from softmap_edge.robot.doctor import examine
     print(examine())
 
-Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the computer, `bench.py`
-at what belongs to one bench. Pinned by tests/robot/test_doctor.py.
+Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the
+computer, `bench.py` at what belongs to one bench. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -33,22 +34,34 @@ class Examined:
         return all(line.state != FAULT for line in self.lines)
 
     def __str__(self) -> str:
-        count = {state: sum(line.state == state for line in self.lines) for state in (OK, WARNING, FAULT)}
-        summary = ", ".join(f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items())
+        count = {
+            state: sum(line.state == state for line in self.lines) for state in (OK, WARNING, FAULT)
+        }
+        summary = ", ".join(
+            f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items()
+        )
         return "\n".join([*map(str, self.lines), summary])
 
     def to_dict(self) -> Document:
         """Return the document softmap.doctor/1."""
         lines = [asdict(line) for line in self.lines]
-        return {"schema": "softmap.doctor/1", "softmap": __version__, "well": self.well, "lines": lines}
+        return {
+            "schema": "softmap.doctor/1",
+            "softmap": __version__,
+            "well": self.well,
+            "lines": lines,
+        }
 
 
-def examine(rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None) -> Examined:
+def examine(
+    rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None
+) -> Examined:
     """Look at everything: this computer, and what is given of a bench.
 
     Args:
-        rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle: its folder. camera:
-            number of a camera, which is opened and closed. With bench and bundle the limits in force are looked at.
+        rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle:
+            its folder. camera: number of a camera, which is opened and closed. With bench and
+            bundle the limits in force are looked at.
     """
     from softmap_edge.robot.doctor import bench, host
 
@@ -67,12 +80,17 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
     files = [None if one is None else str(one) for one in (rig, bundle)]
     lines = [line for look in looks for line in _safely(look)]
     return Examined(
-        tuple(replace(line, do=filled(line.do, *files), found=filled(line.found, *files)) for line in lines)
+        tuple(
+            replace(line, do=filled(line.do, *files), found=filled(line.found, *files))
+            for line in lines
+        )
     )
 
 
 def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
-    """Return its lines; a look that fails is a line too, for whatever it stumbles over is what a doctor is for."""
+    """Return its lines; a look that fails is a line too, for whatever it stumbles over is what a
+    doctor is for.
+    """
     try:
         return list(look())
     except Exception as fault:

@@ -1,4 +1,5 @@
-"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos report when asked.
+"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos report when
+asked.
 
 Servos are asked only: nothing is written to them. Pinned by tests/robot/test_doctor.py.
 """
@@ -40,7 +41,9 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         yield faulty("bundle", fault, "make it again, or copy the complete folder again")
         return
     effects = ", ".join(model.chain_names) or "none"
-    yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
+    yield Line(
+        "bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}"
+    )
     found = model.calibration
     if found is None:
         do = "run softmap model calibrate with a run that has ticks"
@@ -48,17 +51,25 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     else:
         low, high = found.window or (0.0, 0.0)
         window = f"; window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
-        yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
+        yield Line(
+            "calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}"
+        )
     there = (Path(folder) / "safety.toml").is_file()
     if model.safety is not None and model.safety.edited:
         do = "look at `softmap servo limits --rig FILE`, or build the bundle again"
         yield Line("safety.toml", WARNING, "edited since the bundle was written", do)
     else:
-        yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
+        yield Line(
+            "safety.toml",
+            OK,
+            "there" if there else "none: the limits are derived from the model each time",
+        )
 
 
 def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
-    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the two was at fault."""
+    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the
+    two was at fault.
+    """
     from softmap_edge.model.bundle import load_bundle
 
     try:
@@ -81,12 +92,16 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
     """A bench: whether its file is sound, its servos answer and are set up, and it is homed.
 
     Args:
-        file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must carry.
+        file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must
+            carry.
     """
     try:
         bench = read_rig(file)
     except ServoError as fault:
-        do = "correct it there, or move it away and make it again with `softmap servo setup --rig FILE`"
+        do = (
+            "correct it there, or move it away and make it again with `softmap servo setup --rig "
+            "FILE`"
+        )
         yield faulty("rig", fault, do)
         return
     yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
@@ -106,7 +121,9 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
 
 
 def _stops(bench: Rig) -> Iterator[Line]:
-    """Whether the bench's emergency stops can be asked: the key of a heartbeat, the chip of a line."""
+    """Whether the bench's emergency stops can be asked: the key of a heartbeat, the chip of a
+    line.
+    """
     stops, wrong = bench.emergency, []
     if stops.udp is not None:
         try:
@@ -126,7 +143,12 @@ def _stops(bench: Rig) -> Iterator[Line]:
         except OSError as fault:
             found_text = f"{stops.gpio.chip}: {(fault.strerror or 'no chip').lower()}"
             wrong.append(
-                Line("emergency stop", FAULT, found_text, "gpiodetect lists the chips; mend [emergency] of the rig")
+                Line(
+                    "emergency stop",
+                    FAULT,
+                    found_text,
+                    "gpiodetect lists the chips; mend [emergency] of the rig",
+                )
             )
     yield from wrong
     if not wrong and stops != Emergency():
@@ -134,13 +156,17 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 
 def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
-    """Return the requirements for each servo: from the limits in force if they are known, else from the rig alone."""
+    """Return the requirements for each servo: from the limits in force if they are known, else from
+    the rig alone.
+    """
     from softmap_edge.model.bundle import load_bundle
 
     if folder is not None:
         with contextlib.suppress(SoftmapError, OSError):
             table = effective_limits(bench, load_bundle(folder)).table()
-            return members_of(bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos])
+            return members_of(
+                bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos]
+            )
     return members(bench)
 
 

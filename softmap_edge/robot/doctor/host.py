@@ -1,7 +1,8 @@
-"""What the doctor looks at of this computer: versions, processor, real-time rights, serial ports, cameras, MediaPipe.
+"""What the doctor looks at of this computer: versions, processor, real-time rights, serial ports,
+cameras, MediaPipe.
 
-Each look returns lines and takes where it looks as an argument, so that a test can show it another computer. Pinned by
-tests/robot/test_doctor.py.
+Each look returns lines and takes where it looks as an argument, so that a test can show it another
+computer. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -40,7 +41,11 @@ def versions() -> Iterator[Line]:
     known = sys.version_info[:2] >= PYTHON
     do = "" if known else f"install Python {PYTHON[0]}.{PYTHON[1]} or newer"
     yield Line("python", OK if known else FAULT, platform.python_version(), do)
-    yield Line("softmap-edge", OK, f"{__version__}, {' '.join(filter(None, platform.libc_ver())) or 'unknown libc'}")
+    yield Line(
+        "softmap-edge",
+        OK,
+        f"{__version__}, {' '.join(filter(None, platform.libc_ver())) or 'unknown libc'}",
+    )
     for name in NEEDED:
         version = _version(name)
         do = "" if version else "run pip install softmap-edge again"
@@ -59,20 +64,39 @@ def _version(name: str) -> str | None:
 
 
 def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
-    """Whether the network pass finds its instructions here; what mediapipe needs is asked by `teleoperation`."""
+    """Whether the network pass finds its instructions here; what mediapipe needs is asked by
+    `teleoperation`.
+    """
     machine = platform.machine() if machine is None else machine
     key, required = SIMD.get(machine, ("", ()))
     if not key:
-        yield Line("processor", WARNING, machine, "supported are x86_64 and aarch64; others run what needs no wheel")
+        yield Line(
+            "processor",
+            WARNING,
+            machine,
+            "supported are x86_64 and aarch64; others run what needs no wheel",
+        )
         return
     try:
         text = (proc / "cpuinfo").read_text("ascii", "replace")
     except OSError as fault:
-        yield Line("processor", WARNING, f"{machine}, {fault.filename} cannot be read", "its features are not known")
+        yield Line(
+            "processor",
+            WARNING,
+            f"{machine}, {fault.filename} cannot be read",
+            "its features are not known",
+        )
         return
-    features = [line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith(key)]
-    lacking = [name for name in required if not all(name in one for one in features)] if features else []
-    do = "the network pass takes its plain path, several times slower; a table or rod as prior is not concerned"
+    features = [
+        line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith(key)
+    ]
+    lacking = (
+        [name for name in required if not all(name in one for one in features)] if features else []
+    )
+    do = (
+        "the network pass takes its plain path, several times slower; a table or rod as prior is "
+        "not concerned"
+    )
     message = f"{machine}, {os.cpu_count()} cores"
     if lacking:
         yield Line("processor", WARNING, f"{message}, without {', '.join(lacking)}", do)
@@ -85,16 +109,32 @@ def real_time(proc: Path = PROC) -> Iterator[Line]:
     rights = _capabilities(proc)
     most = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     name, file = _user(), "/etc/security/limits.d/softmap.conf"
-    do = f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and log in again"
+    do = (
+        f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and "
+        "log in again"
+    )
     may = bool(rights >> CAP_SYS_NICE & 1)
     allowed = may or most < 0 or most >= PRIORITY
-    right = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} needed"
+    right = (
+        "CAP_SYS_NICE"
+        if may
+        else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} needed"
+    )
     yield Line("real-time priority", OK if allowed else WARNING, right, "" if allowed else do)
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    do = f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and log in again"
+    do = (
+        f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and "
+        "log in again"
+    )
     may = bool(rights >> CAP_IPC_LOCK & 1)
     enough = may or locked < 0 or locked >= LOCKED
-    right = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
+    right = (
+        "CAP_IPC_LOCK"
+        if may
+        else "unlimited"
+        if locked < 0
+        else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
+    )
     yield Line("locked memory", OK if enough else WARNING, right, "" if enough else do)
 
 
@@ -120,7 +160,9 @@ def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
     if own is not None and os.path.realpath(own) not in map(os.path.realpath, found):
         found.append(own)
     if not found:
-        yield Line("serial port", WARNING, "none", "connect the adapter of the servos; `--sim` needs none")
+        yield Line(
+            "serial port", WARNING, "none", "connect the adapter of the servos; `--sim` needs none"
+        )
     for port in found:
         file = Path(port)
         try:
@@ -139,7 +181,9 @@ def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
 
 
 def _port_of(rig: str | Path) -> str | None:
-    """Return the port that a rig file names, None if the file cannot be read: another line reports that."""
+    """Return the port that a rig file names, None if the file cannot be read: another line reports
+    that.
+    """
     from softmap_edge.errors import SoftmapError
     from softmap_edge.robot.servo.rig import read_rig
 
@@ -164,7 +208,10 @@ def latency(sys: Path = SYS) -> Iterator[Line]:
             ms = int(file.read_text())
         except (OSError, ValueError):
             yield Line(
-                name, WARNING, f"{file} cannot be read", "answers may come late; look whether the adapter is plugged in"
+                name,
+                WARNING,
+                f"{file} cannot be read",
+                "answers may come late; look whether the adapter is plugged in",
             )
             continue
         if ms <= QUICK:
@@ -183,7 +230,9 @@ def teleoperation() -> Iterator[Line]:
 
 
 def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
-    """The cameras with their lasting names, and whether this user may open them; only the one given is opened."""
+    """The cameras with their lasting names, and whether this user may open them; only the one given
+    is opened.
+    """
     from softmap_edge.robot.teleop.devices import cameras as listed
 
     found = listed(dev)

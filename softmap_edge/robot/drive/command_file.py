@@ -1,14 +1,15 @@
-"""The command file: a protocol as a CSV table that a person reads and a robot plays, written and read with checks.
+"""The command file: a protocol as a CSV table that a person reads and a robot plays, written and
+read with checks.
 
     # softmap commands 1; robot moe-finger; unit mm
     t,u0,u1,gravity_x,gravity_y,gravity_z,load_g,temperature_c,look,block,note
     0.0000,0.0000,0.0000,0.00000,0.00000,1.00000,0,,1,home,
 
-`t` s; `u0` … in the unit of the first line; gravity in g in the base frame; `load_g` g declared at the tip;
-`temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a frame is required (a camera of
-its own rate may take more); `block` the part of the protocol; `note` what is to be done by hand from here on.
-Limit: frames are taken at rows, 0.02 s apart in what this tool writes. Pinned by tests/experiment/test_experiment.py
-and tests/model/test_mutated_files.py.
+`t` s; `u0` … in the unit of the first line; gravity in g in the base frame; `load_g` g declared at
+the tip; `temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a
+frame is required (a camera of its own rate may take more); `block` the part of the protocol; `note`
+what is to be done by hand from here on. Limit: frames are taken at rows, 0.02 s apart in what this
+tool writes. Pinned by tests/experiment/test_experiment.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ Floats = NDArray[np.float64]
 
 HEAD = re.compile(r"# softmap commands (\d+); robot (.{0,80}); unit (\S{1,16})")
 VERSION = 1
-BYTES, ROWS, CHANNELS, TEXT = 1 << 27, 1_000_000, 64, 200  # a file, its rows, its channels, characters of a label
+# a file, its rows, its channels, characters of a label
+BYTES, ROWS, CHANNELS, TEXT = 1 << 27, 1_000_000, 64, 200
 REMEDY = "write it with `softmap next --out`"
 BEFORE = ("t",)
 AFTER = ("gravity_x", "gravity_y", "gravity_z", "load_g", "temperature_c", "look", "block", "note")
@@ -41,16 +43,27 @@ def write_commands(path: str | Path, plan: Protocol, robot: str) -> None:
     rows = np.clip(np.searchsorted(plan.t, plan.t_seen - 1e-9), 0, plan.t.size - 1)
     look[rows] = 1
     if plan.frames:
-        label[:] = plan.block[np.clip(np.searchsorted(rows, np.arange(plan.t.size)), 0, plan.frames - 1)]
+        label[:] = plan.block[
+            np.clip(np.searchsorted(rows, np.arange(plan.t.size)), 0, plan.frames - 1)
+        ]
     note = {int(np.searchsorted(plan.t, time - 1e-9)): text for time, text in plan.notes}
-    with replacement_of(Path(path)) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
+    with (
+        replacement_of(Path(path)) as partial,
+        open(partial, "w", encoding="utf-8", newline="") as file,
+    ):
         file.write(f"# softmap commands {VERSION}; robot {_line(robot)[:80]}; unit {plan.unit}\n")
         table = csv.writer(file, lineterminator="\n")
         table.writerow([*BEFORE, *(f"u{c}" for c in range(plan.command.shape[1])), *AFTER])
         for k, (time, command, gravity) in enumerate(zip(plan.t, plan.command, plan.gravity)):
             load = "0" if plan.load is None else f"{plan.load[k]:g}"
             warm = "" if plan.temperature is None else f"{plan.temperature[k]:.3f}"
-            numbers = [f"{time:.4f}", *(f"{u:.4f}" for u in command), *(f"{g:.7f}" for g in gravity), load, warm]
+            numbers = [
+                f"{time:.4f}",
+                *(f"{u:.4f}" for u in command),
+                *(f"{g:.7f}" for g in gravity),
+                load,
+                warm,
+            ]
             table.writerow([*numbers, look[k], label[k], note.get(k, "")])
 
 
@@ -58,22 +71,30 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
     """Read a command file; return the protocol and the name of the robot that it was made for.
 
     Raises:
-        RunError: it is no command file, a newer one, or a line of it is not usable; the message names the line.
+        RunError: it is no command file, a newer one, or a line of it is not usable; the message
+            names the line.
     """
     file = Path(path)
     if file.exists() and not file.is_file():
         raise RunError(f"{path}: no file; {REMEDY}")
     if file.stat().st_size > BYTES:
-        raise RunError(f"{path}: {file.stat().st_size >> 20} MB, command files of up to {BYTES >> 20} MB are read")
+        raise RunError(
+            f"{path}: {file.stat().st_size >> 20} MB, command files of up to {BYTES >> 20} MB are "
+            "read"
+        )
     try:
         lines = file.read_text(encoding="utf-8").split("\n")
     except UnicodeDecodeError as fault:
         raise RunError(f"{path}: no text in UTF-8 ({brief(fault)}); {REMEDY}") from None
     head = HEAD.fullmatch(lines[0].rstrip("\r"))
     if head is None:
-        raise RunError(f"{path}: no command file, the first line is '{_line(lines[0])[:60]}'; {REMEDY}")
+        raise RunError(
+            f"{path}: no command file, the first line is '{_line(lines[0])[:60]}'; {REMEDY}"
+        )
     if int(head[1][:9]) != VERSION:
-        raise RunError(f"{path}: command file of version {head[1][:9]}, version {VERSION} is read; {REMEDY}")
+        raise RunError(
+            f"{path}: command file of version {head[1][:9]}, version {VERSION} is read; {REMEDY}"
+        )
     try:
         rows = [row for row in csv.reader(lines[1:], strict=True) if row]
     except csv.Error as fault:
@@ -87,7 +108,8 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
     required = [*BEFORE, *(f"u{c}" for c in range(max(channels, 0))), *AFTER]
     if names != required or channels > CHANNELS:
         raise RunError(
-            f"{path}: columns {_line(','.join(names))[:100]}; expected t, u0 to u63 at most, {', '.join(AFTER)}"
+            f"{path}: columns {_line(','.join(names))[:100]}; expected t, u0 to u63 at most, "
+            f"{', '.join(AFTER)}"
         )
     if not 2 <= len(rows) - 1 <= ROWS:
         raise RunError(f"{path}: {len(rows) - 1} rows of commands; 2 to {ROWS} are read")
@@ -95,28 +117,41 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
     numbers = np.empty((len(rows) - 1, width))
     for k, row in enumerate(rows[1:]):
         if len(row) != len(names):
-            raise RunError(f"{path}: row {k + 1} has {len(row)} cells, the header {len(names)}; {REMEDY}")
+            raise RunError(
+                f"{path}: row {k + 1} has {len(row)} cells, the header {len(names)}; {REMEDY}"
+            )
         numbers[k] = [_number(path, k, name, cell) for name, cell in zip(names, row[:width])]
         if any(len(text) > TEXT for text in row[width:]):
-            raise RunError(f"{path}: row {k + 1}: a text of more than {TEXT} characters; shorten it")
+            raise RunError(
+                f"{path}: row {k + 1}: a text of more than {TEXT} characters; shorten it"
+            )
     column = dict(zip(names, numbers.T))
     t, look = column["t"], column["look"]
     if not np.all(np.diff(t) > 0):
         k = int(np.argmin(np.diff(t) > 0))
-        raise RunError(f"{path}: row {k + 2}: time {t[k + 1]:g} s after {t[k]:g} s; it must grow from row to row")
+        raise RunError(
+            f"{path}: row {k + 2}: time {t[k + 1]:g} s after {t[k]:g} s; it must grow from row to "
+            "row"
+        )
     if not np.isin(look, (0.0, 1.0)).all():
-        raise RunError(f"{path}: look is 0 or 1, got {look[~np.isin(look, (0.0, 1.0))][0]:g}; {REMEDY}")
+        raise RunError(
+            f"{path}: look is 0 or 1, got {look[~np.isin(look, (0.0, 1.0))][0]:g}; {REMEDY}"
+        )
     gravity = np.stack([column[name] for name in AFTER[:3]], axis=1)
     length = np.linalg.norm(gravity, axis=1)
     if np.any(np.abs(length - 1.0) > 0.01):
         k = int(np.argmax(np.abs(length - 1.0)))
-        raise RunError(f"{path}: row {k + 1}: gravity of {length[k]:g} g; it is a direction of length 1")
+        raise RunError(
+            f"{path}: row {k + 1}: gravity of {length[k]:g} g; it is a direction of length 1"
+        )
     load, warm = column["load_g"], column["temperature_c"]
     if not np.all((load >= 0) & np.isfinite(load)):
         k = int(np.argmin((load >= 0) & np.isfinite(load)))
         raise RunError(f"{path}: row {k + 1}: load_g is {load[k]:g}; a weight is 0 g or more")
     if np.isnan(warm).any() and not np.isnan(warm).all():
-        raise RunError(f"{path}: temperature_c is given in some rows only; give it in all, or in none")
+        raise RunError(
+            f"{path}: temperature_c is given in some rows only; give it in all, or in none"
+        )
     seen = look == 1.0
     return Protocol(
         name="commands",
@@ -124,10 +159,14 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
         command=numbers[:, 1 : 1 + channels],
         gravity=gravity / length[:, None],
         t_seen=t[seen],
-        block=np.array([_line(row[width]) for row, required in zip(rows[1:], seen) if required], str),
+        block=np.array(
+            [_line(row[width]) for row, required in zip(rows[1:], seen) if required], str
+        ),
         load=load if np.any(load != 0) else None,
         temperature=None if np.isnan(warm).all() else warm,
-        notes=tuple((float(time), _line(row[width + 1])) for time, row in zip(t, rows[1:]) if row[width + 1]),
+        notes=tuple(
+            (float(time), _line(row[width + 1])) for time, row in zip(t, rows[1:]) if row[width + 1]
+        ),
         unit=unit,
     )
 
@@ -140,7 +179,10 @@ def _number(path: str | Path, k: int, name: str, cell: str) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e6:
-        raise RunError(f"{path}: row {k + 1}: {name} is '{_line(cell)[:40]}', expected a number below a million")
+        raise RunError(
+            f"{path}: row {k + 1}: {name} is '{_line(cell)[:40]}', expected a number below a "
+            "million"
+        )
     return value
 
 

@@ -1,10 +1,12 @@
-"""What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last second at most.
+"""What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last
+second at most.
 
-A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when each frame came, the
-frames that were taken, and the CRC-32 of all that; the last line says that it is the end. Files of softmap.seen/2 have
-no such line, those of softmap.seen/1 carry no CRC either. Lines are only added, by a
-thread of its own, and are on the disk every half a second. With what the loop recorded meanwhile it becomes a run
-(`recorded.py`). Pinned by tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
+A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when
+each frame came, the frames that were taken, and the CRC-32 of all that; the last line says that it
+is the end. Files of softmap.seen/2 have no such line, those of softmap.seen/1 carry no CRC either.
+Lines are only added, by a thread of its own, and are on the disk every half a second. With what the
+loop recorded meanwhile it becomes a run (`recorded.py`). Pinned by tests/robot/test_record_cut.py
+and tests/robot/test_recorded.py.
 """
 
 from __future__ import annotations
@@ -50,11 +52,13 @@ Pair = tuple[float, float]
 
 @dataclass
 class Kept:
-    """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a command file that it
-    answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty without one.
+    """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a
+    command file that it answers (else their number), and that file's `clock`, pairs of (host s, s
+    of the file), empty without one.
 
-    `robot` and `vertices`, how many points a frame of its full body has, are in a file: None where they are not, or
-    where the robot is seen by markers. `lacks` is a sentence on the part that cannot be read.
+    `robot` and `vertices`, how many points a frame of its full body has, are in a file: None where
+    they are not, or where the robot is seen by markers. `lacks` is a sentence on the part that
+    cannot be read.
     """
 
     clock: list[Pair] = field(default_factory=list)
@@ -76,8 +80,8 @@ def seen_file(recording: str | Path) -> Path:
 
 
 class Keeper:
-    """Writes what is seen of the robot of `model` to a new file, from entering to leaving; `fault` says why it ended
-    early, if it did. `late` s is what the quickest frame takes.
+    """Writes what is seen of the robot of `model` to a new file, from entering to leaving; `fault`
+    says why it ended early, if it did. `late` s is what the quickest frame takes.
 
     Raises:
         RunError: the file is there already, cannot be written, or could not be read again.
@@ -86,18 +90,27 @@ class Keeper:
     def __init__(self, file: Path, late: float, model: Model) -> None:
         self.fault: str | None = None
         self._lines: queue.SimpleQueue[Document | None] = queue.SimpleQueue()
-        head = {"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)}
+        head = {
+            "schema": SCHEMA,
+            "late": late,
+            "robot": model.robot,
+            "vertices": vertices_of(model),
+        }
         self._lines.put(head)
         try:
             _head(head)
         except ValueError as fault:
-            raise RunError(f"{file}: {fault!s:.60}, which nothing could read again; give another") from None
+            raise RunError(
+                f"{file}: {fault!s:.60}, which nothing could read again; give another"
+            ) from None
         try:
             self._stream = open(file, "x", encoding="utf-8")  # noqa: SIM115 - closed by its thread
         except FileExistsError:
             raise RunError(f"{file} exists; give another name to record to") from None
         except OSError as fault:
-            raise RunError(f"{file}: {(fault.strerror or str(fault)).lower()}; see to the folder") from None
+            raise RunError(
+                f"{file}: {(fault.strerror or str(fault)).lower()}; see to the folder"
+            ) from None
         self._thread = threading.Thread(target=self._write, daemon=True)
 
     def __enter__(self) -> Self:
@@ -105,13 +118,20 @@ class Keeper:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._lines.put(None)
         self._thread.join()
 
-    def add(self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> None:
-        """Keep what is new (`Kept`), and when the frames that came did; never waits for the disk."""
+    def add(
+        self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]
+    ) -> None:
+        """Keep what is new (`Kept`), and when the frames that came did; never waits for the
+        disk.
+        """
         if self.fault is not None:
             return
         try:
@@ -146,10 +166,12 @@ class Keeper:
 
 @contextlib.contextmanager
 def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) -> Iterator[Keeper]:
-    """Keep every frame seen during a recording in a file next to it; together they are a run of the robot of `model`.
+    """Keep every frame seen during a recording in a file next to it; together they are a run of the
+    robot of `model`.
 
     Args:
-        seen: gives the frames that have arrived, oldest first. late: s that the quickest frame takes.
+        seen: gives the frames that have arrived, oldest first. late: s that the quickest frame
+            takes.
 
     Raises:
         RunError: something is kept there already, or cannot be.
@@ -181,7 +203,9 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
             end.set()
             watching.join()
     if keeper.fault is not None:
-        raise RecordingBroken(f"{keeper.fault}: {seen_file(recording)}; what was seen until then is kept")
+        raise RecordingBroken(
+            f"{keeper.fault}: {seen_file(recording)}; what was seen until then is kept"
+        )
 
 
 def read_kept(file: Path) -> Kept:
@@ -201,12 +225,14 @@ def read_kept(file: Path) -> Kept:
                 raise ValueError("its first line fails its checksum")
             _read_lines(lines, kept, checked, file, ends=head["schema"] == SCHEMA)
     except OSError as fault:
-        raise RunError(f"{file}: {(fault.strerror or '').lower()}; give the `.seen` file of a recording") from None
+        raise RunError(
+            f"{file}: {(fault.strerror or '').lower()}; give the `.seen` file of a recording"
+        ) from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
         message = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
         raise RunError(
-            f"{file}: damaged, or no `.seen` file of a recording ({message}); without it the recording is one of "
-            "which nothing was seen"
+            f"{file}: damaged, or no `.seen` file of a recording ({message}); without it the "
+            "recording is one of which nothing was seen"
         ) from None
     return kept
 
@@ -225,20 +251,28 @@ def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bo
         ended = ended or document.get("end") is True
     if len(line) >= LONGEST:
         raise ValueError(f"a line of more than {LONGEST} characters")
-    parts = [f"{file} was cut short: its last line is torn, and what was seen after it is missing"] if line else []
+    parts = (
+        [f"{file} was cut short: its last line is torn, and what was seen after it is missing"]
+        if line
+        else []
+    )
     if not line and not ended:
-        parts.append(f"{file} was cut short: it has no line that ends it, and what was seen later is missing")
+        parts.append(
+            f"{file} was cut short: it has no line that ends it, and what was seen later is missing"
+        )
     if wrong:
         parts.append(
-            f"{file} is damaged: {len(wrong)} of {count} lines fail their checksum, the first is line {wrong[0]}; "
-            "the frames in them are left out"
+            f"{file} is damaged: {len(wrong)} of {count} lines fail their checksum, the first is "
+            f"line {wrong[0]}; the frames in them are left out"
         )
     if not checked:
         parts.append(f"{file} carries no checksum: numbers that were damaged would not be noticed")
     kept.lacks = "; ".join(parts) or None
 
 
-def _document(clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> Document:
+def _document(
+    clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]
+) -> Document:
     """Return what a line holds, as plain numbers that are read back to the last digit.
 
     Raises:
@@ -250,7 +284,10 @@ def _document(clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: S
     return {
         "clock": [[_plain(host), _plain(at)] for host, at in clock],
         "came": [[_plain(one.stamp), _plain(one.arrived)] for one in came],
-        "taken": [[int(look), _plain(one.stamp), _plain(one.arrived), _text(one.points)] for look, one in taken],
+        "taken": [
+            [int(look), _plain(one.stamp), _plain(one.arrived), _text(one.points)]
+            for look, one in taken
+        ],
     }
 
 
@@ -288,7 +325,9 @@ def _head(head: Any) -> Kept:
         raise ValueError(f"schema {head['schema']!s:.20}")
     if not 0.0 <= late <= LATEST:
         raise ValueError(f"frames {late:g} s late, 0 to {LATEST:g} s is allowed")
-    if robot is not None and not (isinstance(robot, str) and len(robot) <= NAME and robot.isprintable()):
+    if robot is not None and not (
+        isinstance(robot, str) and len(robot) <= NAME and robot.isprintable()
+    ):
         raise ValueError("the name of the robot")
     if vertices is not None and not (type(vertices) is int and vertices >= 1):
         raise ValueError("the number of vertices")

@@ -1,12 +1,13 @@
-"""When each row of a command file is played on servos: slowed where they may not be as fast, waiting where it rests.
+"""When each row of a command file is played on servos: slowed where they may not be as fast,
+waiting where it rests.
 
-A row is reached `t` s after the one before, or as much later as the slew limit and the following error of the servos
-ask. A *rest* is a
-stretch of rows with one command, of `LEAST` s and more: the file's clock stands at its first row until the robot has
-settled. A *stop* is a row from which on something is to be done by hand (a note, another gravity or load).
-Settled is, over `SPAN` s: no servo moves by more than `TICKS` ticks, and what is seen moves by no more than `STILL` mm
-(RMS over its points) beyond what its own scatter explains. After `PATIENCE` s it goes on all the same: a body that
-creeps is never still. Pinned by tests/robot/test_record_robot.py.
+A row is reached `t` s after the one before, or as much later as the slew limit and the following
+error of the servos ask. A *rest* is a stretch of rows with one command, of `LEAST` s and more: the
+file's clock stands at its first row until the robot has settled. A *stop* is a row from which on
+something is to be done by hand (a note, another gravity or load). Settled is, over `SPAN` s: no
+servo moves by more than `TICKS` ticks, and what is seen moves by no more than `STILL` mm (RMS over
+its points) beyond what its own scatter explains. After `PATIENCE` s it goes on all the same: a body
+that creeps is never still. Pinned by tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ LEAST = 0.5  # s
 SPAN, TICKS, STILL = 0.3, 3, 0.05  # s, ticks, mm
 PATIENCE = 3.0  # s
 SHARE = 0.9  # of the slew limit that a file is played at, at most
-ANSWER = 0.25  # s by which servos may be late (the trunk's: 0.24): at speed they are that far behind their goals
+# s by which servos may be late (the trunk's: 0.24): at speed they are that far behind their goals
+ANSWER = 0.25
 BEHIND = 0.75  # of the following error that is allowed
 FEWEST = 3  # frames in each half of a span, to detect whether what is seen is still
 
@@ -39,7 +41,8 @@ class Pace:
     """A command file as it is played.
 
     Attributes:
-        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool, first rows of rests.
+        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool,
+            first rows of rests.
         stops: row → what is to be done by hand there. looks: (K,) s at which a frame is required.
     """
 
@@ -62,24 +65,28 @@ def pace(made: Protocol, calibration: Calibration, servos: Sequence[ServoLimits]
     """Return how a command file is played on `servos` (their limits: low, high, slew, following).
 
     Raises:
-        SoftmapError: it has another number of commands, another unit, or asks for what lies outside the servos' window.
+        SoftmapError: it has another number of commands, another unit, or asks for what lies outside
+            the servos' window.
     """
     channels = made.command.shape[1]
     if channels != len(calibration.b) or made.unit != calibration.unit:
         raise SoftmapError(
-            f"the command file has {channels} commands in {made.unit}, the robot takes {len(calibration.b)} in "
-            f"{calibration.unit}; write one for it with `softmap next --bundle`"
+            f"the command file has {channels} commands in {made.unit}, the robot takes "
+            f"{len(calibration.b)} in {calibration.unit}; write one for it with `softmap next "
+            "--bundle`"
         )
     ticks = calibration.ticks(made.command).astype(float)
     low, high, slew, following = (
-        np.array([one[name] for one in servos], float) for name in ("low", "high", "slew", "following")
+        np.array([one[name] for one in servos], float)
+        for name in ("low", "high", "slew", "following")
     )
     outside = np.maximum(low - ticks, ticks - high)
     if outside.max() > 1.0:
         k, c = np.unravel_index(int(np.argmax(outside)), outside.shape)
         raise SoftmapError(
-            f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} of servo {c}, its "
-            f"window is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window again"
+            f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} "
+            f"of servo {c}, its window is {low[c]:.0f} to {high[c]:.0f}; write a file of a "
+            "smaller range, or measure the window again"
         )
     fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
     least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)
@@ -101,10 +108,17 @@ def _rests(made: Protocol) -> NDArray[np.bool_]:
 
 
 def _stops(made: Protocol) -> dict[int, str]:
-    """Return rows with a note, and those where a condition changes without a note since the last capture."""
-    stops = {int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text for t, text in made.notes}
+    """Return rows with a note, and those where a condition changes without a note since the last
+    capture.
+    """
+    stops = {
+        int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text
+        for t, text in made.notes
+    }
     load = np.zeros(len(made.t)) if made.load is None else made.load
-    changes = np.any(np.abs(np.diff(made.gravity, axis=0)) > 1e-6, axis=1) | (np.abs(np.diff(load)) > 1e-9)
+    changes = np.any(np.abs(np.diff(made.gravity, axis=0)) > 1e-6, axis=1) | (
+        np.abs(np.diff(load)) > 1e-9
+    )
     for k in np.flatnonzero(changes) + 1:
         looked = made.t_seen[made.t_seen < made.t[k]]
         since = looked[-1] if len(looked) else -np.inf
@@ -128,8 +142,12 @@ def servos_still(history: Sequence[tuple[float, Sequence[float]]], now: float) -
 
 
 def view_still(frames: Sequence[Frame], since: float, now: float) -> bool:
-    """Return whether what was seen stands, in the frames that arrived after `since` within the last `SPAN` s or so."""
-    last = [frame.points for frame in frames if frame.arrived > max(since, now - 3 * SPAN)][-4 * FEWEST :]
+    """Return whether what was seen stands, in the frames that arrived after `since` within the last
+    `SPAN` s or so.
+    """
+    last = [frame.points for frame in frames if frame.arrived > max(since, now - 3 * SPAN)][
+        -4 * FEWEST :
+    ]
     half = len(last) // 2
     if half < FEWEST:
         return False

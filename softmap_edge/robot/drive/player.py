@@ -1,9 +1,10 @@
 """Play a command file on a robot that records, and make a run of what was driven and what was seen.
 
-The file's clock stands while the robot settles where the file rests, while the guard holds, and while the camera is
-gone; where something is to be done by hand the finger goes home, torque goes off, and the user says when to go on. A
-frame is taken at each look of the file: the one nearest to it. Whatever ends it, what was driven and seen so far is
-kept. Pinned by tests/robot/test_record_robot.py.
+The file's clock stands while the robot settles where the file rests, while the guard holds, and
+while the camera is gone; where something is to be done by hand the finger goes home, torque goes
+off, and the user says when to go on. A frame is taken at each look of the file: the one nearest to
+it. Whatever ends it, what was driven and seen so far is kept. Pinned by
+tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -31,14 +32,17 @@ Floats = NDArray[np.float64]
 SENT = 50.0  # commands a second
 NEAR = 0.1  # s: a frame this near to a look is the one that was required
 WAIT = 0.5  # s after a look until the frames about it have arrived
-GONE, LOST = 0.5, 15.0  # s without a frame after which the file's clock stands, and after which it is over
+# s without a frame after which the file's clock stands, and after which it is over
+GONE, LOST = 0.5, 15.0
 BACK = 15.0  # s within which a finger that was commanded to stop has torque off
 BEGIN = 8.0  # s until the robot is where the file begins
 
 
 @dataclass
 class Played(Kept):
-    """What happened: what was seen, how long it waited for the robot to settle, and whether all was played."""
+    """What happened: what was seen, how long it waited for the robot to settle, and whether all was
+    played.
+    """
 
     waited: float = 0.0  # s
     unsettled: int = 0  # rests that went on before all was still
@@ -64,7 +68,9 @@ class Player:
         ask: Callable[[str], None],
         tell: Callable[[float], None] = lambda share: None,
         late: float = 0.0,
-        keep: Callable[[list[Pair], list[tuple[int, Frame]], list[Frame]], None] = lambda clock, taken, came: None,
+        keep: Callable[
+            [list[Pair], list[tuple[int, Frame]], list[Frame]], None
+        ] = lambda clock, taken, came: None,
     ) -> None:
         self._robot, self._pace, self._seen = robot, pace, seen
         self._ask, self._tell, self._keep = ask, tell, keep
@@ -121,7 +127,11 @@ class Player:
         self._robot.target(self._pace.command(at))
         position = self._robot.report.get("position") or []
         heard = [float(p) for p in position if p is not None]
-        if position and len(heard) == len(position) and (not self._history or now > self._history[-1][0]):
+        if (
+            position
+            and len(heard) == len(position)
+            and (not self._history or now > self._history[-1][0])
+        ):
             self._history.append((now, heard))
             while len(self._history) > 2 and self._history[1][0] < now - 2 * SPAN:
                 self._history.pop(0)
@@ -161,7 +171,9 @@ class Player:
         end = self._robot.time.now() + BACK
         while self._robot.state != "ready":
             if self._robot.time.now() > end:
-                raise ServoError(f"the finger did not stop within {BACK:g} s ({words.where(self._robot.report)})")
+                raise ServoError(
+                    f"the finger did not stop within {BACK:g} s ({words.where(self._robot.report)})"
+                )
             self._robot.time.sleep(0.05)
         begun = self._robot.time.now()
         self._ask(what)
@@ -177,8 +189,8 @@ class Player:
         silent = now - self._newest
         if silent > LOST:
             raise SoftmapError(
-                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record "
-                "again"
+                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the "
+                "network, then record again"
             )
         return silent <= GONE
 
@@ -187,8 +199,8 @@ class Player:
         while not self._seen():
             if self._robot.time.now() > end:
                 raise SoftmapError(
-                    f"no frame came within {LOST:g} s; start the camera's program and check address and key "
-                    "(docs/do/camera.md)"
+                    f"no frame came within {LOST:g} s; start the camera's program and check "
+                    "address and key (docs/do/camera.md)"
                 )
             self._robot.time.sleep(0.05)
         self._gather(self._robot.time.now())

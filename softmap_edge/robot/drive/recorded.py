@@ -1,7 +1,8 @@
 """What a control loop recorded and what a camera saw meanwhile, as one run.
 
-`softmap track S --sim --record s.mcap` leaves `s.mcap` and next to it `s.seen` (`kept.py`); opening the first as a run
-reads both. Pinned by tests/robot/test_recorded.py and tests/robot/test_record_robot.py.
+`softmap track S --sim --record s.mcap` leaves `s.mcap` and next to it `s.seen` (`kept.py`); opening
+the first as a run reads both. Pinned by tests/robot/test_recorded.py and
+tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -27,18 +28,20 @@ RECORDING = ".mcap"
 
 
 def open_run(path: str | Path, model: Model | None = None) -> Run:
-    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept next to it.
+    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen,
+    if kept next to it.
 
-    A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is issued.
+    A recording that was cut short, or is damaged at one place, is read up to there, and a
+    `RecordingWarning` is issued.
 
     Args:
         path: the file.
-        model: what the run is for. One in mm without a calibration cannot read ticks: it gets mm, by the map that was
-            driven with.
+        model: what the run is for. One in mm without a calibration cannot read ticks: it gets mm,
+            by the map that was driven with.
 
     Raises:
-        RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen belongs to it, or it
-            was made by `softmap record`, which alone knows what was declared.
+        RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen
+            belongs to it, or it was made by `softmap record`, which alone knows what was declared.
     """
     run, incomplete = open_incomplete(path, model)
     if incomplete is not None:
@@ -47,7 +50,8 @@ def open_run(path: str | Path, model: Model | None = None) -> Run:
 
 
 def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, str | None]:
-    """Return the run as `open_run` does, without a warning, and a sentence on missing data; None if it is complete.
+    """Return the run as `open_run` does, without a warning, and a sentence on missing data; None if
+    it is complete.
 
     Raises:
         RunError: as `open_run`.
@@ -66,7 +70,8 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
 
 
 def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str | None]:
-    """Return a recording as a run with the frames of its `.seen` file if there is one, and a sentence on missing data.
+    """Return a recording as a run with the frames of its `.seen` file if there is one, and a
+    sentence on missing data.
 
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.
@@ -84,18 +89,23 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
 
 
 def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
-    """Return a recording with what was kept of what was seen, and a sentence on the part of that which is missing."""
+    """Return a recording with what was kept of what was seen, and a sentence on the part of that
+    which is missing.
+    """
     kept = read_kept(kept_in)
     if kept.clock:
         raise RunError(
-            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS --recover {kept_in} --record "
-            f"{recording.file} --out RUN.npz` makes its run"
+            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS "
+            f"--recover {kept_in} --record {recording.file} --out RUN.npz` makes its run"
         )
-    run, inside = with_seen(recording, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
+    run, inside = with_seen(
+        recording, [frame for _, frame in kept.taken], kept.camera, kept.vertices
+    )
     if len(inside) and not inside.any():
         raise RunError(
-            f"{kept_in}: none of its {len(inside)} frames was seen while {recording.file.name} was driven; is it that "
-            "of another recording? Move it away, and the run is one of which nothing was seen"
+            f"{kept_in}: none of its {len(inside)} frames was seen while {recording.file.name} "
+            "was driven; is it that of another recording? Move it away, and the run is one of "
+            "which nothing was seen"
         )
     return replace(run, robot=kept.robot), kept.lacks
 
@@ -116,7 +126,8 @@ def with_seen(
     counts = sorted({len(frame.points) for frame in frames})
     if len(counts) > 1:
         raise RunError(
-            f"{recording.file}: frames of {counts} points; a camera's program sends one number of them throughout"
+            f"{recording.file}: frames of {counts} points; a camera's program sends one number of "
+            "them throughout"
         )
     taken = camera.times(frames) - recording.begun
     inside = (taken > run.t[0]) & (taken < run.t[-1])

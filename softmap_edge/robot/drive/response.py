@@ -1,8 +1,8 @@
 """How late servos are: what lies between the goals that are sent and the positions that come back.
 
-Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least squares on a grid
-that is refined once; what counts is the shape of the motion, so that a constant miss is left out. Pinned by
-tests/robot/test_track.py.
+Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least
+squares on a grid that is refined once; what counts is the shape of the motion, so that a constant
+miss is left out. Pinned by tests/robot/test_track.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ MOVES = 30.0  # ticks that a servo must move to give a response
 
 
 def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, float] | None:
-    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks at `t` (T,) s; None where nothing moves.
+    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks at `t` (T,) s; None
+    where nothing moves.
 
     One pair for all servos: the median of those that move.
     """
@@ -48,8 +49,12 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
 
 
 def response_of(periods: Sequence[Document]) -> tuple[float, float] | None:
-    """Return delay and lag of the servos from periods of a recording in which goals were sent and all were heard."""
-    complete = [p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]]
+    """Return delay and lag of the servos from periods of a recording in which goals were sent and
+    all were heard.
+    """
+    complete = [
+        p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]
+    ]
     if len(complete) < 50:
         return None
     t = np.array([p["now"] for p in complete], float) * 1e-9

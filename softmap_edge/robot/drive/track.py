@@ -1,8 +1,9 @@
-"""Lead the tip along a figure: the path, its timing, the commands, the run on servos, and how far off it was.
+"""Lead the tip along a figure: the path, its timing, the commands, the run on servos, and how far
+off it was.
 
-The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the effects of the model are
-compensated in the control loop, from what was really sent. Where a camera sees the tip, what is left can be fed back
-(`observe`). Pinned by tests/robot/test_track.py.
+The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the
+effects of the model are compensated in the control loop, from what was really sent. Where a camera
+sees the tip, what is left can be fed back (`observe`). Pinned by tests/robot/test_track.py.
 """
 
 from __future__ import annotations
@@ -45,8 +46,9 @@ FADES = 1.0  # s in which feedback goes when the tip is not seen: what it knew g
 
 @dataclass(frozen=True)
 class Course:
-    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s the figure could
-    take."""
+    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s
+    the figure could take.
+    """
 
     plan: Plan
     counts: NDArray[np.bool_]
@@ -68,14 +70,18 @@ def course(
     """Plan a figure about the tip at rest, in the first two of the axes that count.
 
     Args:
-        name: a figure or a file (`curves.figure`). amplitude: mm. duration: s, stretched where the limits ask for more.
-        rate: waypoints a second. slew, acceleration: (C,) of the servos, in ticks. calibration: commands to ticks.
+        name: a figure or a file (`curves.figure`). amplitude: mm. duration: s, stretched where the
+            limits ask for more.
+        rate: waypoints a second. slew, acceleration: (C,) of the servos, in ticks. calibration:
+            commands to ticks.
 
     Raises:
         SoftmapError: a rate or duration that is none, fewer than two axes, or as `figure`.
     """
     if not (0 < duration <= 3600 and 1 <= rate <= 1000):
-        raise SoftmapError(f"{duration:g} s at {rate:g} waypoints a second; up to 3600 s and 1 to 1000 are allowed")
+        raise SoftmapError(
+            f"{duration:g} s at {rate:g} waypoints a second; up to 3600 s and 1 to 1000 are allowed"
+        )
     plane = [AXES.index(axis) for axis in kinematics.axes][:2]
     if len(plane) < 2:
         raise SoftmapError(f"axes '{kinematics.axes}': a figure needs two, as xy")
@@ -91,7 +97,9 @@ def course(
     lead = placed(even(np.stack([np.zeros(2), line[0]]), max(3, PATH_POINTS // 4)))
     back = np.linalg.inv(calibration.A).T
 
-    def waypoints(points: Floats, least: float, start: Floats | None, fine: bool) -> tuple[Floats, Floats, float]:
+    def waypoints(
+        points: Floats, least: float, start: Floats | None, fine: bool
+    ) -> tuple[Floats, Floats, float]:
         acting = kinematics.solve(points, start).acting
         line = np.concatenate([acting @ back, points], axis=1)
         line = even(line, 2 * len(line)) if fine else line
@@ -109,9 +117,13 @@ def course(
 
     targets, _, counts, quickest = whole(fine=False)
     plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
-    # Where a tendon hangs slack a full mm of command may lie between two waypoints: no servo follows that. Then the
-    # path is timed evenly in ticks, and what was timed is to act, although the tip strays while it is taken up.
-    if method == "exact" and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any():
+    # Where a tendon hangs slack a full mm of command may lie between two waypoints: no servo
+    # follows that. Then the path is timed evenly in ticks, and what was timed is to act, although
+    # the tip strays while it is taken up.
+    if (
+        method == "exact"
+        and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any()
+    ):
         targets, acting, counts, quickest = whole(fine=True)
         t = np.arange(len(targets)) / rate
         reached = kinematics.solve(targets).distance
@@ -121,9 +133,11 @@ def course(
 
 @dataclass(frozen=True)
 class Tracked:
-    """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
-    `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the
-    servos, None where it was not to be measured, `unseen` s of the figure in which the camera was gone."""
+    """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it
+    should have been then `target` (K, 3), and how far off `error` (K,) mm along the axes that
+    count; `response` (delay, lag) s of the servos, None where it was not to be measured, `unseen` s
+    of the figure in which the camera was gone.
+    """
 
     t: Floats
     target: Floats
@@ -145,20 +159,28 @@ def track(
 ) -> Tracked:
     """Drive a course on an entered `robot` that records, and measure its error with `seen`.
 
-    A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and nothing else changes.
-    `late` s is what the quickest frame takes; `progress` is called with the current step and the share that is done.
+    A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and
+    nothing else changes. `late` s is what the quickest frame takes; `progress` is called with the
+    current step and the share that is done.
 
     Raises:
         SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
     """
     if robot.recording is None or (observe and seen is None):
-        raise SoftmapError("tracking needs a robot that records, and a camera where what it sees is fed back")
+        raise SoftmapError(
+            "tracking needs a robot that records, and a camera where what it sees is fed back"
+        )
     home = kinematics.home
     robot.engage(home)
     say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
     slope = robot.calibration.A  # command a tick
-    _play(robot, lambda t: home + slope @ _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
+    _play(
+        robot,
+        lambda t: home + slope @ _probe(t, len(home)),
+        PROBE[1] + SETTLED,
+        partial(say, "measuring servos"),
+    )
     measured = _meanwhile(robot, home, partial(_response, robot.recording))
     robot.check_recorded()  # what broke off measured nothing
     delay, lag = measured or (0.0, 0.0)
@@ -183,13 +205,23 @@ def track(
 
 def spread(error: Floats) -> Document:
     """Return mean, standard deviation, largest and number of errors, as documents have them."""
-    return {"mean": float(error.mean()), "sd": float(error.std()), "max": float(error.max()), "n": len(error)}
+    return {
+        "mean": float(error.mean()),
+        "sd": float(error.std()),
+        "max": float(error.max()),
+        "n": len(error),
+    }
 
 
 def _play(
-    robot: Controller, command: Callable[[float], Floats], seconds: float, say: Callable[[float], None] | None = None
+    robot: Controller,
+    command: Callable[[float], Floats],
+    seconds: float,
+    say: Callable[[float], None] | None = None,
 ) -> None:
-    """Send what `command` says at each time since now, `SENT` times a second; `say` the share done."""
+    """Send what `command` says at each time since now, `SENT` times a second; `say` the share
+    done.
+    """
     begun = due = robot.time.now()
     reported = -1.0
     while (now := robot.time.now()) - begun < seconds:
@@ -202,7 +234,9 @@ def _play(
 
 
 def _meanwhile(robot: Controller, command: Floats, work: Callable[[], T]) -> T:
-    """Send `command` while a thread does `work`: the guard goes on hearing of this program, however slow a computer."""
+    """Send `command` while a thread does `work`: the guard goes on hearing of this program, however
+    slow a computer.
+    """
     if robot.time.stepped:
         return work()  # time stands meanwhile
     with ThreadPoolExecutor(1) as pool:
@@ -218,17 +252,23 @@ def _response(recording: Path) -> tuple[float, float] | None:
 
 
 def _probe(t: float, channels: int) -> Floats:
-    """Return how far (C,) ticks each servo turns from home at `t` s of the move that measures them."""
+    """Return how far (C,) ticks each servo turns from home at `t` s of the move that measures
+    them.
+    """
     if t > PROBE[1]:
         return np.zeros(channels)
     rise = np.sin(np.pi * t / PROBE[1]) ** 2
-    return np.array([PROBE[0] * rise * np.sin(2 * np.pi * (1.0 + 0.3 * (c % 3)) * t) for c in range(channels)])
+    return np.array(
+        [PROBE[0] * rise * np.sin(2 * np.pi * (1.0 + 0.3 * (c % 3)) * t) for c in range(channels)]
+    )
 
 
 def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
     """Return the tips that were seen (K, 3) mm; NaN where not all of a tip was."""
     index = kinematics.model.tip_indices
-    return np.array([np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
+    return np.array(
+        [np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]
+    ).reshape(-1, 3)
 
 
 def _errors_of(
@@ -253,10 +293,11 @@ def _errors_of(
 class _Feedback:
     """What is seen to be off, as a change of what should act: a disturbance observer.
 
-    What a frame shows beyond the target and beyond the corrections that had reached the tip by then is the disturbance;
-    averaged over `AVERAGED` s it is taken back at once. The corrections under way are known, so the servos' answer does
-    not have to be waited for. What comes and goes within that answer, as at a reversal, is not caught. While the tip is
-    not seen what was known of it fades.
+    What a frame shows beyond the target and beyond the corrections that had reached the tip by then
+    is the disturbance; averaged over `AVERAGED` s it is taken back at once. The corrections under
+    way are known, so the servos' answer does not have to be waited for. What comes and goes within
+    that answer, as at a reversal, is not caught. While the tip is not seen what was known of it
+    fades.
     """
 
     def __init__(self, kinematics: Kinematics, plan: Plan, answer: float, late: float) -> None:
@@ -278,7 +319,9 @@ class _Feedback:
             target = np.array([np.interp(taken, plan.t, column) for column in plan.targets.T])
             there = next(c for then, c in reversed(self._asked) if then <= taken - self._answer)
             off = np.where(self._counts, tip - target - there, 0.0)
-            step = min(frame.stamp - self._last, AVERAGED) if np.isfinite(self._last) else AVERAGED / 6
+            step = (
+                min(frame.stamp - self._last, AVERAGED) if np.isfinite(self._last) else AVERAGED / 6
+            )
             self._off += (1.0 - np.exp(-step / AVERAGED)) * (off - self._off)
             self._last, self._seen = frame.stamp, t
         if t - self._seen > GONE:

@@ -1,8 +1,9 @@
 """A finger behind emulated servos: what a camera would see of it while real packets drive it.
 
-Horns wind tendons by the robot's own map; what hides between is one of the truth's laws (`robot/emulated/laws.py`,
-never the effect library); the shape is the model's without its effects. Frames come with a clock of their own, some of
-it off. A stand-in for hardware, never called real. Pinned by tests/robot/test_emulated_finger.py.
+Horns wind tendons by the robot's own map; what hides between is one of the truth's laws
+(`robot/emulated/laws.py`, never the effect library); the shape is the model's without its effects.
+Frames come with a clock of their own, some of it off. A stand-in for hardware, never called real.
+Pinned by tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ LATEST = 15  # frames that may still be on their way
 KEPT = 9000  # frames: five minutes
 ASKED = 5  # times
 SERVO, BAUD = "XL330-M288", 1_000_000
-ANSWER = (0.19, 0.05)  # s: delay and lag of the trunk's servos, commands against encoders of its recording
+# s: delay and lag of the trunk's servos, commands against encoders of its recording
+ANSWER = (0.19, 0.05)
 
 
 def hidden_laws(names: Sequence[str], channels: int, seed: int, strength: float = 1.0) -> list[Law]:
@@ -62,9 +64,15 @@ def hidden_laws(names: Sequence[str], channels: int, seed: int, strength: float 
     known = {**LAWS, **NAMED}
     laws = []
     for name in names:
-        law = known[name].draw(np.random.default_rng([seed, list(known).index(name)]), channels).scaled(strength)
+        law = (
+            known[name]
+            .draw(np.random.default_rng([seed, list(known).index(name)]), channels)
+            .scaled(strength)
+        )
         if type(law).command is Law.command:
-            raise ServoError(f"'{name}' moves no tendon; what lies between servo and finger can hide here")
+            raise ServoError(
+                f"'{name}' moves no tendon; what lies between servo and finger can hide here"
+            )
         laws.append(law)
     return laws
 
@@ -73,9 +81,9 @@ class EmulatedFinger:
     """A finger on the horns of `bus`, seen by a camera, from entering to leaving.
 
     Args:
-        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true
-            map of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock. clock: the
-            time of the servos.
+        bus: emulated servos, in the order of the commands. model: whose prior gives the shape.
+            calibration: the true map of ticks. laws: what hides between horn and body
+            (`hidden_laws`). seed: of noise and clock. clock: the time of the servos.
     """
 
     def __init__(
@@ -91,15 +99,16 @@ class EmulatedFinger:
         channels = len(calibration.b)
         if model.channels != channels or len(bus.state()[1]) != channels:
             raise ServoError(
-                f"{len(bus.state()[1])} servos, a map of {channels} and a model of {model.channels} commands; they "
-                "must agree"
+                f"{len(bus.state()[1])} servos, a map of {channels} and a model of "
+                f"{model.channels} commands; they must agree"
             )
         self._bus, self._model, self._map = bus, model, calibration
         self._step = streamed(laws)  # in mm of tendon from rest
         self._rest, self._mm = home_command(model.command_range), tendon_mm(model.command_unit)
         self._rng = np.random.default_rng(seed)
         self._clock = clock
-        self._zero = clock.now() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
+        # where the camera's clock began
+        self._zero = clock.now() - float(self._rng.uniform(5.0, 500.0))
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
         self._blind = False
         self._frames: deque[Frame] = deque(maxlen=KEPT)
@@ -116,7 +125,10 @@ class EmulatedFinger:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._done.set()
         if self._thread.is_alive():
@@ -132,7 +144,9 @@ class EmulatedFinger:
         return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
-        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. A real robot does not report it."""
+        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. A real robot does not
+        report it.
+        """
         known = list(self._acting)
         return np.array([t for t, _ in known]), np.array([u for _, u in known])
 
@@ -178,10 +192,11 @@ def emulated_bench(
 ) -> Iterator[tuple[_core.EmulatedBus, Rig, LoopLimits, EmulatedFinger]]:
     """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
 
-    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording) and
-    draw what the model's tendons ask. Without `ready` they are as they are delivered, and the rig knows no home.
-    `real` time serves them at a pseudo-terminal, which any program can open; else they are simulated for this program,
-    and no load of the computer makes them late (`robot/servo/clock.py`).
+    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders
+    of its recording) and draw what the model's tendons ask. Without `ready` they are as they are
+    delivered, and the rig knows no home. `real` time serves them at a pseudo-terminal, which any
+    program can open; else they are simulated for this program, and no load of the computer makes
+    them late (`robot/servo/clock.py`).
 
     Raises:
         ServoError: no such model, or it has no such rate.
@@ -192,7 +207,9 @@ def emulated_bench(
     window = calibration.window or calibration.holding(model.command_range)
     servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
     loads = tendon_loads(model, calibration, window, known)
-    bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed, simulated=time != "real")
+    bus = _core.EmulatedBus(
+        servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed, simulated=time != "real"
+    )
     kept: dict[str, list[int]] = {}
     try:
         if ready:
@@ -200,8 +217,12 @@ def emulated_bench(
                 kept[f"servo_{id}"] = _ready(
                     ServoState(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home
                 )
-        clock = {"real": lambda bus: REAL_TIME, "paced": PacedTime, "stepped": SteppedTime}[time](bus)
-        mounted = tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes))
+        clock = {"real": lambda bus: REAL_TIME, "paced": PacedTime, "stepped": SteppedTime}[time](
+            bus
+        )
+        mounted = tuple(
+            RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)
+        )
         rig = Rig(bus.path, baud, mounted, made={SET_UP: kept} if kept else {}, time=clock)
         limits = loop_limits([servo_limits(servo, home, window) for home in homes], rate)
         with EmulatedFinger(bus, model, calibration, laws, seed=seed, clock=clock) as finger:
@@ -211,7 +232,8 @@ def emulated_bench(
 
 
 def _ready(found: ServoState, home: int) -> list[int]:
-    """Set an emulated servo up and mark it as homed; requests are repeated if a busy computer made an answer late.
+    """Set an emulated servo up and mark it as homed; requests are repeated if a busy computer made
+    an answer late.
 
     Returns its gains.
     """

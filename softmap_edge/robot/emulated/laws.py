@@ -1,21 +1,25 @@
-"""The laws of hidden truths, one class an effect, in another form than the effect library, which is never called.
+"""The laws of hidden truths, one class an effect, in another form than the effect library, which is
+never called.
 
-    effect      law of the truth                                            differs from the library in
-    offset      servo horn mounted askew, angle rounded to encoder steps    rounding, direction per channel
-    gain        spool of another radius that grows with the wound length    slightly curved, per channel
+    effect  law of the truth  differs from the library in
+    offset      servo horn mounted askew, angle rounded to encoder steps
+        rounding, direction per channel
+    gain  spool of another radius that grows with the wound length  slightly curved, per channel
     lag         two poles in series (servo, then cable), exact for ramps    order two
     latency     bus packets at a fixed period, each late by its own delay   sample and hold, jitter
     backlash    mean of eight plays of different width (friction-like)      soft corners
-    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z  differential law, not stops
+    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z
+        differential law, not stops
     creep       three Kelvin-Voigt terms at τ/5, τ, 5τ                      three terms
-    gravity     density and mounting angle, solved in the finite elements   equilibrium, not a linear field
-    payload     dead weight at the tip, solved in the finite elements       equilibrium, not a linear field
+    gravity     density and mounting angle, solved in the finite elements
+        equilibrium, not a linear field
+    payload  dead weight at the tip, solved in the finite elements  equilibrium, not a linear field
     mount       rigid rotation (Rodrigues) and shift of all points seen     exact rotation
 
-Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever. `scaled(s)` multiplies the
-strength and keeps the character; `LIMIT` is the largest s that is still plausible for a real finger. Loops over time
-stand here in Python on purpose: they validate the compiled loops. Pinned by `tests/synthetic/test_truth.py` against
-closed forms.
+Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever.
+`scaled(s)` multiplies the strength and keeps the character; `LIMIT` is the largest s that is still
+plausible for a real finger. Loops over time stand here in Python on purpose: they validate the
+compiled loops. Pinned by `tests/synthetic/test_truth.py` against closed forms.
 """
 
 from __future__ import annotations
@@ -66,7 +70,9 @@ class Law:
 
     def params(self) -> dict[str, float | list[float]]:
         """Return the numbers of the law, units in the names."""
-        return {k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {
+            k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()
+        }
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,9 @@ class AskewHorn(Law):
         return replace(self, shift_mm=tuple(s * x for x in self.shift_mm))
 
     def command(self, t: Floats, u: Floats) -> Floats:
-        return np.asarray(np.round((u + np.array(self.shift_mm)) * self.steps_per_mm) / self.steps_per_mm)
+        return np.asarray(
+            np.round((u + np.array(self.shift_mm)) * self.steps_per_mm) / self.steps_per_mm
+        )
 
 
 @dataclass(frozen=True)
@@ -110,7 +118,9 @@ class OtherSpool(Law):
 
 @dataclass(frozen=True)
 class TwoPoles(Law):
-    """Servo and cable, each x' = (in − x)/τ, in series; exact for commands linear between samples."""
+    """Servo and cable, each x' = (in − x)/τ, in series; exact for commands linear between
+    samples.
+    """
 
     NAME = "lag"
     servo_s: float
@@ -146,7 +156,9 @@ class LatePackets(Law):
 
     def command(self, t: Floats, u: Floats) -> Floats:
         sent = np.arange(t[0], t[-1] + self.period_s, self.period_s)
-        late = self.delay_s + self.spread_s * np.random.default_rng(self.seed).uniform(-1.0, 1.0, sent.size)
+        late = self.delay_s + self.spread_s * np.random.default_rng(self.seed).uniform(
+            -1.0, 1.0, sent.size
+        )
         arrival = np.maximum.accumulate(sent + np.maximum(late, 0.0))
         newest = np.searchsorted(arrival, t, side="right") - 1
         packets = np.stack([np.interp(sent, t, u[:, c]) for c in range(u.shape[1])], axis=1)
@@ -181,7 +193,9 @@ class ManyPlays(Law):
 
 @dataclass(frozen=True)
 class BoucWen(Law):
-    """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), each sample in steps of at most d0/20."""
+    """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), each sample in steps of at most
+    d0/20.
+    """
 
     NAME = "hysteresis"
     share: Numbers  # of the motion that is held back after a reversal: H = share · d0
@@ -191,7 +205,9 @@ class BoucWen(Law):
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         return cls(
-            tuple(0.25 * rng.uniform(0.85, 1.18, channels)), float(rng.uniform(3.0, 5.0)), float(rng.uniform(1.0, 1.5))
+            tuple(0.25 * rng.uniform(0.85, 1.18, channels)),
+            float(rng.uniform(3.0, 5.0)),
+            float(rng.uniform(1.0, 1.5)),
         )
 
     def scaled(self, s: float) -> Self:
@@ -206,14 +222,18 @@ class BoucWen(Law):
             step = (u[k] - u[k - 1]) / self.saturation_mm
             parts = max(1, int(np.ceil(20.0 * float(np.max(np.abs(step))))))
             for _ in range(parts):
-                z = z + step / parts * (1.0 - np.abs(z) ** self.sharpness * (1.0 + np.sign(step * z)) / 2.0)
+                z = z + step / parts * (
+                    1.0 - np.abs(z) ** self.sharpness * (1.0 + np.sign(step * z)) / 2.0
+                )
             out[k] = u[k] - height * z
         return out
 
 
 @dataclass(frozen=True)
 class ThreeTerms(Law):
-    """y = u + c Σ wᵢ xᵢ, xᵢ' = (u − xᵢ)/τᵢ at τ/5, τ, 5τ: compliance that goes on growing in a dwell."""
+    """y = u + c Σ wᵢ xᵢ, xᵢ' = (u − xᵢ)/τᵢ at τ/5, τ, 5τ: compliance that goes on growing in a
+    dwell.
+    """
 
     NAME = "creep"
     LIMIT = 2.5
@@ -245,7 +265,8 @@ class TrueWeight(Law):
     """g_true = (1 + e) R g: density off by e, the mounting askew by two angles."""
 
     NAME = "gravity"
-    LIMIT = 4.0  # twice the weight or half of it, 56 degrees: less moves some fingers by less than 1 mm
+    # twice the weight or half of it, 56 degrees: less moves some fingers by less than 1 mm
+    LIMIT = 4.0
     density_excess: float
     askew_deg: Numbers  # about x and y of the base frame
 
@@ -255,7 +276,11 @@ class TrueWeight(Law):
         return cls(float(rng.uniform(-0.12, 0.3)), (14 * np.cos(angle), 14 * np.sin(angle)))
 
     def scaled(self, s: float) -> Self:
-        return replace(self, density_excess=s * self.density_excess, askew_deg=tuple(s * x for x in self.askew_deg))
+        return replace(
+            self,
+            density_excess=s * self.density_excess,
+            askew_deg=tuple(s * x for x in self.askew_deg),
+        )
 
     def gravity(self, g: Floats) -> Floats:
         return (1.0 + self.density_excess) * rotation((*self.askew_deg, 0.0)) @ g
@@ -290,10 +315,16 @@ class AskewBase(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(rng.uniform(-1.0, 1.0, 3) * [1.5, 1.5, 1.0]), tuple(rng.uniform(-1.0, 1.0, 3)))
+        return cls(
+            tuple(rng.uniform(-1.0, 1.0, 3) * [1.5, 1.5, 1.0]), tuple(rng.uniform(-1.0, 1.0, 3))
+        )
 
     def scaled(self, s: float) -> Self:
-        return replace(self, turn_deg=tuple(s * x for x in self.turn_deg), shift_mm=tuple(s * x for x in self.shift_mm))
+        return replace(
+            self,
+            turn_deg=tuple(s * x for x in self.turn_deg),
+            shift_mm=tuple(s * x for x in self.shift_mm),
+        )
 
     def seen(self, points: Floats) -> Floats:
         return np.asarray(points @ rotation(self.turn_deg).T + np.array(self.shift_mm))
@@ -318,7 +349,9 @@ LAWS: dict[str, type[Law]] = {
 
 
 def rotation(degrees: Numbers) -> Floats:
-    """Return the rotation matrix (3, 3) of a rotation vector in degrees (Rodrigues: I + sin a K + (1 − cos a) K²)."""
+    """Return the rotation matrix (3, 3) of a rotation vector in degrees (Rodrigues: I + sin a K +
+    (1 − cos a) K²).
+    """
     vector = np.radians(np.asarray(degrees, dtype=np.float64))
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:

@@ -1,4 +1,5 @@
-"""Hidden laws that are asked for by name and as strong as they are: a fault, and what the library has no effect for.
+"""Hidden laws that are asked for by name and as strong as they are: a fault, and what the library
+has no effect for.
 
 As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by
 tests/commands/test_own_effect_page.py and tests/synthetic/test_truth.py.
@@ -19,12 +20,14 @@ from softmap_edge.robot.emulated.laws import LAWS, Floats, Law, Numbers
 
 @dataclass(frozen=True)
 class OffCentreSpool(Law):
-    """A spool that turns off its middle: exact geometry of winding, which no effect of the library is.
+    """A spool that turns off its middle: exact geometry of winding, which no effect of the library
+    is.
 
-    The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along the tangent towards a
-    guide D away. With L the free length, β the angle of the tangent point about c and θ the servo's angle, the tendon
-    is shortened by L(θ) − L(0) + R (θ − β(θ) + β(0)); its slope is the moment arm of the free tendon about the axis. A
-    command is the rim's radius times the servo's angle, as if the spool turned about its middle.
+    The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along
+    the tangent towards a guide D away. With L the free length, β the angle of the tangent point
+    about c and θ the servo's angle, the tendon is shortened by L(θ) − L(0) + R (θ − β(θ) + β(0));
+    its slope is the moment arm of the free tendon about the axis. A command is the rim's radius
+    times the servo's angle, as if the spool turned about its middle.
     """
 
     NAME = "off_centre_spool"
@@ -50,7 +53,9 @@ class OffCentreSpool(Law):
         def free_and_tangent(turned: Floats) -> tuple[Floats, Floats]:
             x, y = self.guide_mm - off * np.cos(turned + phase), -off * np.sin(turned + phase)
             far = np.hypot(x, y)
-            return np.sqrt(far**2 - self.radius_mm**2), np.arctan2(y, x) + np.arccos(self.radius_mm / far)
+            return np.sqrt(far**2 - self.radius_mm**2), np.arctan2(y, x) + np.arccos(
+                self.radius_mm / far
+            )
 
         (free, tangent), (free0, tangent0) = free_and_tangent(angle), free_and_tangent(np.zeros(1))
         return np.asarray(free - free0 + self.radius_mm * (angle - tangent + tangent0))
@@ -77,7 +82,9 @@ NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentr
 
 
 def check_hidden(names: Sequence[str], seed: int) -> None:
-    """Raise SoftmapError where laws cannot be hidden: an unknown name, one twice, a negative seed."""
+    """Raise SoftmapError where laws cannot be hidden: an unknown name, one twice, a negative
+    seed.
+    """
     unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
         raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))

@@ -1,7 +1,8 @@
 """The truth's laws sample by sample: for an emulated finger that moves while it is watched.
 
-A record and a stream of the same law agree (tests/robot/test_emulated_finger.py). As in `robot/emulated/laws.py` each
-law begins in equilibrium with its first sample, and the effect library is never called.
+A record and a stream of the same law agree (tests/robot/test_emulated_finger.py). As in
+`robot/emulated/laws.py` each law begins in equilibrium with its first sample, and the effect
+library is never called.
 """
 
 from __future__ import annotations
@@ -11,13 +12,23 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from softmap_edge.robot.emulated.laws import BoucWen, Floats, LatePackets, Law, ManyPlays, ThreeTerms, TwoPoles
+from softmap_edge.robot.emulated.laws import (
+    BoucWen,
+    Floats,
+    LatePackets,
+    Law,
+    ManyPlays,
+    ThreeTerms,
+    TwoPoles,
+)
 
 Step = Callable[[float, Floats], Floats]
 
 
 def streamed(laws: Sequence[Law]) -> Step:
-    """Return what the laws make of commands, one after the other: (t s, u (C,) mm) → (C,) mm, t rising."""
+    """Return what the laws make of commands, one after the other: (t s, u (C,) mm) → (C,) mm, t
+    rising.
+    """
     steps = [_MEMORY.get(type(law), _still)(law) for law in laws]
 
     def step(t: float, u: Floats) -> Floats:
@@ -82,7 +93,9 @@ def _bouc_wen(law: BoucWen) -> Step:
         move = (u - was) / law.saturation_mm
         parts = max(1, int(np.ceil(20.0 * float(np.max(np.abs(move))))))
         for _ in range(parts):
-            z = z + move / parts * (1.0 - np.abs(z) ** law.sharpness * (1.0 + np.sign(move * z)) / 2.0)
+            z = z + move / parts * (
+                1.0 - np.abs(z) ** law.sharpness * (1.0 + np.sign(move * z)) / 2.0
+            )
         known.append((u, z))
         return np.asarray(u - np.array(law.share) * law.saturation_mm * z)
 
@@ -92,7 +105,8 @@ def _bouc_wen(law: BoucWen) -> Step:
 def _packets(law: LatePackets) -> Step:
     rng = np.random.default_rng(law.seed)
     under_way: deque[tuple[float, Floats]] = deque()
-    known: list[tuple[float, Floats, float, Floats]] = []  # last sample, arrival of the last packet, what is held
+    # last sample, arrival of the last packet, what is held
+    known: list[tuple[float, Floats, float, Floats]] = []
 
     def step(t: float, u: Floats) -> Floats:
         if not known:

@@ -2,10 +2,11 @@
 
     τ_s = Σ_c (4096 / 2π) A_cs Σ_i S_ic T_i(u),    mA = τ / k
 
-T_i (N) are the tensions that a simulated bundle keeps, S_ic is +1 for the tendon that command c shortens and -1 for
-the one that it lengthens, A mm a tick, k the servo's torque a current, as its stall figures have it (without gear
-losses). The other commands stand at home. Bundles that know no tensions take a stated nominal stiffness. For emulated
-servos; a real ceiling is measured. Pinned by tests/robot/test_emulated_finger.py.
+T_i (N) are the tensions that a simulated bundle keeps, S_ic is +1 for the tendon that command c
+shortens and -1 for the one that it lengthens, A mm a tick, k the servo's torque a current, as its
+stall figures have it (without gear losses). The other commands stand at home. Bundles that know no
+tensions take a stated nominal stiffness. For emulated servos; a real ceiling is measured. Pinned by
+tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ OWN = 0.6  # of the largest change of tension: a tendon that changes as much is 
 POINTS = 41  # of a table
 
 
-def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: ServoModel) -> list[Load]:
+def tendon_loads(
+    model: Model, calibration: Calibration, window: tuple[float, float], servo: ServoModel
+) -> list[Load]:
     """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
 
     Args:
@@ -41,7 +44,9 @@ def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, fl
     for s, home in enumerate(calibration.home):
         u = calibration.b + np.outer(away, calibration.A[:, s])  # (POINTS, C)
         torque = _forces(model, u) @ length[:, s] * TICKS_PER_RAD * 1e-3  # N·m
-        loads.append([(float(home + a), float(t * stall[1] / stall[0])) for a, t in zip(away, torque)])
+        loads.append(
+            [(float(home + a), float(t * stall[1] / stall[0])) for a, t in zip(away, torque)]
+        )
     return loads
 
 

@@ -2,10 +2,10 @@
 
     taken = rate · stamp + offset,   arrived − taken ≥ 0, and the quickest frame came at once
 
-A camera has a clock of its own: an offset from the first frame on, a rate once the frames span `LONG` s. What every
-frame takes (exposure, readout, the points found in it) no host can know: whoever measured it says so (`late`).
-Known limit: over frames that all wait in a queue they seem to be taken late. Pinned by
-tests/robot/test_emulated_finger.py and tests/robot/test_camera_points.py.
+A camera has a clock of its own: an offset from the first frame on, a rate once the frames span
+`LONG` s. What every frame takes (exposure, readout, the points found in it) no host can know:
+whoever measured it says so (`late`). Known limit: over frames that all wait in a queue they seem to
+be taken late. Pinned by tests/robot/test_emulated_finger.py and tests/robot/test_camera_points.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ MOST_DRIFT = 1e-3  # of a clock against another: beyond any crystal
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a camera saw: `stamp` s by its own clock, `arrived` s by the host's monotonic one, `points` (N, 3) mm.
+    """What a camera saw: `stamp` s by its own clock, `arrived` s by the host's monotonic one,
+    `points` (N, 3) mm.
 
     NaN stands for a point that was not seen.
     """
@@ -41,7 +42,8 @@ Seen = Callable[[], list[Frame]]  # the frames that have arrived, oldest first
 
 
 class HostClock:
-    """A camera's clock against the host's, learnt frame by frame; it keeps a few numbers, not the frames.
+    """A camera's clock against the host's, learnt frame by frame; it keeps a few numbers, not the
+    frames.
 
     Args:
         late: s that the quickest frame takes from its light to its arrival.
@@ -49,7 +51,8 @@ class HostClock:
 
     def __init__(self, late: float = 0.0) -> None:
         self._late, self._first, self._newest = late, math.nan, -math.inf
-        self._lower: list[tuple[float, float]] = []  # s since the first, s behind: the quickest under whatever drift
+        # s since the first, s behind: the quickest under whatever drift
+        self._lower: list[tuple[float, float]] = []
         self._parts: dict[int, tuple[float, float]] = {}  # the quickest of each part
 
     def add(self, frames: Sequence[Frame]) -> list[Frame]:

@@ -1,11 +1,13 @@
 """Points that a camera program sees, sent to the robot's host over UDP (docs/do/camera.md).
 
     with PointSender("192.168.1.20", 9870, read_key("camera.key")) as out:
-        out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for what is not seen; s
+        out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for what is
+                                         not seen; s
 
-A datagram, little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number (u64), stamp (f64 s, the
-camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that where both sides have a key. It is sent and
-listened for in sessions (`signed_udp`), within which stamps rise. Pinned by tests/robot/test_camera_points.py.
+A datagram, little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number (u64),
+stamp (f64 s, the camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that where both
+sides have a key. It is sent and listened for in sessions (`signed_udp`), within which stamps rise.
+Pinned by tests/robot/test_camera_points.py.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ _HEAD = struct.Struct("<4sHH16sQd")
 MOST_POINTS = 5000  # what one datagram carries
 FARTHEST = 1e4  # mm
 NEAREST = 1.0  # mm: a robot whose points all lie nearer to the origin is one in metres
-JUMP = 2.0  # s by which a sender's clock may leave ours between two frames before it counts as a new clock
+# s by which a sender's clock may leave ours between two frames before it counts as a new clock
+JUMP = 2.0
 LATEST = 1e10  # s: three hundred years; beyond, stamps of two frames are no two numbers any more
 KEPT = 9000  # frames: five minutes
 WAIT = 0.2  # s that the receiver waits at a time
@@ -39,7 +42,9 @@ THIS_COMPUTER = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """What a datagram says: `points` (N, 3) mm, NaN where not seen, `stamp` s, and its place in a session."""
+    """What a datagram says: `points` (N, 3) mm, NaN where not seen, `stamp` s, and its place in a
+    session.
+    """
 
     points: NDArray[np.float32]
     stamp: float
@@ -55,7 +60,9 @@ def packed(message: Message, key: bytes | None = None) -> bytes:
 
 
 def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
-    """Return what a datagram says, or in a word why it counts nothing: length, signature, content."""
+    """Return what a datagram says, or in a word why it counts nothing: length, signature,
+    content.
+    """
     if len(datagram) < _HEAD.size:
         return "length"
     mark, count, zero, session, sequence, stamp = _HEAD.unpack_from(datagram)
@@ -72,7 +79,8 @@ def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
 
 
 class PointSender(Sender):
-    """Sends frames to `host`:`port`; a context manager, to be closed. The first only asks the receiver to listen.
+    """Sends frames to `host`:`port`; a context manager, to be closed. The first only asks the
+    receiver to listen.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -81,11 +89,14 @@ class PointSender(Sender):
     def __init__(self, host: str, port: int, key: bytes | None = None) -> None:
         super().__init__(host, port, key, OFFER_MARK)
 
-    def send(self, points: ArrayLike, stamp: float | None = None, visible: ArrayLike | None = None) -> bool:
+    def send(
+        self, points: ArrayLike, stamp: float | None = None, visible: ArrayLike | None = None
+    ) -> bool:
         """Send a frame; False where it could not be sent just now (no network, or nobody listens).
 
         Args:
-            points: (N, 3) mm, NaN where not seen. stamp: s by the camera's clock; this moment without it.
+            points: (N, 3) mm, NaN where not seen. stamp: s by the camera's clock; this moment
+                without it.
             visible: (N,) bool.
 
         Raises:
@@ -93,21 +104,26 @@ class PointSender(Sender):
         """
         now = np.array(points, np.float32)
         if now.ndim != 2 or now.shape[1:] != (3,) or not 1 <= len(now) <= MOST_POINTS:
-            raise LinkError(f"points of shape {now.shape}; expected (N, 3) with 1 to {MOST_POINTS} points")
+            raise LinkError(
+                f"points of shape {now.shape}; expected (N, 3) with 1 to {MOST_POINTS} points"
+            )
         if visible is not None:
             shown = np.asarray(visible, bool)
             if shown.shape != now.shape[:1]:
-                raise LinkError(f"visible of shape {shown.shape}, expected ({len(now)},) for {len(now)} points")
+                raise LinkError(
+                    f"visible of shape {shown.shape}, expected ({len(now)},) for {len(now)} points"
+                )
             now[~shown] = np.nan
         size = np.abs(now[~np.isnan(now).any(axis=1)])
         if size.size and size.max() > FARTHEST:
             raise LinkError(
-                f"points up to {size.max():.4g} mm from the origin, at most {FARTHEST:g} mm; convert them to mm"
+                f"points up to {size.max():.4g} mm from the origin, at most {FARTHEST:g} mm; "
+                "convert them to mm"
             )
         if len(size) > 1 and 0 < size.max() < NEAREST:
             raise LinkError(
-                f"all {len(size)} points lie within {size.max():.3g} mm of the origin, which looks like metres; "
-                "multiply by 1000"
+                f"all {len(size)} points lie within {size.max():.3g} mm of the origin, which "
+                "looks like metres; multiply by 1000"
             )
         stamp = time.monotonic() if stamp is None else float(stamp)
         if not abs(stamp) <= LATEST:
@@ -118,24 +134,32 @@ class PointSender(Sender):
 class PointReceiver(Listener):
     """Takes frames at `host`:`port` (0: any free one, see `.port`) from entering to leaving.
 
-    `.refused` counts what was not taken, by why: length, signature, content, points (another number of them), replay
-    also of a stamp that did not rise, and the others of a `Listener`. `.taken` counts the frames.
+    `.refused` counts what was not taken, by why: length, signature, content, points (another number
+    of them), replay also of a stamp that did not rise, and the others of a `Listener`. `.taken`
+    counts the frames.
 
     Args:
-        key: shared with the sender; without it only this computer may send. count: how many points a frame has; any
-            number without it. frame: (3, 4) [R | mm] from the camera to the base, as in a run of `softmap run align`.
+        key: shared with the sender; without it only this computer may send. count: how many points
+            a frame has; any number without it. frame: (3, 4) [R | mm] from the camera to the base,
+            as in a run of `softmap run align`.
 
     Raises:
         LinkError: the address is not ours or in use, the key is too short, or it is needed.
     """
 
     def __init__(
-        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: object = None
+        self,
+        host: str,
+        port: int,
+        key: bytes | None = None,
+        *,
+        count: int | None = None,
+        frame: object = None,
     ) -> None:
         if key is None and host not in ("", *THIS_COMPUTER):
             raise LinkError(
-                f"udp://{host}:{port}: points of other computers need a shared key; without one give "
-                "udp://127.0.0.1:PORT"
+                f"udp://{host}:{port}: points of other computers need a shared key; without one "
+                "give udp://127.0.0.1:PORT"
             )
         super().__init__("127.0.0.1" if key is None and not host else host, port, key, OFFER_MARK)
         self._socket.settimeout(WAIT)
@@ -193,7 +217,8 @@ class PointReceiver(Listener):
                 self.refused["replay"] += 1
                 return
             if new or abs((now - last[1]) - (got.stamp - last[0].stamp)) > JUMP:
-                # Another clock: its first frame is taken to have come as quickly as the quickest did.
+                # Another clock: its first frame is taken to have come as quickly as the quickest
+                # did.
                 self._shift, old = now - got.stamp - self._quickest, self._shift
                 self._shift = max(self._shift, last[0].stamp + old - got.stamp + 1e-6)
         stamp = got.stamp + self._shift

@@ -1,13 +1,16 @@
-"""What datagrams of this package share: a key in a file, a signature, an address, and the two ends of a session.
+"""What datagrams of this package share: a key in a file, a signature, an address, and the two ends
+of a session.
 
 HMAC-SHA256 under a shared key: without it a datagram can be read, but neither written nor changed.
 
-A session is a random number of the listener's: it offers it, signed, to who signs rightly under another one, and
-sequence numbers must rise within it. So a recorded datagram counts nowhere again, also after either side was started
-anew, and no clocks need agree. While a sender is alive no other takes its place. What does not count is counted by why,
-and nothing of it is answered. The first datagrams of a sender only ask for the session.
-Without a key (programs of one computer) all is the same, unsigned. `rust/control/heartbeat.rs` is another listener.
-Pinned by tests/robot/test_landmarks_udp.py, tests/robot/test_camera_points.py and tests/robot/test_emergency.py.
+A session is a random number of the listener's: it offers it, signed, to who signs rightly under
+another one, and sequence numbers must rise within it. So a recorded datagram counts nowhere again,
+also after either side was started anew, and no clocks need agree. While a sender is alive no other
+takes its place. What does not count is counted by why, and nothing of it is answered. The first
+datagrams of a sender only ask for the session. Without a key (programs of one computer) all is the
+same, unsigned. `rust/control/heartbeat.rs` is another listener. Pinned by
+tests/robot/test_landmarks_udp.py, tests/robot/test_camera_points.py and
+tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -38,17 +41,22 @@ SHORTEST_KEY = 16  # bytes
 
 
 def new_key(path: str | Path) -> bytes:
-    """Write a key of 32 random bytes as text to a new file that its owner alone can read, and return it.
+    """Write a key of 32 random bytes as text to a new file that its owner alone can read, and
+    return it.
 
     Raises:
         LinkError: the file is there already, or cannot be written.
     """
     key = secrets.token_bytes(32)
     try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        with open(
+            os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii"
+        ) as file:
             file.write(key.hex() + "\n")
     except OSError as cause:
-        raise LinkError(f"{path}: the key cannot be written ({cause.strerror}); give a new file") from None
+        raise LinkError(
+            f"{path}: the key cannot be written ({cause.strerror}); give a new file"
+        ) from None
     return key
 
 
@@ -60,11 +68,15 @@ def read_key(path: str | Path) -> bytes:
     """
     try:
         # A pipe that nobody writes is not waited for.
-        with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
+        with open(
+            path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)
+        ) as file:
             mode = os.fstat(file.fileno()).st_mode
             text = file.read(1025) if stat.S_ISREG(mode) else b""
     except OSError as cause:
-        raise LinkError(f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer") from None
+        raise LinkError(
+            f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer"
+        ) from None
     if mode & 0o077:
         raise LinkError(f"{path}: others can read this key; run chmod 600 {path}")
     try:
@@ -82,7 +94,8 @@ def checked_key(key: bytes) -> bytes:
     """
     if len(key) < SHORTEST_KEY:
         raise LinkError(
-            f"key: {len(key)} bytes in hexadecimal digits, at least {SHORTEST_KEY} are needed; make a new one"
+            f"key: {len(key)} bytes in hexadecimal digits, at least {SHORTEST_KEY} are needed; "
+            "make a new one"
         )
     return key
 
@@ -98,7 +111,9 @@ def signed(key: bytes | None, body: bytes) -> bytes:
 
 
 def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
-    """Return the first `size` bytes of a datagram that is `signed`, or in a word why it is not: length, signature."""
+    """Return the first `size` bytes of a datagram that is `signed`, or in a word why it is not:
+    length, signature.
+    """
     if len(datagram) != size + (0 if key is None else TAG):
         return "length"
     body = datagram[:size]
@@ -120,18 +135,31 @@ class _Link:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
 
 class Sender(_Link):
-    """The end that sends to `host`:`port`, for a class that has a layout of its own; offers stand behind `mark`.
+    """The end that sends to `host`:`port`, for a class that has a layout of its own; offers stand
+    behind `mark`.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
     """
 
-    def __init__(self, host: str, port: int, key: bytes | None, mark: bytes, mend: str = "check host and port") -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        key: bytes | None,
+        mark: bytes,
+        mend: str = "check host and port",
+    ) -> None:
         key = None if key is None else checked_key(key)
         super().__init__(key, _open(host, port, socket.socket.connect, "be reached", mend))
         self._mark, self._session, self._sequence = mark, NO_SESSION, 0
@@ -158,7 +186,9 @@ class Sender(_Link):
         return self._session, self._sequence
 
     def _put(self, datagram: bytes) -> bool:
-        """Send a datagram; False where it could not be sent just now (no network, or nobody listens)."""
+        """Send a datagram; False where it could not be sent just now (no network, or nobody
+        listens).
+        """
         try:
             return self._socket.send(datagram) == len(datagram)
         except OSError:  # refused or unreachable: the other side may come back
@@ -166,10 +196,12 @@ class Sender(_Link):
 
 
 class Listener(_Link):
-    """The end that listens at `host`:`port` (0: any free one, see `.port`), for a class that has a layout of its own.
+    """The end that listens at `host`:`port` (0: any free one, see `.port`), for a class that has a
+    layout of its own.
 
-    `.refused` counts what was not taken, by why: session (of one that is not ours), replay (a number that did not
-    rise), sender (another one while ours is alive), and what the layout adds. `.lost` counts numbers that never came.
+    `.refused` counts what was not taken, by why: session (of one that is not ours), replay (a
+    number that did not rise), sender (another one while ours is alive), and what the layout adds.
+    `.lost` counts numbers that never came.
 
     Raises:
         LinkError: the address is not ours or in use, or the key is too short.
@@ -183,12 +215,16 @@ class Listener(_Link):
         self.refused: Counter[str] = Counter()
         self.lost = 0
         self._mark = mark
-        self._session, self._offered = b"", (b"", -math.inf)  # ours; one that was offered, and when it first was
+        # ours; one that was offered, and when it first was
+        self._session, self._offered = b"", (b"", -math.inf)
         self._from: object = None
-        self._sequence, self._heard = 0, -math.inf  # the last that counted: its number, and s at which it came
+        # the last that counted: its number, and s at which it came
+        self._sequence, self._heard = 0, -math.inf
 
     def _counts(self, session: bytes, sequence: int, address: Any, now: float) -> bool:
-        """Return whether a datagram that came rightly signed from `address` at `now` s counts; else note why not."""
+        """Return whether a datagram that came rightly signed from `address` at `now` s counts; else
+        note why not.
+        """
         offered, since = self._offered
         another = address != self._from and now - self._heard < SILENCE
         if another:
@@ -226,19 +262,25 @@ def dropped_words(refused: Mapping[str, int]) -> str:
 
 
 def udp_address(text: str) -> tuple[str, int]:
-    """Return (host, port) of `udp://HOST:PORT`; the host may be left out, or be an IPv6 address in brackets.
+    """Return (host, port) of `udp://HOST:PORT`; the host may be left out, or be an IPv6 address in
+    brackets.
 
     Raises:
         LinkError: it is no such address.
     """
     found = re.fullmatch(r"udp://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]:/@]*)):(\d{1,5})/?", text)
     if found is None or not 1 <= int(found[3]) <= 65535:
-        raise LinkError(f"'{text[:80]}' is no address; give udp://HOST:PORT with a port of 1 to 65535")
+        raise LinkError(
+            f"'{text[:80]}' is no address; give udp://HOST:PORT with a port of 1 to 65535"
+        )
     return found[1] or found[2] or "", int(found[3])
 
 
-def _open(host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str) -> socket.socket:
-    """Return a socket that never waits, connected or bound (`use`) to an address; IPv4 where a host has both.
+def _open(
+    host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str
+) -> socket.socket:
+    """Return a socket that never waits, connected or bound (`use`) to an address; IPv4 where a host
+    has both.
 
     Raises:
         LinkError: it cannot; the line says `what`, and how to `mend` it.
@@ -246,7 +288,9 @@ def _open(host: str, port: int, use: Callable[[socket.socket, Any], None], what:
     if not (1 if use is socket.socket.connect else 0) <= port <= 65535:
         raise LinkError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")
     try:
-        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
+        found = socket.getaddrinfo(
+            host or None, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+        )
         family, kind, proto, _, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
         opened = socket.socket(family, kind, proto)
         try:

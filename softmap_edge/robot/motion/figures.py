@@ -1,7 +1,9 @@
-"""Figures that a tip can be led along: letters, circle, figure of eight, and polylines from CSV files.
+"""Figures that a tip can be led along: letters, circle, figure of eight, and polylines from CSV
+files.
 
-A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger half side 1;
-corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by tests/robot/test_curves.py.
+A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger
+half side 1; corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by
+tests/robot/test_curves.py.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ FIGURES: dict[str, Floats] = {
     "S": _s(),
     "H": np.array([(-0.6, -1), (-0.6, 1), (-0.6, 0), (0.6, 0), (0.6, 1), (0.6, -1)], float),
     "O": np.stack([0.7 * np.sin(_ROUND), np.cos(_ROUND)], axis=1),
-    "E": np.array([(0.6, 1), (-0.6, 1), (-0.6, 0), (0.4, 0), (-0.6, 0), (-0.6, -1), (0.6, -1)], float),
+    "E": np.array(
+        [(0.6, 1), (-0.6, 1), (-0.6, 0), (0.4, 0), (-0.6, 0), (-0.6, -1), (0.6, -1)], float
+    ),
     "circle": np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=1),
     "eight": np.stack([np.sin(2 * _ROUND), np.sin(_ROUND)], axis=1),
 }
@@ -78,7 +82,9 @@ def figure(name: str, amplitude: float) -> Floats:
 
 
 def even(points: Floats, count: int) -> Floats:
-    """Return `count` points (count, D) at even distances along a polyline (n, D), its ends among them."""
+    """Return `count` points (count, D) at even distances along a polyline (n, D), its ends among
+    them.
+    """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = np.concatenate([[True], steps > 0])
     along = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])
@@ -92,7 +98,8 @@ def _points_of(file: Path) -> Floats:
             raise SoftmapError(f"{file}: no file; give a .csv")
         if file.stat().st_size > MOST_TEXT:
             raise SoftmapError(
-                f"{file}: {file.stat().st_size >> 10} KB, figures of up to {MOST_TEXT >> 10} KB are read"
+                f"{file}: {file.stat().st_size >> 10} KB, figures of up to {MOST_TEXT >> 10} KB "
+                "are read"
             )
         text = file.read_text("utf-8-sig")
     except OSError as fault:
@@ -100,9 +107,11 @@ def _points_of(file: Path) -> Floats:
     except UnicodeDecodeError:
         raise SoftmapError(f"{file}: no text in UTF-8") from None
     points = np.array(_csv(file, text), float)
-    if not 2 <= len(points) <= MOST_POINTS or not (np.abs(points) <= FARTHEST).all():  # also false for NaN
+    # also false for NaN
+    if not 2 <= len(points) <= MOST_POINTS or not (np.abs(points) <= FARTHEST).all():
         raise SoftmapError(
-            f"{file}: {len(points)} points; 2 to {MOST_POINTS} finite ones make a figure, within ±{FARTHEST:g}"
+            f"{file}: {len(points)} points; 2 to {MOST_POINTS} finite ones make a figure, within "
+            f"±{FARTHEST:g}"
         )
     return points
 
@@ -118,6 +127,8 @@ def _csv(file: Path, text: str) -> list[tuple[float, float]]:
         except ValueError:
             if k == 0:
                 continue
-            raise SoftmapError(f"{file}: line {k + 1} is {','.join(row)!r:.60}; two numbers x,y are expected") from None
+            raise SoftmapError(
+                f"{file}: line {k + 1} is {','.join(row)!r:.60}; two numbers x,y are expected"
+            ) from None
         points.append((x, y))
     return points

@@ -1,12 +1,14 @@
 """Inverse kinematics of the tip: what must act, and what must be commanded so that it acts.
 
     kinematics = Kinematics(model)
-    kinematics.solve([[5.0, 0.0, 95.0]]).distance     # 0 within reach, else mm to the nearest point of it
-    plan = kinematics.plan(targets, t)                # a timed path through the effects of the model
+    kinematics.solve([[5.0, 0.0, 95.0]]).distance     # 0 within reach, else mm to the nearest point
+                                                      of it
+    plan = kinematics.plan(targets, t)  # a timed path through the effects of the model
 
-Targets are in the base frame; sensing effects never enter. What acts stays within the model's range, commands within
-that and the tick window of its calibration. A delay and a lag are previewed along the path, all other effects of the
-chain are inverted sample by sample (`rust/inverse/`). Pinned by tests/model/test_kinematics.py.
+Targets are in the base frame; sensing effects never enter. What acts stays within the model's
+range, commands within that and the tick window of its calibration. A delay and a lag are previewed
+along the path, all other effects of the chain are inverted sample by sample (`rust/inverse/`).
+Pinned by tests/model/test_kinematics.py.
 """
 
 from __future__ import annotations
@@ -30,14 +32,17 @@ Floats = NDArray[np.float64]
 AXES = "xyz"
 METHODS = ("exact", "paper")
 HEAVIEST = 1e4  # g at the tip
-REACHED = 0.01  # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
-PREVIEWED = {"latency": "delay", "lag": "tau"}  # effects of the path, not of a sample, and what tells how late they are
+# mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
+REACHED = 0.01
+# effects of the path, not of a sample, and what tells how late they are
+PREVIEWED = {"latency": "delay", "lag": "tau"}
 
 
 @dataclass(frozen=True)
 class Solved:
-    """What was found for targets (T, 3): `acting` (T, C) mm, the tip there (T, 3), `distance` (T,) mm along the axes
-    that count, and how often the model was asked (T,)."""
+    """What was found for targets (T, 3): `acting` (T, C) mm, the tip there (T, 3), `distance` (T,)
+    mm along the axes that count, and how often the model was asked (T,).
+    """
 
     acting: Floats
     tip: Floats
@@ -49,9 +54,10 @@ class Solved:
 class Plan:
     """A timed path: at `t` (T,) s the tip should be at `targets` (T, 3) mm.
 
-    `acting` (T, C) mm brings it there; `commands` (T, C) mm, sent at `t`, make that act through the effects, `tip`
-    (T, 3) is where the model then expects it, `distance` (T,) mm from the target along the axes that count.
-    `unreachable` (T,) are the distances of the targets from what can be reached at all.
+    `acting` (T, C) mm brings it there; `commands` (T, C) mm, sent at `t`, make that act through the
+    effects, `tip` (T, 3) is where the model then expects it, `distance` (T,) mm from the target
+    along the axes that count. `unreachable` (T,) are the distances of the targets from what can be
+    reached at all.
     """
 
     t: Floats
@@ -64,15 +70,17 @@ class Plan:
 
 
 class Kinematics:
-    """Inverse kinematics of a model's tip in a world that stays as it is; `counted` (3,) are the axes that count.
+    """Inverse kinematics of a model's tip in a world that stays as it is; `counted` (3,) are the
+    axes that count.
 
     Args:
-        model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g at the tip.
+        model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g
+            at the tip.
         temperature: °C. axes: which of a target's coordinates count, as "xy".
 
     Raises:
-        SoftmapError: no such axes, gravity or load, a model without commands, an effect that cannot be inverted (a
-            user's own), a field that an effect needs and the model lacks.
+        SoftmapError: no such axes, gravity or load, a model without commands, an effect that cannot
+            be inverted (a user's own), a field that an effect needs and the model lacks.
     """
 
     def __init__(
@@ -87,12 +95,15 @@ class Kinematics:
         if not axes or set(axes) - set(AXES) or len(set(axes)) < len(axes):
             raise SoftmapError(f"axes '{axes}'; name some of x, y and z, each once")
         if model.channels == 0:
-            raise SoftmapError(f"the model of '{model.robot}' takes no commands: nothing moves its tip")
+            raise SoftmapError(
+                f"the model of '{model.robot}' takes no commands: nothing moves its tip"
+            )
         hangs = np.asarray(model.gravity_reference if gravity is None else gravity, float)
         unit = gravity is None or (hangs.shape == (3,) and abs(np.linalg.norm(hangs) - 1.0) < 1e-3)
         if not unit or not 0.0 <= load <= HEAVIEST:
             raise SoftmapError(
-                f"gravity {hangs.tolist()}, load {load:g} g; a unit vector (3,) and 0 to {HEAVIEST:g} g are expected"
+                f"gravity {hangs.tolist()}, load {load:g} g; a unit vector (3,) and 0 to "
+                f"{HEAVIEST:g} g are expected"
             )
         self.model, self.axes = model, axes
         self.counted: NDArray[np.bool_] = np.array([axis in axes for axis in AXES])
@@ -108,10 +119,14 @@ class Kinematics:
     def inverse(self) -> _core.Inverse:
         """Return the chain of the model's effects to be inverted step by step, at rest."""
         low, high = self.bounds.T
-        return _core.Inverse(self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world)
+        return _core.Inverse(
+            self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world
+        )
 
     def document(self) -> Document | None:
-        """Return what the control loop needs to compensate the effects, None where there are none."""
+        """Return what the control loop needs to compensate the effects, None where there are
+        none.
+        """
         if not self.model.chain_names:
             return None
         gravity, load, temperature = self._world
@@ -132,8 +147,9 @@ class Kinematics:
 
     @cached_property
     def acting_bounds(self) -> Floats:
-        """The range (C, 2) mm of what acts: that of the model, as far as commands reach it one at a time, held for
-        long."""
+        """The range (C, 2) mm of what acts: that of the model, as far as commands reach it one at a
+        time, held for long.
+        """
         home = self.home
         ends = []
         for c, side in np.ndindex(self.model.channels, 2):
@@ -142,7 +158,9 @@ class Kinematics:
             ends.append(self._chain.settle(command))
         found = np.array(ends + [self._chain.settle(home)])
         low, high = np.asarray(self.model.command_range, float).T
-        return np.stack([np.maximum(found.min(axis=0), low), np.minimum(found.max(axis=0), high)], axis=1)
+        return np.stack(
+            [np.maximum(found.min(axis=0), low), np.minimum(found.max(axis=0), high)], axis=1
+        )
 
     @cached_property
     def reach(self) -> _core.Reach:
@@ -150,12 +168,14 @@ class Kinematics:
         low, high = self.acting_bounds.T
         return _core.Reach(self.tip, low.tolist(), high.tolist(), self.counted.tolist())
 
-    def solve(self, targets: ArrayLike, start: ArrayLike | None = None, method: str = "exact") -> Solved:
+    def solve(
+        self, targets: ArrayLike, start: ArrayLike | None = None, method: str = "exact"
+    ) -> Solved:
         """Return what must act for each of `targets` (T, 3) mm, one after the other.
 
         Args:
-            start: (C,) mm, where the first search begins; by default all over the range. method: `exact`, or `paper`:
-                the paper's grid, Nelder-Mead and Adam, to compare with.
+            start: (C,) mm, where the first search begins; by default all over the range. method:
+                `exact`, or `paper`: the paper's grid, Nelder-Mead and Adam, to compare with.
 
         Raises:
             SoftmapError: targets of another shape or not finite, no such method.
@@ -174,17 +194,21 @@ class Kinematics:
         method: str = "exact",
         acting: Floats | None = None,
     ) -> Plan:
-        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s, effects compensated.
+        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s,
+        effects compensated.
 
-        The finger has rested at home, or at the command `start` (C,) mm, for long before the first of them. What is to
-        act is solved for, unless `acting` (T, C) mm gives it.
+        The finger has rested at home, or at the command `start` (C,) mm, for long before the first
+        of them. What is to act is solved for, unless `acting` (T, C) mm gives it.
 
         Raises:
             SoftmapError: as `solve`, or times that do not rise.
         """
         points, t = _points(targets), np.asarray(t, float)
         if t.shape != (len(points),) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
-            raise SoftmapError(f"times of shape {t.shape} for {len(points)} targets; give each one, and let them rise")
+            raise SoftmapError(
+                f"times of shape {t.shape} for {len(points)} targets; give each one, and let them "
+                "rise"
+            )
         if acting is None:
             solved = self.solve(points, None, method)
             acting, unreachable = solved.acting, solved.distance
@@ -194,18 +218,22 @@ class Kinematics:
         self._chain.settle(rested)
         commands, _ = self._chain.path(early(acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.effective_commands(commands, t, rested)))
-        return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
+        return Plan(
+            t, points, acting, commands, expected, self._apart(expected, points), unreachable
+        )
 
     @property
     def compensated(self) -> list[str]:
         """The model's effects that commands compensate.
 
-        Delays without a preview are not compensated; a plan expects their error. A shape with memory is solved as if at
-        rest.
+        Delays without a preview are not compensated; a plan expects their error. A shape with
+        memory is solved as if at rest.
         """
         from softmap_edge.model.effect_info import registry
 
-        left = {info.name for info in registry().values() if info.family == "delay" or info.remembers}
+        left = {
+            info.name for info in registry().values() if info.family == "delay" or info.remembers
+        }
         return [name for name in self.model.chain_names if name in PREVIEWED or name not in left]
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
@@ -214,7 +242,9 @@ class Kinematics:
 
     @property
     def delays(self) -> tuple[Floats, Floats]:
-        """The delay of the model's effects in seconds (C,): a pure delay, and a lag (its time constant)."""
+        """The delay of the model's effects in seconds (C,): a pure delay, and a lag (its time
+        constant).
+        """
         there = _core.Chain(list(PREVIEWED), self.model.channels)
         values = valued(there, self.model.params, there.null)
         wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
@@ -222,8 +252,9 @@ class Kinematics:
         return delay, lag
 
     def effective_commands(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
-        """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,): the model's own
-        chain run forwards, whatever of it could be inverted."""
+        """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,):
+        the model's own chain run forwards, whatever of it could be inverted.
+        """
         if not self.model.chain_names:
             return commands
         count = len(t) + 1
@@ -240,27 +271,36 @@ class Kinematics:
         return np.asarray(acts)[0, 1:]
 
     def reaches(self, targets: ArrayLike) -> NDArray[np.bool_]:
-        """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes that count."""
+        """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes
+        that count.
+        """
         points = _points(targets)
         return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
 
 
 def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
-    """Return the command at `t` (T,) s that gives `acting` (T, C) in time through delays and lags (C,) s.
+    """Return the command at `t` (T,) s that gives `acting` (T, C) in time through delays and lags
+    (C,) s.
 
     u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
     """
     if (not delay.any() and not lag.any()) or len(t) < 2:
         return acting
     asked = acting + lag * np.gradient(acting, t, axis=0)
-    return np.stack([np.interp(t + late, t, column) for late, column in zip(delay, asked.T)], axis=1)
+    return np.stack(
+        [np.interp(t + late, t, column) for late, column in zip(delay, asked.T)], axis=1
+    )
 
 
 def _points(targets: ArrayLike) -> Floats:
     points = np.asarray(targets, float)
     if points.ndim != 2 or points.shape[1:] != (3,):
-        raise SoftmapError(f"targets of shape {points.shape}, expected (T, 3): x, y, z in mm, base frame")
+        raise SoftmapError(
+            f"targets of shape {points.shape}, expected (T, 3): x, y, z in mm, base frame"
+        )
     if not np.isfinite(points).all():
         wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise SoftmapError(f"target {wrong} is {points[wrong].tolist()}; finite numbers in mm are expected")
+        raise SoftmapError(
+            f"target {wrong} is {points[wrong].tolist()}; finite numbers in mm are expected"
+        )
     return points

@@ -1,9 +1,10 @@
 """When to be where: a path timed within the slew and acceleration limits of the servos.
 
-The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is accelerated by q''·x
-+ q'·s̈. Half of the acceleration is kept for each term, so that no limit is ever passed; a forward and a backward
-sweep over s give the quickest such profile (as Bobrow, Dubowsky & Gibson 1985, coarser), which is then slowed evenly
-to the duration that was asked for. Pinned by tests/robot/test_timing.py.
+The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is
+accelerated by q''·x + q'·s̈. Half of the acceleration is kept for each term, so that no limit is
+ever passed; a forward and a backward sweep over s give the quickest such profile (as Bobrow,
+Dubowsky & Gibson 1985, coarser), which is then slowed evenly to the duration that was asked for.
+Pinned by tests/robot/test_timing.py.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ SHARE = 0.8  # of the limits that a plan uses: the guard's paths need the rest t
 
 @dataclass(frozen=True)
 class Profile:
-    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed; `quickest` s is how fast it could
-    be."""
+    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed; `quickest` s is
+    how fast it could be.
+    """
 
     t: Floats
     quickest: float
@@ -32,11 +34,14 @@ class Profile:
         return np.asarray(np.interp(t, self.t, np.linspace(0.0, 1.0, len(self.t))))
 
 
-def timed(ticks: Floats, slew: Sequence[float], acceleration: Sequence[float], duration: float) -> Profile:
+def timed(
+    ticks: Floats, slew: Sequence[float], acceleration: Sequence[float], duration: float
+) -> Profile:
     """Return the profile of a path through `ticks` (N, S) at even parameters, at rest at both ends.
 
     Args:
-        ticks: N >= 3 points. slew: (S,) ticks/s. acceleration: (S,) ticks/s². duration: s, the least that it takes.
+        ticks: N >= 3 points. slew: (S,) ticks/s. acceleration: (S,) ticks/s². duration: s, the
+            least that it takes.
     """
     count = len(ticks)
     h = 1.0 / (count - 1)

@@ -1,4 +1,5 @@
-"""A bus of servos, opened, asked and released from Python: while no loop drives, and when one has died.
+"""A bus of servos, opened, asked and released from Python: while no loop drives, and when one has
+died.
 
 Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_nobody_watches.py.
 """
@@ -23,7 +24,9 @@ ASKED = 10  # times that a servo is asked whether its torque is off
 
 
 def ports(root: Path = Path("/dev")) -> list[str]:
-    """Return the serial ports of this machine, each once, by their lasting names where they have one."""
+    """Return the serial ports of this machine, each once, by their lasting names where they have
+    one.
+    """
     seen: dict[Path, str] = {}
     for pattern in PATTERNS:
         for file in sorted(root.glob(pattern)):
@@ -36,8 +39,8 @@ def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.Serv
     """Open a bus and close it again.
 
     Args:
-        port, baud: the device, and its rate. shared: accept that another program has it open without a lock, so that
-            torque can be switched off in any case.
+        port, baud: the device, and its rate. shared: accept that another program has it open
+            without a lock, so that torque can be switched off in any case.
 
     Raises:
         ServoError: it cannot be opened, or another program has it; the message names that program.
@@ -62,7 +65,9 @@ def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
 
 
 def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
-    """Return model number and firmware of a servo; None if it does not answer, several times asked."""
+    """Return model number and firmware of a servo; None if it does not answer, several times
+    asked.
+    """
     return next((number for _ in range(TRIES) if (number := bus.ping(id)) is not None), None)
 
 
@@ -70,7 +75,8 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
     """Return `size` bytes of the registers of a servo; repeat the request if no answer comes.
 
     Raises:
-        NoAnswer: it does not answer; the message names the servo and the remedy. ServoError: it refuses.
+        NoAnswer: it does not answer; the message names the servo and the remedy. ServoError: it
+            refuses.
     """
     try:
         return patiently(bus.read, id, address, size)
@@ -85,7 +91,10 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
 
 def pings_only(port: str, baud: int, id: int) -> str:
     """Return the message on a servo that answers pings and nothing else."""
-    return f"answers pings only: its status return level is 0; run {setup_command(port, baud, id)}, which sets it"
+    return (
+        f"answers pings only: its status return level is 0; run {setup_command(port, baud, id)}, "
+        "which sets it"
+    )
 
 
 def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
@@ -96,7 +105,9 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
     """
     memory = heard(bus, id, 0, 64) + heard(bus, id, 64, 83)
     return {
-        name: int.from_bytes(memory[address : address + size], "little", signed=name in SIGNED and size > 1)
+        name: int.from_bytes(
+            memory[address : address + size], "little", signed=name in SIGNED and size > 1
+        )
         for name, (address, size, _) in _core.servo_registers().items()
     }
 
@@ -109,7 +120,9 @@ def rates() -> list[int]:
 
 
 def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
-    """Switch the torque of every servo off; returns those of `ids` that have not confirmed it, several times asked."""
+    """Switch the torque of every servo off; returns those of `ids` that have not confirmed it,
+    several times asked.
+    """
     address, size, _ = _core.servo_registers()["torque_enable"]
     left = list(ids)
     for _ in range(ASKED):
@@ -129,7 +142,9 @@ def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
     return left
 
 
-def release(port: str, baud: int | None = None, ids: Iterable[int] = ()) -> tuple[list[int], list[int]]:
+def release(
+    port: str, baud: int | None = None, ids: Iterable[int] = ()
+) -> tuple[list[int], list[int]]:
     """Switch the torque of every servo at `port` off, at one rate or at all of them.
 
     Args:
@@ -148,7 +163,9 @@ def release(port: str, baud: int | None = None, ids: Iterable[int] = ()) -> tupl
         try:
             with opened(port, rate, shared=True) as bus:
                 kept_torque(bus, ())
-                found = {id for _ in range(3) for id, _, _ in bus.scan()} | (set(ids) if baud is not None else set())
+                found = {id for _ in range(3) for id, _, _ in bus.scan()} | (
+                    set(ids) if baud is not None else set()
+                )
                 left = set(kept_torque(bus, sorted(found)))
                 there, kept, missing = there | (found - left), kept | left, missing - found
         except NoSuchRate:

@@ -1,9 +1,11 @@
-"""The clock of a robot: real time, or the time of simulated servos, which a busy computer does not make late.
+"""The clock of a robot: real time, or the time of simulated servos, which a busy computer does not
+make late.
 
-The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for a person who drives
-a simulated robot. Delays of the computer are left out: the robot stops and then goes on. In *stepped* time the loop,
-the servos and the finger advance in the steps of the program, as fast as the computer can. The same program then gives
-the same result under any load. Pinned by tests/robot/test_simulated_time.py.
+The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for
+a person who drives a simulated robot. Delays of the computer are left out: the robot stops and then
+goes on. In *stepped* time the loop, the servos and the finger advance in the steps of the program,
+as fast as the computer can. The same program then gives the same result under any load. Pinned by
+tests/robot/test_simulated_time.py.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Clock(Protocol):
         """Wait."""
         ...
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
+    def wait_for(
+        self, heard: threading.Condition, what: Callable[[], object], seconds: float
+    ) -> bool:
         """Wait until `what` is true, at most `seconds`; it is tested while `heard` is held."""
         ...
 
@@ -55,7 +59,9 @@ class Clock(Protocol):
         ...
 
     def there(self, driving: bool = True) -> float:
-        """Signal that the driving program is alive; return for how many s the computer was too busy so far."""
+        """Signal that the driving program is alive; return for how many s the computer was too busy
+        so far.
+        """
         ...
 
     def each_step(self, hear: Callable[[], None]) -> None:
@@ -77,7 +83,9 @@ class RealTime:
         """Wait."""
         time.sleep(seconds)
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
+    def wait_for(
+        self, heard: threading.Condition, what: Callable[[], object], seconds: float
+    ) -> bool:
         """Wait until `what` is true, at most `seconds`."""
         with heard:
             return bool(heard.wait_for(what, seconds))
@@ -111,7 +119,9 @@ class PacedTime(RealTime):
         """Return the servos' time, s."""
         return self._bus.now() / NS
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
+    def wait_for(
+        self, heard: threading.Condition, what: Callable[[], object], seconds: float
+    ) -> bool:
         """Wait until `what` is true, with a longer limit than for a real robot."""
         until = time.monotonic() + self.patience(seconds)
         while not super().wait_for(heard, what, 0.5 * WINDOW):
@@ -132,7 +142,9 @@ class PacedTime(RealTime):
 
 
 class SteppedTime(PacedTime):
-    """The time of simulated servos that advances in steps of one thread, the one that creates this object."""
+    """The time of simulated servos that advances in steps of one thread, the one that creates this
+    object.
+    """
 
     stepped = True
     frozen = float("inf")  # time stands while that thread computes
@@ -162,8 +174,12 @@ class SteppedTime(PacedTime):
         """Advance by `seconds`."""
         self._to(self._ns + max(round(seconds * NS), 0))
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
-        """Advance until `what` is true; other threads, or a thread without a running loop, wait in real time."""
+    def wait_for(
+        self, heard: threading.Condition, what: Callable[[], object], seconds: float
+    ) -> bool:
+        """Advance until `what` is true; other threads, or a thread without a running loop, wait in
+        real time.
+        """
         until, real = self._ns + round(seconds * NS), time.monotonic() + STUCK
         while True:
             with heard:
@@ -209,7 +225,9 @@ class SteppedTime(PacedTime):
         begun = time.monotonic()
         while not self._bus.advance(ns, 0.5):
             if time.monotonic() - begun > STUCK:
-                raise ServoError(f"{BUSY}: the simulated robot did not move for {STUCK:g} s; start again")
+                raise ServoError(
+                    f"{BUSY}: the simulated robot did not move for {STUCK:g} s; start again"
+                )
         self._ns = ns
         for hear in self._hears:
             hear()

@@ -1,8 +1,9 @@
-"""What a servo senses that keeps the guard from starting: temperature, supply voltage, a place outside its window.
+"""What a servo senses that keeps the guard from starting: temperature, supply voltage, a place
+outside its window.
 
-The doctor, `softmap servo read` and a request that the guard denies word it here, so that they agree: the value, the
-limit, the remedy. Limits are those of the guard (`rust/servo/guard/servo.rs`). Pinned by
-tests/robot/test_conditions.py.
+The doctor, `softmap servo read` and a request that the guard denies word it here, so that they
+agree: the value, the limit, the remedy. Limits are those of the guard
+(`rust/servo/guard/servo.rs`). Pinned by tests/robot/test_conditions.py.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport, ServoLim
 
 JOG_TRAVEL = 300.0  # ticks that one jog may turn
 PER_VOLT = 10  # register units of the supply voltage
-COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
+COOL_DOWN = (
+    "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
+)
 POWER = "check the power supply and its cable"
 
 
 def unfit(found: ServoState, values: Values, asked: Asked | None, homed: bool) -> list[str]:
-    """Return a sentence for each reading for which the guard refuses to start: the finding and, after "; ", the remedy.
+    """Return a sentence for each reading for which the guard refuses to start: the finding and,
+    after "; ", the remedy.
 
     Args:
         found: the servo.
@@ -51,18 +55,24 @@ def undersupplied(voltage: float, allowed: tuple[float, float] | None) -> str:
     """Return what is wrong with a supply voltage (V), "" if nothing is."""
     if allowed is None or allowed[0] - 1e-9 <= voltage <= allowed[1] + 1e-9:
         return ""
-    return f"has a supply voltage of {voltage:.1f} V, allowed are {allowed[0]:g} to {allowed[1]:g} V; {POWER}"
+    return (
+        f"has a supply voltage of {voltage:.1f} V, allowed are {allowed[0]:g} to {allowed[1]:g} "
+        f"V; {POWER}"
+    )
 
 
 def outside(id: int, position: float, window: tuple[float, float]) -> str:
-    """Return what is wrong with the position (ticks) of servo `id`, "" if it is inside its window."""
+    """Return what is wrong with the position (ticks) of servo `id`, "" if it is inside its
+    window.
+    """
     low, high = window
     if low <= position <= high:
         return ""
-    inside = min(max(position, low + JOG_TRAVEL / 10), high - JOG_TRAVEL / 10)  # a jog may end some ticks short
+    # a jog may end some ticks short
+    inside = min(max(position, low + JOG_TRAVEL / 10), high - JOG_TRAVEL / 10)
     return (
-        f"stands at {position:.0f} ticks, outside its window of {low:.0f} to {high:.0f}; turn it back by "
-        f"{jogs(id, (inside if low < inside < high else (low + high) / 2) - position)}"
+        f"stands at {position:.0f} ticks, outside its window of {low:.0f} to {high:.0f}; turn it "
+        f"back by {jogs(id, (inside if low < inside < high else (low + high) / 2) - position)}"
     )
 
 
@@ -81,7 +91,8 @@ def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
 
 
 def denied_for(cause: str, report: LoopReport, limits: LoopLimits | None) -> str:
-    """Return servo, value, limit and remedy of each servo whose reading is the `cause`; "" if none is known.
+    """Return servo, value, limit and remedy of each servo whose reading is the `cause`; "" if none
+    is known.
 
     Args:
         cause: `hot`, `voltage` or `outside`.

@@ -4,8 +4,9 @@
     gpio = {chip = "/dev/gpiochip0", line = 17, active_low = false}
     udp = {port = 5006, key_file = "stop.key", timeout = 0.2}
 
-The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or does not beat, is
-pressed. docs/reference/safety.md says how to wire and use them. Pinned by tests/robot/test_emergency.py.
+The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or
+does not beat, is pressed. docs/reference/safety.md says how to wire and use them. Pinned by
+tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ LINES = 511  # the highest line of a chip
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a GPIO chip with its pull-up. A contact that opens when pressed reads high then, as does a broken wire;
-    `active_low` is for one that closes to ground."""
+    """A line of a GPIO chip with its pull-up. A contact that opens when pressed reads high then, as
+    does a broken wire; `active_low` is for one that closes to ground.
+    """
 
     chip: str
     line: int
@@ -34,7 +36,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Beats:
-    """A heartbeat to be heard at UDP `host`:`port`, signed with the key in `key_file`, at least each `timeout` s."""
+    """A heartbeat to be heard at UDP `host`:`port`, signed with the key in `key_file`, at least
+    each `timeout` s.
+    """
 
     port: int
     key_file: str
@@ -70,11 +74,14 @@ class Emergency:
         lines = []
         if self.gpio is not None:
             low = "true" if self.gpio.active_low else "false"
-            lines.append(f"gpio = {{chip = {quoted(self.gpio.chip)}, line = {self.gpio.line}, active_low = {low}}}")
+            lines.append(
+                f"gpio = {{chip = {quoted(self.gpio.chip)}, line = {self.gpio.line}, active_low = "
+                f"{low}}}"
+            )
         if (udp := self.udp) is not None:
             lines.append(
-                f"udp = {{host = {quoted(udp.host)}, port = {udp.port}, key_file = {quoted(udp.key_file)}, "
-                f"timeout = {udp.timeout!r}}}"
+                f"udp = {{host = {quoted(udp.host)}, port = {udp.port}, key_file = "
+                f"{quoted(udp.key_file)}, timeout = {udp.timeout!r}}}"
             )
         return ["", "[emergency]", *lines] if lines else []
 
@@ -83,7 +90,8 @@ def read_emergency(table: TomlTable, folder: Path) -> Emergency:
     """Read the stops of a bench; a key file is looked for from `folder`.
 
     Raises:
-        RunError: an unknown name, or a value out of range. ServoError: what a stop needs is missing.
+        RunError: an unknown name, or a value out of range. ServoError: what a stop needs is
+            missing.
     """
     gpio = udp = None
     if "gpio" in table.values:
@@ -97,10 +105,15 @@ def read_emergency(table: TomlTable, folder: Path) -> Emergency:
         one = table.table("udp")
         port, key = one.integer("port", None, 1, 65_535), one.get("key_file", (str,), "")
         if port is None or not key:
-            raise ServoError(f"{one.where}: no port or no key_file; `softmap servo heartbeat --new-key FILE` makes one")
+            raise ServoError(
+                f"{one.where}: no port or no key_file; `softmap servo heartbeat --new-key FILE` "
+                "makes one"
+            )
         timeout = one.number("timeout", TIMEOUT, SHORTEST, LONGEST)
         assert timeout is not None
-        udp = Beats(port, str((folder / key).absolute()), timeout, one.get("host", (str,), Beats.host))
+        udp = Beats(
+            port, str((folder / key).absolute()), timeout, one.get("host", (str,), Beats.host)
+        )
         one.done()
     for name in ("gpio", "udp"):
         table.get(name, (dict,))

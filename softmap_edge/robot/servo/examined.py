@@ -1,4 +1,5 @@
-"""Examine the servos of a rig one by one: identity, faults that block a start, and registers that a start rewrites.
+"""Examine the servos of a rig one by one: identity, faults that block a start, and registers that a
+start rewrites.
 
 Homing, the doctor and each start (`loop.py`) use this module, so their findings agree. Pinned by
 tests/robot/test_known_state.py and tests/robot/test_presence.py.
@@ -17,7 +18,16 @@ from softmap_edge.robot.remedies import parted
 from softmap_edge.robot.servo.bus import opened, patiently, pinged, registers
 from softmap_edge.robot.servo.conditions import unfit
 from softmap_edge.robot.servo.home_mark import marked
-from softmap_edge.robot.servo.known_state import Asked, Need, ServoState, Values, complaints, gains_of, passing, usual
+from softmap_edge.robot.servo.known_state import (
+    Asked,
+    Need,
+    ServoState,
+    Values,
+    complaints,
+    gains_of,
+    passing,
+    usual,
+)
 from softmap_edge.robot.servo.models import numbered, servo_model
 from softmap_edge.robot.servo.presence import muted, shared, shares, why_silent
 
@@ -36,9 +46,11 @@ class Member:
 
 @dataclass(frozen=True)
 class ExaminedServo:
-    """The servo that answers in an expected place (None: none), and its faults, a sentence each: the finding and, after
-    "; ", the remedy. `passing` are registers that a start writes again, `unfit` faults of what it senses now: they keep
-    a robot from being driven, and not from being homed."""
+    """The servo that answers in an expected place (None: none), and its faults, a sentence each:
+    the finding and, after "; ", the remedy. `passing` are registers that a start writes again,
+    `unfit` faults of what it senses now: they keep a robot from being driven, and not from being
+    homed.
+    """
 
     id: int
     found: ServoState | None
@@ -57,39 +69,69 @@ def members(rig: Rig) -> list[Member]:
         bench, plain = of_bench(rig, servo), usual(servo_model(servo.model))
         current = (bench("current_mA") or (plain.current_mA,))[0]
         slew = (bench("slew") or (plain.slew,))[0]
-        hot = min(float(one[0]) for one in (bench("hot"), (plain.hot,)) if one is not None and one[0] is not None)
+        hot = min(
+            float(one[0])
+            for one in (bench("hot"), (plain.hot,))
+            if one is not None and one[0] is not None
+        )
         sides = [(bench(side) or (None,))[0] for side in ("low", "high")]
         window = None if servo.home is None else _window(servo.home, *sides)
-        asked = Asked(float(current), float(slew), gains_of(rig.made, id), hot, plain.voltage, window, servo.home)
+        asked = Asked(
+            float(current),
+            float(slew),
+            gains_of(rig.made, id),
+            hot,
+            plain.voltage,
+            window,
+            servo.home,
+        )
         found.append(Member(id, number, asked))
     return found
 
 
-def members_of(servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]) -> list[Member]:
-    """Return the servos (id, model number) of a loop with the guard limits `limits`; `gains` are those of the rig."""
+def members_of(
+    servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]
+) -> list[Member]:
+    """Return the servos (id, model number) of a loop with the guard limits `limits`; `gains` are
+    those of the rig.
+    """
     known = [tuple(one) for one in gains] or [()] * len(servos)
     found = []
     for (id, number), one, own in zip(servos, limits["servos"], known):
         model = numbered(number)
-        most = one["current"] if model is None or one["current"] is not None else usual(model).current_mA
+        most = (
+            one["current"]
+            if model is None or one["current"] is not None
+            else usual(model).current_mA
+        )
         window = float(one["low"]), float(one["high"])
-        sensed = {"hot": one["hot"], "voltage": tuple(one["voltage"]), "window": window, "home": one["home"]}
+        sensed = {
+            "hot": one["hot"],
+            "voltage": tuple(one["voltage"]),
+            "window": window,
+            "home": one["home"],
+        }
         found.append(Member(id, number, Asked(float(most), float(one["slew"]), own, **sensed)))
     return found
 
 
 def _window(home: int, low: float | None, high: float | None) -> tuple[float, float] | None:
-    """Return the window (ticks) that a bench gives a servo; a side that it leaves open is endless, None without one."""
+    """Return the window (ticks) that a bench gives a servo; a side that it leaves open is endless,
+    None without one.
+    """
     if low is None and high is None:
         return None
     return home + (-math.inf if low is None else low), home + (math.inf if high is None else high)
 
 
-def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[ExaminedServo]:
+def examined(
+    port: str, baud: int, asked: Sequence[Member], *, release: bool = False
+) -> list[ExaminedServo]:
     """Read identity and registers of the servos expected at `port`.
 
     Args:
-        port, baud: of the bus. asked: the servos. release: switch the torque of all of them off first.
+        port, baud: of the bus. asked: the servos. release: switch the torque of all of them off
+            first.
 
     Raises:
         ServoError: the port cannot be opened, another program has it, or it fails.
@@ -116,7 +158,9 @@ def refusal(seen: Sequence[ExaminedServo]) -> str:
             found, do = parted(text)
             by_remedy.setdefault(do, []).append(found)
         parts = [", ".join(found) + (f"; {do}" if do else "") for do, found in by_remedy.items()]
-        lines += [f"servo {one.id}{'' if part.startswith('answers') else ':'} {part}" for part in parts]
+        lines += [
+            f"servo {one.id}{'' if part.startswith('answers') else ':'} {part}" for part in parts
+        ]
     return "; ".join(lines)
 
 
@@ -127,7 +171,8 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
         A line for each register that was written again.
 
     Raises:
-        ServoError: a servo does not meet its requirements or does not answer; the message names the remedy.
+        ServoError: a servo does not meet its requirements or does not answer; the message names the
+            remedy.
     """
     seen = examined(port, baud, asked)
     if message := refusal(seen):
@@ -147,8 +192,9 @@ def _one(bus: _core.ServoBus, member: Member) -> ExaminedServo:
         name = found.model["name"] if found.model else "an unknown model"
         listed = numbered(member.number)
         wrong_model = (
-            f"it is {name} ({found.number}), the rig lists {listed['name'] if listed else 'another model'} "
-            f"({member.number}); correct the rig, or connect the servo that it lists"
+            f"it is {name} ({found.number}), the rig lists "
+            f"{listed['name'] if listed else 'another model'} ({member.number}); correct the rig, "
+            "or connect the servo that it lists"
         )
         return ExaminedServo(member.id, found, (wrong_model,))
     try:
@@ -160,12 +206,19 @@ def _one(bus: _core.ServoBus, member: Member) -> ExaminedServo:
         wrong.insert(0, shares(bus, member.id))
     homed = member.asked.window is not None and marked(bus, member.id, member.asked.home)
     sensed = tuple(unfit(found, values, member.asked, homed))
-    return ExaminedServo(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed)
+    return ExaminedServo(
+        member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed
+    )
 
 
 def _written(bus: _core.ServoBus, one: ExaminedServo, need: Need) -> str:
     """Write a volatile register, and return the line that reports it."""
     address, size, _ = _core.servo_registers()[need.register]
-    patiently(bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0))
+    patiently(
+        bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0)
+    )
     name = need.register.replace("_", " ")
-    return f"servo {one.id}: {name} was {one.values[need.register]}, left by another program: it is {need.value} now"
+    return (
+        f"servo {one.id}: {name} was {one.values[need.register]}, left by another program: it is "
+        f"{need.value} now"
+    )

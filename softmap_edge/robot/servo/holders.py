@@ -1,7 +1,9 @@
-"""Find other programs that have a serial port open: without a lock, two programs take each other's answers.
+"""Find other programs that have a serial port open: without a lock, two programs take each other's
+answers.
 
-Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program that emulates servos
-has the other end of its pseudo-terminal open and does not count. Pinned by tests/robot/test_holders.py.
+Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program
+that emulates servos has the other end of its pseudo-terminal open and does not count. Pinned by
+tests/robot/test_holders.py.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ def holders(port: str, proc: Path = PROC) -> list[Holder]:
 def check_alone(port: str) -> None:
     """Raise ServoError where another program has the device `port` open."""
     if found := holders(port):
-        raise ServoError(f"{port} is in use by another program ({' and '.join(map(str, found))}); close it first")
+        raise ServoError(
+            f"{port} is in use by another program ({' and '.join(map(str, found))}); close it first"
+        )
 
 
 def _others(proc: Path) -> list[int]:
@@ -88,7 +92,9 @@ def _is_other_end(file: Path, number: int, device: int) -> bool:
     except OSError:
         return False
     index = [line.split()[-1] for line in message.splitlines() if line.startswith("tty-index:")]
-    return os.major(device) in range(136, 144) and index == [str((os.major(device) - 136) * 256 + os.minor(device))]
+    return os.major(device) in range(136, 144) and index == [
+        str((os.major(device) - 136) * 256 + os.minor(device))
+    ]
 
 
 def _name(process: Path) -> str:
@@ -97,4 +103,7 @@ def _name(process: Path) -> str:
         name = (process / "comm").read_text("utf-8", "replace").strip()
     except OSError:
         name = ""
-    return "".join(letter if letter.isprintable() else "?" for letter in name)[:LONGEST_NAME] or "unnamed"
+    return (
+        "".join(letter if letter.isprintable() else "?" for letter in name)[:LONGEST_NAME]
+        or "unnamed"
+    )

@@ -1,11 +1,13 @@
 """A mark in each servo: it was homed since power came on, and its home is this tick.
 
-In modes 4 and 5 a servo counts turns and loses them without power, and none of its registers shows that. So homing
-leaves a mark in memory that power-up and reboot clear and that nothing here uses otherwise: the first eight indirect
-addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
-made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses
-that may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
-configuration, register 60) is refused: its mark would show nothing. Pinned by tests/robot/test_home.py.
+In modes 4 and 5 a servo counts turns and loses them without power, and none of its registers shows
+that. So homing leaves a mark in memory that power-up and reboot clear and that nothing here uses
+otherwise: the first eight indirect addresses (registers 168 to 183, RAM on every X-series servo;
+while indirect data are not read they do nothing). It is made of id and home, so that the mark of
+another servo or of another home counts for nothing. Its values are addresses that may be mapped on
+every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
+configuration, register 60) is refused: its mark would show nothing. Pinned by
+tests/robot/test_home.py.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.servo.bus import heard, opened, patiently
 from softmap_edge.robot.servo.known_state import setup_command
 
-MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
+# first register; lowest address that it may hold; registers of four bits
+MARK, MAPPABLE, DIGITS = 168, 120, 8
 SIZE = 2 * DIGITS  # bytes
 AGAIN = "home the robot with `softmap servo home --rig FILE`"
 
@@ -27,7 +30,9 @@ AGAIN = "home the robot with `softmap servo home --rig FILE`"
 def mark(id: int, home: int) -> bytes:
     """Return the mark of servo `id` that was homed at `home`."""
     number = zlib.crc32(f"softmap home {id} {home}".encode())
-    return b"".join((MAPPABLE + (number >> 4 * k & 15)).to_bytes(2, "little") for k in range(DIGITS))
+    return b"".join(
+        (MAPPABLE + (number >> 4 * k & 15)).to_bytes(2, "little") for k in range(DIGITS)
+    )
 
 
 def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
@@ -39,11 +44,16 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
     digits = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
     patiently(bus.write, id, MARK, digits)
     if heard(bus, id, MARK, SIZE) != digits:
-        raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
+        raise ServoError(
+            f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can "
+            "prove it"
+        )
 
 
 def forget(port: str, baud: int, ids: Iterable[int]) -> None:
-    """Clear the marks of servos, so that they must be homed again; a servo that does not answer is left as it is."""
+    """Clear the marks of servos, so that they must be homed again; a servo that does not answer is
+    left as it is.
+    """
     with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
         for id in ids:
             with suppress(ServoError):
@@ -62,7 +72,8 @@ def no_home(ids: Sequence[int]) -> str:
 
 
 def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
-    """Refuse servos (id, home) whose home is not known, or that were not homed since they got power.
+    """Refuse servos (id, home) whose home is not known, or that were not homed since they got
+    power.
 
     Raises:
         ServoError: so, or one does not answer.
@@ -72,13 +83,15 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
             raise ServoError(no_home([id]))
         if restores(bus, id):
             raise ServoError(
-                f"servo {id} restores its memory at power-up (startup configuration), so that no proof of its home can "
-                f"be believed; run {setup_command(bus.port, bus.baud, id)}, then {AGAIN}"
+                f"servo {id} restores its memory at power-up (startup configuration), so that no "
+                f"proof of its home can be believed; run {setup_command(bus.port, bus.baud, id)}, "
+                f"then {AGAIN}"
             )
         if not marked(bus, id, home):
             raise ServoError(
-                f"servo {id}: not homed since power-up (turns are lost without power; a fault, setting up and "
-                f"another home in the rig need homing again too); let the finger hang straight and {AGAIN}"
+                f"servo {id}: not homed since power-up (turns are lost without power; a fault, "
+                "setting up and another home in the rig need homing again too); let the finger "
+                f"hang straight and {AGAIN}"
             )
 
 

@@ -1,11 +1,13 @@
-"""The register values that a servo needs to be driven, their differences and remedies: one list for every check.
+"""The register values that a servo needs to be driven, their differences and remedies: one list for
+every check.
 
-`softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again, since another
-program may have changed them. A start rewrites volatile registers (profile, gains).
-Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only. On old firmware a
-homing offset makes a watchdog dangerous in these modes. A return delay costs bus time. A reversed drive mode inverts
-goal and position alike, so that no other check detects it. The default gains of a mode depend on the firmware: set-up
-lets the servo choose them again, and the rig keeps them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
+`softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again,
+since another program may have changed them. A start rewrites volatile registers (profile, gains).
+Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only.
+On old firmware a homing offset makes a watchdog dangerous in these modes. A return delay costs bus
+time. A reversed drive mode inverts goal and position alike, so that no other check detects it. The
+default gains of a mode depend on the firmware: set-up lets the servo choose them again, and the rig
+keeps them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
 """
 
 from __future__ import annotations
@@ -19,16 +21,36 @@ from softmap_edge import _core
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.servo.models import ServoModel, numbered
 
-CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
+# firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
+CLEAR = 42
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW, HIGHEST_ID = 255, 252
 ALWAYS = 2  # status return level: every request is answered
 MODES = {
-    0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
-}  # fmt: skip
-SIGNED = ("homing_offset", "goal_position", "present_position", "present_current", "present_velocity", "present_pwm",
-          "goal_current", "goal_pwm")  # fmt: skip
-GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "feedforward_1st_gain", "feedforward_2nd_gain")
+    0: "current",
+    1: "velocity",
+    3: "position",
+    4: "extended position",
+    5: "current-based position",
+    16: "PWM",
+}
+SIGNED = (
+    "homing_offset",
+    "goal_position",
+    "present_position",
+    "present_current",
+    "present_velocity",
+    "present_pwm",
+    "goal_current",
+    "goal_pwm",
+)
+GAINS = (
+    "position_p_gain",
+    "position_i_gain",
+    "position_d_gain",
+    "feedforward_1st_gain",
+    "feedforward_2nd_gain",
+)
 MOST_GAIN = 16_383
 SET_UP = "set_up"  # in [made] of a rig: the gains of each servo, in the order of GAINS
 Values = dict[str, int]
@@ -56,11 +78,12 @@ class ServoState:
 
 @dataclass(frozen=True)
 class Asked:
-    """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and its
-    gains at set-up (in the order of GAINS; empty if the rig does not hold them).
+    """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn
+    (ticks/s), and its gains at set-up (in the order of GAINS; empty if the rig does not hold them).
 
-    `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed; None if they are
-    not known. `home` (ticks) is that of the window."""
+    `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed;
+    None if they are not known. `home` (ticks) is that of the window.
+    """
 
     current_mA: float
     slew: float
@@ -73,7 +96,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class Need:
-    """A required register value: `value`, or at least `least`. A start writes `passing` registers by itself."""
+    """A required register value: `value`, or at least `least`. A start writes `passing` registers
+    by itself.
+    """
 
     register: str
     value: int
@@ -140,7 +165,9 @@ def differing(model: ServoModel, values: Values, asked: Asked | None = None) -> 
 
 
 def complaints(found: ServoState, values: Values, asked: Asked | None = None) -> list[str]:
-    """Return a sentence for each fault that blocks a start: the finding and, after "; ", the remedy."""
+    """Return a sentence for each fault that blocks a start: the finding and, after "; ", the
+    remedy.
+    """
     model = found.model
     if model is None:
         known = ", ".join(one["name"] for one in _core.servo_models())
@@ -154,7 +181,10 @@ def complaints(found: ServoState, values: Values, asked: Asked | None = None) ->
     if values["hardware_error_status"]:
         lines.append(f"it reports {hardware(values['hardware_error_status'])}; {restart(found)}")
     if values["torque_enable"]:
-        lines.append("its torque is on: another program drives it, or one died; `softmap servo off` releases it")
+        lines.append(
+            "its torque is on: another program drives it, or one died; `softmap servo off` "
+            "releases it"
+        )
     if found.firmware < OLD:
         lines.append(too_old(found))
     return lines
@@ -163,24 +193,38 @@ def complaints(found: ServoState, values: Values, asked: Asked | None = None) ->
 def passing(found: ServoState, values: Values, asked: Asked | None = None) -> list[Need]:
     """Return the needs that are not met and that a start writes by itself."""
     model = found.model
-    return [] if model is None else [need for need in differing(model, values, asked) if need.passing]
+    return (
+        [] if model is None else [need for need in differing(model, values, asked) if need.passing]
+    )
 
 
 def differs(found: ServoState, need: Need, value: int, asked: Asked | None = None) -> str:
-    """Return the actual and the required value of a register as text: `drive mode is 9, needed is 0`."""
+    """Return the actual and the required value of a register as text: `drive mode is 9, needed is
+    0`.
+    """
     model = found.model
-    if need.register == "current_limit" and model is not None and (unit := model["current_unit_mA"]) is not None:
+    if (
+        need.register == "current_limit"
+        and model is not None
+        and (unit := model["current_unit_mA"]) is not None
+    ):
         cap = (usual(model) if asked is None else asked).current_mA
         return f"its current limit ({value * unit:.0f} mA) is below the cap ({cap:.0f} mA)"
     least = "" if need.least is None or need.register == "secondary_id" else "at least "
-    return f"{holds(found, need.register, value)}, needed is {least}{need.value if not least else need.least}"
+    return (
+        f"{holds(found, need.register, value)}, needed is "
+        f"{least}{need.value if not least else need.least}"
+    )
 
 
 def holds(found: ServoState, register: str, value: int) -> str:
     """Return the value of a register as text, with the danger if there is one."""
     note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
     if register == "homing_offset" and found.firmware < CLEAR:
-        note = f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips in mode 4)"
+        note = (
+            f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips "
+            "in mode 4)"
+        )
     return f"{register.replace('_', ' ')} is {value}{note}"
 
 
@@ -200,8 +244,8 @@ def hardware(bits: int) -> str:
 def restart(found: ServoState) -> str:
     """Return the remedy for a hardware error."""
     return (
-        f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud {found.baud} "
-        f"--id {found.id}` (or switch its supply off and on)"
+        f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud "
+        f"{found.baud} --id {found.id}` (or switch its supply off and on)"
     )
 
 
@@ -211,13 +255,21 @@ def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
 
 
 def _steps(model: ServoModel, slew: float) -> int:
-    """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as delivered."""
+    """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as
+    delivered.
+    """
     share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
     return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
 
 
 def gains_of(rig_made: Mapping[str, Document], id: int) -> tuple[int, ...]:
-    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not known."""
+    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not
+    known.
+    """
     kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
     complete = isinstance(kept, list) and len(kept) == len(GAINS)
-    return tuple(kept) if complete and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()
+    return (
+        tuple(kept)
+        if complete and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept)
+        else ()
+    )

@@ -1,13 +1,15 @@
-"""The limits in force: a servo's data, the bench's ceiling, the finger's safety and calibration, each with its origin.
+"""The limits in force: a servo's data, the bench's ceiling, the finger's safety and calibration,
+each with its origin.
 
-The ceiling (`rig.toml`) stands in place of softmap's own defaults; the finger's `safety.toml` only tightens, and so do
-the calibration's window and a servo's own data. Limits of commands become limits of servos by u = A (ticks − home) + b:
-a box of ticks all of whose corners lie inside the window of commands, and rates that no command exceeds whatever the
-servos do together. So they are first what each servo may do alone, then shrunk alike until all of them may at once.
-A tension becomes a current by the horn's radius and the stall torque of the servo's manual, and IDLE of the stall
-current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a pull test is one). A servo
-that caps no current has its PWM capped by as much, which slows it down in proportion.
-Pinned by tests/robot/test_limits.py.
+The ceiling (`rig.toml`) stands in place of softmap's own defaults; the finger's `safety.toml` only
+tightens, and so do the calibration's window and a servo's own data. Limits of commands become
+limits of servos by u = A (ticks − home) + b: a box of ticks all of whose corners lie inside the
+window of commands, and rates that no command exceeds whatever the servos do together. So they are
+first what each servo may do alone, then shrunk alike until all of them may at once. A tension
+becomes a current by the horn's radius and the stall torque of the servo's manual, and IDLE of the
+stall current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a
+pull test is one). A servo that caps no current has its PWM capped by as much, which slows it down
+in proportion. Pinned by tests/robot/test_limits.py.
 """
 
 from __future__ import annotations
@@ -25,7 +27,15 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.model.safety import Safety, derived, held_to
 from softmap_edge.model.servo_calibration import TURN, Calibration
-from softmap_edge.robot.servo.loop_limits import COOL, RATE, following, loop_limits, servo_limits, slowed, strongest
+from softmap_edge.robot.servo.loop_limits import (
+    COOL,
+    RATE,
+    following,
+    loop_limits,
+    servo_limits,
+    slowed,
+    strongest,
+)
 from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import ServoModel, servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
@@ -34,9 +44,14 @@ from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES
 Floats = NDArray[np.float64]
 
 IDLE = 0.05  # of a servo's stall current: what motor and gears take without a load
-ASTRAY = 0.03  # of the window: how far home of the rig may lie from the calibration's, but for full turns
+# of the window: how far home of the rig may lie from the calibration's, but for full turns
+ASTRAY = 0.03
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
+_SIMPLE = (
+    "stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
+    "jog_current", "band", "turns", "burst",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,15 +66,23 @@ class Limit:
 
     def to_dict(self) -> Document:
         """Return it as a document."""
-        return {"name": self.name, "value": self.value, "unit": self.unit, "by": self.by, "why": self.why}
+        return {
+            "name": self.name,
+            "value": self.value,
+            "unit": self.unit,
+            "by": self.by,
+            "why": self.why,
+        }
 
 
 @dataclass(frozen=True)
 class EffectiveLimits:
-    """The limits in force on a bench: of each servo (`low` and `high` in ticks about home) and of the robot.
+    """The limits in force on a bench: of each servo (`low` and `high` in ticks about home) and of
+    the robot.
 
-    calibration: that of the bundle on this bench, its home moved by whole turns and its window that of the limits ·
-    safety: what the finger may be asked · derived: the bundle held none, so that it was derived from its model.
+    calibration: that of the bundle on this bench, its home moved by whole turns and its window that
+    of the limits · safety: what the finger may be asked · derived: the bundle held none, so that it
+    was derived from its model.
     """
 
     rig: Rig
@@ -74,7 +97,8 @@ class EffectiveLimits:
         """Return the table that the guard checks and keeps to.
 
         Raises:
-            ServoError: a servo has no home, or a limit is out of the guard's range; the message says who set it.
+            ServoError: a servo has no home, or a limit is out of the guard's range; the message
+                says who set it.
         """
         missing = [servo.id for servo in self.rig.servos if servo.home is None]
         if missing:
@@ -88,7 +112,9 @@ class EffectiveLimits:
             values |= {name: servo.home + values[name] for name in ("low", "high")}
             servos.append(cast(ServoLimits, {"home": servo.home} | values))
         try:
-            return loop_limits(servos, self.rate, **{limit.name: limit.value for limit in self.robot})
+            return loop_limits(
+                servos, self.rate, **{limit.name: limit.value for limit in self.robot}
+            )
         except LimitError as fault:
             limits = self.robot if fault.servo is None else self.servos[fault.servo]
             by = [f" ({limit.by} says so)" for limit in limits if limit.name == fault.name]
@@ -97,14 +123,19 @@ class EffectiveLimits:
     @property
     def _shown(self) -> list[list[Limit]]:
         entries = [servo_model(servo.model) for servo in self.rig.servos]
-        return [[shown(one, entry) for one in limits] for limits, entry in zip(self.servos, entries)]
+        return [
+            [shown(one, entry) for one in limits] for limits, entry in zip(self.servos, entries)
+        ]
 
     @property
     def _robot_shown(self) -> list[Limit]:
         """The limits of the robot; a jog's current as what each kind of servo makes of it."""
         limits = []
         for limit in self.robot:
-            kinds = {model: servo_model(model) for model in sorted({servo.model for servo in self.rig.servos})}
+            kinds = {
+                model: servo_model(model)
+                for model in sorted({servo.model for servo in self.rig.servos})
+            }
             if limit.name == "jog_current":
                 limits += list(dict.fromkeys(shown(limit, entry) for entry in kinds.values()))
             else:
@@ -118,16 +149,23 @@ class EffectiveLimits:
             "rate_per_s": self.rate,
             "command_unit": self.safety.unit,
             "safety": {
-                "derived": self.derived, "edited": self.safety.edited, "assumes": self.safety.assumes,
+                "derived": self.derived,
+                "edited": self.safety.edited,
+                "assumes": self.safety.assumes,
                 "simulated": dict(self.safety.simulated),
             },
             "servos": [
-                {"id": servo.id, "model": servo.model, "home": servo.home, "limits": [one.to_dict() for one in limits]}
+                {
+                    "id": servo.id,
+                    "model": servo.model,
+                    "home": servo.home,
+                    "limits": [one.to_dict() for one in limits],
+                }
                 for servo, limits in zip(self.rig.servos, self._shown)
             ],
             "robot": [one.to_dict() for one in self._robot_shown],
             "emergency": str(self.rig.emergency),
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         lines = []
@@ -138,7 +176,9 @@ class EffectiveLimits:
         what = "derived from the model, the bundle has none" if self.derived else "of the bundle"
         edited = ", edited since the bundle was written" if self.safety.edited else ""
         lines.append(f"safety.toml: {what}{edited}; {self.safety.assumes}")
-        lines.append(f"emergency stops: {self.rig.emergency}; and any program's Controller.emergency")
+        lines.append(
+            f"emergency stops: {self.rig.emergency}; and any program's Controller.emergency"
+        )
         return "\n".join(lines)
 
 
@@ -151,22 +191,32 @@ def effective_limits(
         calibration: ticks and commands, by default the model's. rate: periods of the loop a second.
 
     Raises:
-        ServoError: the bundle has no calibration or another number of servos, what acts at home lies outside the
-            window, or home of the bench is not the calibration's. BundleError: safety.toml allows a tension far beyond
-            what the model was simulated with.
+        ServoError: the bundle has no calibration or another number of servos, what acts at home
+            lies outside the window, or home of the bench is not the calibration's. BundleError:
+            safety.toml allows a tension far beyond what the model was simulated with.
     """
     found = calibration or calibration_of(model)
     if len(found.b) != len(rig.servos):
-        raise ServoError(f"the rig has {len(rig.servos)} servos, the calibration {len(found.b)}; they must agree")
+        raise ServoError(
+            f"the rig has {len(rig.servos)} servos, the calibration {len(found.b)}; they must agree"
+        )
     kept = model.safety.within(model.command_range) if model.safety is not None else None
     safety = derived(model) if kept is None else held_to(kept, model)
     if safety is None or len(safety.low) != len(found.b):
-        raise ServoError(f"the model takes {model.channels} commands, the calibration is of {len(found.b)} servos")
+        raise ServoError(
+            f"the model takes {model.channels} commands, the calibration is of {len(found.b)} "
+            "servos"
+        )
     box = _box(found, safety)
     here = _at_home(rig, found, box)
     rates = _alike(found.A)
-    off = [0.0 if servo.home is None else float(here.home[k]) - servo.home for k, servo in enumerate(rig.servos)]
-    servos = tuple(_servo(rig, k, found, safety, box[k], off[k], rates[k]) for k in range(len(rig.servos)))
+    off = [
+        0.0 if servo.home is None else float(here.home[k]) - servo.home
+        for k, servo in enumerate(rig.servos)
+    ]
+    servos = tuple(
+        _servo(rig, k, found, safety, box[k], off[k], rates[k]) for k in range(len(rig.servos))
+    )
     window = tuple(
         fit(float(_of(one, name).value) - by for one, by in zip(servos, off))
         for name, fit in (("low", max), ("high", min))
@@ -190,33 +240,39 @@ def calibration_of(model: Model) -> Calibration:
     """
     if model.calibration is None:
         raise ServoError(
-            "the bundle holds no calibration of the servos; make one with `softmap servo calibrate`, or from a run by "
-            "`softmap model calibrate`"
+            "the bundle holds no calibration of the servos; make one with `softmap servo "
+            "calibrate`, or from a run by `softmap model calibrate`"
         )
     return model.calibration
 
 
 def _box(calibration: Calibration, safety: Safety) -> Floats:
-    """Return ticks about home (servo, 2), all of whose combinations stay inside the window of commands."""
+    """Return ticks about home (servo, 2), all of whose combinations stay inside the window of
+    commands.
+    """
     b, window = calibration.b, np.array([safety.low, safety.high]).T
     if np.any(b < window[:, 0]) or np.any(b > window[:, 1]):
         raise ServoError(
-            f"at home {np.round(b, 3).tolist()} {safety.unit} act, outside the window {window.tolist()} of "
-            f"{FINGER}; calibrate again about a straight finger, or widen the window as far as the model goes"
+            f"at home {np.round(b, 3).tolist()} {safety.unit} act, outside the window "
+            f"{window.tolist()} of {FINGER}; calibrate again about a straight finger, or widen "
+            "the window as far as the model goes"
         )
     away, back = window - b[:, None], np.linalg.inv(calibration.A)
     sides = np.stack([back * away[:, 0], back * away[:, 1]])  # (2, servo, C)
     alone = np.stack([sides.min(axis=0).sum(axis=1), sides.max(axis=0).sum(axis=1)], axis=1)
     ends = np.stack([calibration.A * alone[:, 0], calibration.A * alone[:, 1]])  # (2, C, servo)
     least, most = ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)
-    share = min(1.0, float(np.min(away[:, 1] / np.maximum(most, 1e-300))),
-                float(np.min(away[:, 0] / np.minimum(least, -1e-300))))  # fmt: skip
+    share = min(
+        1.0,
+        float(np.min(away[:, 1] / np.maximum(most, 1e-300))),
+        float(np.min(away[:, 0] / np.minimum(least, -1e-300))),
+    )
     inside = share * alone
     whole = np.stack([np.ceil(inside[:, 0] - 1e-6), np.floor(inside[:, 1] + 1e-6)], axis=1)
     if np.any(whole[:, 0] > -1.0) or np.any(whole[:, 1] < 1.0):
         raise ServoError(
-            f"the window of {FINGER} leaves servos {whole.tolist()} ticks about home, less than one each way; "
-            "calibrate again about a straight finger"
+            f"the window of {FINGER} leaves servos {whole.tolist()} ticks about home, less than "
+            "one each way; calibrate again about a straight finger"
         )
     return whole
 
@@ -226,29 +282,43 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
 
     A servo that lost its turns and was homed again is full turns away; the remainder must be small.
     """
-    homes = [calibration.home[k] if servo.home is None else servo.home for k, servo in enumerate(rig.servos)]
+    homes = [
+        calibration.home[k] if servo.home is None else servo.home
+        for k, servo in enumerate(rig.servos)
+    ]
     here = calibration.turned(homes)
     for k, servo in enumerate(rig.servos):
         left, most = abs(homes[k] - here.home[k]), ASTRAY * float(np.ptp(box[k]))
         if left > most:
             raise ServoError(
-                f"servo {servo.id}: home of the bench is {servo.home}, the calibration was made about "
-                f"{calibration.home[k]:g}: {left:g} ticks apart, whole turns removed, allowed are {most:.0f}; home it "
-                "again where the finger is straight, or calibrate again"
+                f"servo {servo.id}: home of the bench is {servo.home}, the calibration was made "
+                f"about {calibration.home[k]:g}: {left:g} ticks apart, whole turns removed, "
+                f"allowed are {most:.0f}; home it again where the finger is straight, or "
+                "calibrate again"
             )
     return here
 
 
 def _alike(slope: Floats) -> Floats:
-    """Return per servo the ticks that a unit of command is worth at most, so that all servos at once exceed none."""
+    """Return per servo the ticks that a unit of command is worth at most, so that all servos at
+    once exceed none.
+    """
     alone = 1.0 / np.maximum(np.abs(slope).max(axis=0), 1e-300)
     return np.asarray(alone / max(1.0, float((np.abs(slope) @ alone).max())))
 
 
 def _servo(
-    rig: Rig, k: int, calibration: Calibration, safety: Safety, box: Floats, off: float, worth: float
+    rig: Rig,
+    k: int,
+    calibration: Calibration,
+    safety: Safety,
+    box: Floats,
+    off: float,
+    worth: float,
 ) -> tuple[Limit, ...]:
-    """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the bench."""
+    """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the
+    bench.
+    """
     servo, unit = rig.servos[k], safety.unit
     entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
@@ -257,7 +327,11 @@ def _servo(
     limits = []
     for side, name in enumerate(("low", "high")):
         most = [
-            (float(box[side]) + off, FINGER, f"{getattr(safety, name)[k]:g} {unit} {through}, with all servos at once")
+            (
+                float(box[side]) + off,
+                FINGER,
+                f"{getattr(safety, name)[k]:g} {unit} {through}, with all servos at once",
+            )
         ]
         if calibration.window is not None:
             most.append((float(calibration.window[side]) + off, "the calibration", "its window"))
@@ -270,7 +344,9 @@ def _servo(
         data = name in ("warm", "hot")
         own = (cast(Mapping[str, float], start)[name], DATA if data else OWN, "")
         set_here = allowed(of or name) or own
-        value, by, why = min([set_here, *([own] if data else []), *others], key=lambda one: float(one[0]))
+        value, by, why = min(
+            [set_here, *([own] if data else []), *others], key=lambda one: float(one[0])
+        )
         limits.append(Limit(name, value, UNITS[name], by, why))
 
     own = (strongest(entry), DATA, "its own limit")
@@ -281,9 +357,20 @@ def _servo(
     if by_pwm(entry):
         real = (real[0], DATA, "its fastest turn, in proportion to its PWM")
     least("slew", real, (safety.slew * worth, FINGER, f"{safety.slew:g} {unit}/s {through}"))
-    least("acceleration", (safety.acceleration * worth, FINGER, f"{safety.acceleration:g} {unit}/s² {through}"))
+    least(
+        "acceleration",
+        (safety.acceleration * worth, FINGER, f"{safety.acceleration:g} {unit}/s² {through}"),
+    )
     limits.append(current)
-    limits.append(Limit("fastest", start["fastest"], "ticks/s", DATA, "half above its fastest turn is not believed"))
+    limits.append(
+        Limit(
+            "fastest",
+            start["fastest"],
+            "ticks/s",
+            DATA,
+            "half above its fastest turn is not believed",
+        )
+    )
     start["following"] = following(float(_of(limits, "slew").value))
     for name in ("following", "warm", "hot"):
         least(name)
@@ -302,12 +389,18 @@ def shown(limit: Limit, entry: ServoModel) -> Limit:
         return limit
     stall = entry["stall_current_mA"]
     share = round(100.0 * min(1.0, limit.value / stall), 1)
-    why = f"goal PWM for {limit.value:g} mA of {stall:g} mA at stall" + (f": {limit.why}" if limit.why else "")
+    why = f"goal PWM for {limit.value:g} mA of {stall:g} mA at stall" + (
+        f": {limit.why}" if limit.why else ""
+    )
     return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
 
 
-def _current(safety: Safety, entry: ServoModel, calibration: Calibration, k: int) -> tuple[float, str, str]:
-    """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger allows."""
+def _current(
+    safety: Safety, entry: ServoModel, calibration: Calibration, k: int
+) -> tuple[float, str, str]:
+    """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger
+    allows.
+    """
     assert safety.tension is not None
     if safety.unit != "mm":
         return np.inf, FINGER, ""
@@ -315,8 +408,8 @@ def _current(safety: Safety, entry: ServoModel, calibration: Calibration, k: int
     torque, stall = entry["stall_torque_Nm"], entry["stall_current_mA"]
     load, idle = safety.tension * radius * 1e-3 / torque * stall, IDLE * stall
     why = (
-        f"{safety.tension:g} N on a horn of {radius:.3g} mm is {load:.0f} mA by its stall torque, and {idle:.0f} mA "
-        "for motor and gears"
+        f"{safety.tension:g} N on a horn of {radius:.3g} mm is {load:.0f} mA by its stall torque, "
+        f"and {idle:.0f} mA for motor and gears"
     )
     return round(load + idle, 1), FINGER, why
 
@@ -333,9 +426,12 @@ def _robot(
     ticks = tuple(float(by * rates.min()) for by in safety.jump)
     jump.append((ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"))
     warned, refused = (min(jump, key=_side(side)) for side in (0, 1))
-    limits = [Limit("jump", (min(warned[0][0], refused[0][1]), refused[0][1]), "ticks", warned[1], warned[2])]
-    for name in ("stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
-                 "jog_current", "band", "turns", "burst"):  # fmt: skip
+    limits = [
+        Limit(
+            "jump", (min(warned[0][0], refused[0][1]), refused[0][1]), "ticks", warned[1], warned[2]
+        )
+    ]
+    for name in _SIMPLE:
         found = [allowed(name) or (usual[name], OWN, "")]
         if hasattr(safety, name):
             found.append((getattr(safety, name), FINGER, ""))
@@ -348,10 +444,14 @@ def _side(side: int) -> Callable[[Any], float]:
     return lambda one: float(one[0][side])
 
 
-def of_bench(rig: Rig, servo: RigServo | None = None) -> Callable[[str], tuple[Any, str, str] | None]:
-    """Return what looks up the strictest of what the bench sets, for all its servos and for this one: value, who, how.
+def of_bench(
+    rig: Rig, servo: RigServo | None = None
+) -> Callable[[str], tuple[Any, str, str] | None]:
+    """Return what looks up the strictest of what the bench sets, for all its servos and for this
+    one: value, who, how.
 
-    A ceiling of `hot` that leaves `warm` unsaid is one of `warm` too, as far below as in the servo's data.
+    A ceiling of `hot` that leaves `warm` unsaid is one of `warm` too, as far below as in the
+    servo's data.
     """
 
     def look(name: str) -> tuple[Any, str, str] | None:
@@ -361,7 +461,9 @@ def of_bench(rig: Rig, servo: RigServo | None = None) -> Callable[[str], tuple[A
         hot = rig.ceiling.get("hot")
         if name == "warm" and not there and isinstance(hot, float):
             by = COOL[0] - COOL[1]
-            there = [(max(hot - by, RANGES["warm"][0]), CEILING, f"{by:g} °C below hot of its [ceiling]")]
+            there = [
+                (max(hot - by, RANGES["warm"][0]), CEILING, f"{by:g} °C below hot of its [ceiling]")
+            ]
         return (max if name in AT_LEAST else min)(there, key=lambda one: one[0]) if there else None
 
     return look
@@ -374,7 +476,11 @@ def _of(limits: Iterable[Limit], name: str) -> Limit:
 def _line(limit: Limit) -> str:
     value = limit.value
     numbers = (
-        " to ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else "none" if value is None else f"{value:g}"
+        " to ".join(f"{v:g}" for v in value)
+        if isinstance(value, tuple)
+        else "none"
+        if value is None
+        else f"{value:g}"
     )
     why = f": {limit.why}" if limit.why else ""
     return f"  {limit.name:<13} {numbers + ' ' + limit.unit:<24} {limit.by}{why}"

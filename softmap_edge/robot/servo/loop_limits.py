@@ -1,7 +1,9 @@
-"""What the servos of a robot are allowed: one table, in ticks and seconds, that the compiled guard checks and keeps to.
+"""What the servos of a robot are allowed: one table, in ticks and seconds, that the compiled guard
+checks and keeps to.
 
-docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about `home`. Pinned by
-tests/robot/test_controller.py and, for what the guard makes of it, by the tests of rust/servo/guard.
+docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about
+`home`. Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests
+of rust/servo/guard.
 """
 
 from __future__ import annotations
@@ -19,20 +21,23 @@ from softmap_edge.robot.servo.models import ServoModel, servo_model
 RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
 SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
-BEHIND = 1.5 * 0.24  # s by which a servo may be late: half as much again as the trunk's were (its recording)
+# s by which a servo may be late: half as much again as the trunk's were (its recording)
+BEHIND = 1.5 * 0.24
 NEAR = 400.0  # ticks that it may be behind in any case, however slow
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BAND = 0.02  # mm that a goal comes back before its servo turns
 JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
-COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which tension is released
+# °C below its own limit at which a servo's current is cut back, and at which tension is released
+COOL = (15.0, 5.0)
 
 
 def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLimits:
     """Return the limits of one servo by its model's data.
 
     Args:
-        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 < HIGH.
+        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 <
+            HIGH.
 
     Raises:
         ServoError: no such model.
@@ -55,27 +60,37 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLim
 
 
 def strongest(entry: ServoModel) -> float:
-    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
+    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall
+    if it has none.
+    """
     return float(entry["current_limit_mA"] or entry["stall_current_mA"])
 
 
 def slowed(entry: ServoModel, current: float) -> float:
-    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
+    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less
+    speed too.
+    """
     real = float(entry["fastest_ticks_per_s"])
-    return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])
+    return (
+        real
+        if entry["current_limit_mA"] is not None
+        else real * min(1.0, current / entry["stall_current_mA"])
+    )
 
 
 def following(slew: float) -> float:
     """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
 
-    Real servos are behind by their delay at each speed: a limit below that drops the torque of a healthy finger, and
-    it must be homed again. What is really blocked pulls for some tenths of a second more, within its current cap.
+    Real servos are behind by their delay at each speed: a limit below that drops the torque of a
+    healthy finger, and it must be homed again. What is really blocked pulls for some tenths of a
+    second more, within its current cap.
     """
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 
 
 def loop_limits(servos: Sequence[ServoLimits], rate: float = RATE, **changes: object) -> LoopLimits:
-    """Return the limits of a robot of `servos` (`servo_limits`) whose loop runs at `rate` (1/s), checked.
+    """Return the limits of a robot of `servos` (`servo_limits`) whose loop runs at `rate` (1/s),
+    checked.
 
     Raises:
         ServoError: a limit is out of range, or `changes` names none.

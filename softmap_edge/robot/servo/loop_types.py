@@ -1,6 +1,7 @@
 """What goes into the control loop and comes out of it: limits, and reports (`softmap.loop/1`).
 
-`rust/control/report.rs` writes the reports. Nothing here needs numpy, which the loop starts without.
+`rust/control/report.rs` writes the reports. Nothing here needs numpy, which the loop starts
+without.
 
 Pinned by tests/robot/test_controller.py.
 """

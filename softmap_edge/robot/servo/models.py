@@ -1,7 +1,9 @@
-"""What is known of a servo's model: its entry in the compiled table, by name or by the number that it reports.
+"""What is known of a servo's model: its entry in the compiled table, by name or by the number that
+it reports.
 
-An entry has `name`, `number`, `baud_rates`, `operating_mode`, what the servo can do and what it draws; a model without
-a current sensor has None for its currents. Pinned by tests/robot/test_rig_file.py.
+An entry has `name`, `number`, `baud_rates`, `operating_mode`, what the servo can do and what it
+draws; a model without a current sensor has None for its currents. Pinned by
+tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Find the servos on a bus, and why one does not answer: another baud rate or id, a shared id, pings only.
+"""Find the servos on a bus, and why one does not answer: another baud rate or id, a shared id,
+pings only.
 
 Nothing is written to the bus. Pinned by tests/robot/test_presence.py.
 """
@@ -23,7 +24,9 @@ ALONE = "connect one servo at a time and give each an id of its own"
 
 @dataclass(frozen=True)
 class Heard:
-    """The servos that answer at a port at one rate, a sentence for each fault, and the ids that answer pings only."""
+    """The servos that answer at a port at one rate, a sentence for each fault, and the ids that
+    answer pings only.
+    """
 
     found: tuple[ServoState, ...]
     remarks: tuple[str, ...]
@@ -42,7 +45,9 @@ def listened(port: str, baud: int) -> Heard:
         shared = sorted({id for id in ids if ids.count(id) > 1})
         remarks = [shares(bus, id) for id in shared]
         if unreadable and not shared:
-            remarks.append(f"something answers at {baud} baud and cannot be read: {_unreadable(bus)}")
+            remarks.append(
+                f"something answers at {baud} baud and cannot be read: {_unreadable(bus)}"
+            )
         mute = tuple(id for id in ids if id not in shared and _silent_reads(bus, id))
         remarks += [f"servo {id} {pings_only(port, baud, id)}" for id in mute]
     return Heard(tuple(found), tuple(remarks), mute)
@@ -75,7 +80,10 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
         return f"no answer at {port}, {baud} baud, but id {other} answers; check which id it has"
     if strangers:
         run = setup_command(port, baud, strangers[0], f" --new-id {id} --rig FILE")
-        return f"no answer, but id {other} answers, which the rig does not list; if it got another id, run {run}"
+        return (
+            f"no answer, but id {other} answers, which the rig does not list; if it got another "
+            f"id, run {run}"
+        )
     scan = f"`softmap servo scan --port {shlex.quote(port)}`"
     return f"no answer at {port}, {baud} baud; check power and wiring, {scan} lists who answers"
 
@@ -87,7 +95,10 @@ def muted(bus: _core.ServoBus, id: int) -> str:
     if _silent_reads(bus, id):
         return pings_only(bus.port, bus.baud, id)
     if pinged(bus, id) is not None:
-        return "its long answers are lost: the bus is disturbed, or two servos share its id; look at cables and ids"
+        return (
+            "its long answers are lost: the bus is disturbed, or two servos share its id; look at "
+            "cables and ids"
+        )
     return "no answer; check power and wiring, `softmap servo doctor --rig FILE` looks at more"
 
 

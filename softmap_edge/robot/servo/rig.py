@@ -1,6 +1,8 @@
-"""One bench: where its servos are and where home is, kept on the machine that drives them (`rig.toml`).
+"""One bench: where its servos are and where home is, kept on the machine that drives them
+(`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/robot/test_rig_file.py.
+A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by
+tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -23,12 +25,14 @@ from softmap_edge.robot.servo.rig_ceiling import RANGES, Ceiling, read_ceiling
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
 FARTHEST = int(_core.limit_ranges()["home"][1])  # ticks: 256 turns
-KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
+# of a servo, where it is known
+KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")
 
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never homed).
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight
+    (None: never homed).
 
     Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
     """
@@ -45,9 +49,10 @@ class RigServo:
 
 @dataclass(frozen=True)
 class Rig:
-    """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
-    most, `emergency` the stops that the loop asks, `made` says how each thing was found. `time` is that of the servos,
-    `file` the one that it was read from; no file holds them.
+    """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of
+    them are allowed at most, `emergency` the stops that the loop asks, `made` says how each thing
+    was found. `time` is that of the servos, `file` the one that it was read from; no file holds
+    them.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -72,11 +77,20 @@ class Rig:
             except ServoError as fault:
                 raise ServoError(f"servo {servo.id}: {fault}") from None
             if ids.count(servo.id) > 1 or not 0 <= servo.id <= 252:
-                raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
+                raise ServoError(
+                    f"servo id {servo.id} stands twice or beyond 252; give each servo one of its "
+                    "own"
+                )
             if self.baud not in known["baud_rates"]:
-                raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
-            if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
-                raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
+                raise ServoError(
+                    f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud"
+                )
+            if not (servo.low is None or servo.low < 0) or not (
+                servo.high is None or servo.high > 0
+            ):
+                raise ServoError(
+                    f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high"
+                )
 
     @property
     def numbers(self) -> list[tuple[int, int]]:
@@ -89,7 +103,9 @@ class Rig:
         lines += [*self.ceiling.to_toml(), *self.emergency.to_toml()]
         for servo in self.servos:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
-            lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
+            lines += [
+                f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None
+            ]
         for name, found in self.made.items():
             lines += [
                 "",
@@ -103,7 +119,8 @@ class Rig:
         write_atomically(path, self.to_toml())
 
     def note(self, path: str | Path) -> None:
-        """Write what is known of the servos, and how it was found, into the `rig.toml` that this was read from.
+        """Write what is known of the servos, and how it was found, into the `rig.toml` that this
+        was read from.
 
         What its user wrote there stays, comments too.
 
@@ -122,8 +139,8 @@ def read_rig(path: str | Path) -> Rig:
     """Read a `rig.toml`.
 
     Raises:
-        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or a key is unknown:
-            a mistyped stop or limit would be none.
+        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or
+            a key is unknown: a mistyped stop or limit would be none.
     """
     file = Path(path)
     try:
@@ -182,6 +199,7 @@ def _found(table: TomlTable) -> Document:
         each = value if isinstance(value, list) else [value]
         if not all(isinstance(one, str | int | float) for one in each):
             raise ServoError(
-                f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them"
+                f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a "
+                "list of them"
             )
     return table.values

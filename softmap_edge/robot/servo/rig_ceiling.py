@@ -1,7 +1,8 @@
-"""What a bench allows all of its servos at most: `[ceiling]` of its `rig.toml`; a servo's own stands behind its id.
+"""What a bench allows all of its servos at most: `[ceiling]` of its `rig.toml`; a servo's own
+stands behind its id.
 
-It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it (`limits.py`).
-Pinned by tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
+It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it
+(`limits.py`). Pinned by tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     for name, (low, high, _) in _core.limit_ranges().items()
     if name not in OTHERS
 }
-OF_EACH = ("low", "high", "slew", "acceleration", "current_mA", "following", "warm", "hot")  # of each servo
+# of each servo
+OF_EACH = ("low", "high", "slew", "acceleration", "current_mA", "following", "warm", "hot")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     """Read the limits of a bench.
 
     Raises:
-        RunError: an unknown name, or a value out of range. ServoError: a pair that is none, or warm above hot.
+        RunError: an unknown name, or a value out of range. ServoError: a pair that is none, or warm
+            above hot.
     """
     found: list[tuple[str, Value]] = []
     for name, (low, high) in RANGES.items():
@@ -61,7 +64,8 @@ def read_ceiling(table: TomlTable) -> Ceiling:
             pair = table.numbers(name, (2,))
             if pair is not None and not low <= pair[0] <= pair[1] <= high:
                 raise ServoError(
-                    f"{table.where}: jump = {pair.tolist()}, expected 0 ≤ warned ≤ refused ≤ {high:g} ticks"
+                    f"{table.where}: jump = {pair.tolist()}, expected 0 ≤ warned ≤ refused ≤ "
+                    f"{high:g} ticks"
                 )
             if pair is not None:
                 found.append((name, (float(pair[0]), float(pair[1]))))
@@ -79,22 +83,24 @@ def check_bench(rig: Rig, limits: LoopLimits) -> None:
     """Refuse limits of a robot that its bench does not allow.
 
     Raises:
-        ServoError: a servo's home differs from the homed one of the rig, or a limit lies above the ceiling.
+        ServoError: a servo's home differs from the homed one of the rig, or a limit lies above the
+            ceiling.
     """
     for k, servo in enumerate(rig.servos):
         home = limits["servos"][k]["home"]
         if servo.home is not None and home != servo.home:
             raise ServoError(
-                f"servo {servo.id}: the limits are about home at {home}, the rig's is {servo.home}; make the limits of "
-                "the rig (`combined`, or `servo_limits` with its home)"
+                f"servo {servo.id}: the limits are about home at {home}, the rig's is "
+                f"{servo.home}; make the limits of the rig (`combined`, or `servo_limits` with "
+                "its home)"
             )
     for where, name, value, most in _both(rig, cast(Document, limits)):
         pairs = zip(value, most) if isinstance(value, (list, tuple)) else [(value, most)]
         for one, end in pairs:
             if one is not None and (one < end if name in AT_LEAST else one > end):
                 raise ServoError(
-                    f"{where}{name} is {one:g}, the rig allows {end:g}; make the limits of the rig (`combined`), or "
-                    "change its [ceiling] knowingly"
+                    f"{where}{name} is {one:g}, the rig allows {end:g}; make the limits of the "
+                    "rig (`combined`), or change its [ceiling] knowingly"
                 )
 
 

@@ -1,7 +1,8 @@
 """Write findings into a `rig.toml` that its user has edited: comments, order and layout stay.
 
-tomlkit keeps all that does not change. The outcome is parsed again and must hold the expected values; a file for which
-that fails is written in our own form, without its comments. Pinned by tests/robot/test_rig_file.py.
+tomlkit keeps all that does not change. The outcome is parsed again and must hold the expected
+values; a file for which that fails is written in our own form, without its comments. Pinned by
+tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ def edited(old: str, new: str, kept: Sequence[str]) -> str:
 
 def _merged(old: Mapping[str, object], new: Mapping[str, object], kept: Sequence[str]) -> Document:
     """Return a servo's table: the findings, and the keys that its user added."""
-    return dict(new) | {key: value for key, value in old.items() if key not in new and key not in kept}
+    return dict(new) | {
+        key: value for key, value in old.items() if key not in new and key not in kept
+    }
 
 
 def _change(document: tomlkit.TOMLDocument, target: Mapping[str, Any]) -> None:
@@ -80,7 +83,9 @@ def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
 
 
 def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
-    """Give a table these values; what is equal stays as it is written. `remove` takes the other keys out."""
+    """Give a table these values; what is equal stays as it is written. `remove` takes the other
+    keys out.
+    """
     for key in [key for key in table if remove and key not in values]:
         del table[key]
     for key, value in values.items():
@@ -91,7 +96,9 @@ def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
 
 
 def _add(table: Any, key: str, item: Item) -> None:
-    """Add a key after the last one, before comments and blank lines: these belong to what follows."""
+    """Add a key after the last one, before comments and blank lines: these belong to what
+    follows.
+    """
     inside = table if isinstance(table, Container) else table.value
     rest = len(inside.body)
     while rest and inside.body[rest - 1][0] is None:

@@ -57,7 +57,10 @@ DENIED = {
     "from": "not allowed in state {}",
     "trouble": "something is wrong: {}",
     "torque": "a servo has torque; `softmap servo off` releases it",
-    "outside": "a servo stands outside its window; turn it back with `softmap servo move`, or home the robot again",
+    "outside": (
+        "a servo stands outside its window; turn it back with `softmap servo move`, or home the "
+        "robot again"
+    ),
     "undriven": "no fresh target, or the deadman is not pressed",
 }
 STATES = {
@@ -74,7 +77,10 @@ STATES = {
 MANY_LOST = 0.01  # share of lost answers that is reported
 REMEDIES = {  # of causes; what is left out needs none
     "late": "check the cables of the bus, and close what else loads this computer",
-    "overload": "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it needs",
+    "overload": (
+        "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it "
+        "needs"
+    ),
     "voltage": POWER,
     "hot": COOL_DOWN,
     "emergency": "release the emergency stop",
@@ -85,7 +91,8 @@ REMEDIES = {  # of causes; what is left out needs none
     "tripped": "close other programs that use the port, and check the cables",
 }
 SENSED = ("hot", "voltage")  # causes whose value and limit a report shows
-LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
+# causes, under torque
+LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
 
@@ -101,7 +108,9 @@ def state(report: LoopReport) -> str:
 
 
 def cause(report: LoopReport, limits: LoopLimits | None = None) -> str:
-    """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
+    """Return why it is in that state, "" if the report names no cause; with `limits` with the value
+    and its limit.
+    """
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (message := errors(report)):
         return message
@@ -118,22 +127,39 @@ def errors(report: LoopReport) -> str:
     """Return the hardware errors of the servos as text; "" if there are none."""
     known = report.get("hardware") or []
     ids = report.get("ids") or list(range(1, len(known) + 1))
-    message = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
+    message = [
+        f"servo {id} reports a hardware error: {hardware(bits)}"
+        for id, bits in zip(ids, known)
+        if bits
+    ]
     return ", ".join(message)
 
 
 def bus(counts: BusCounts) -> str:
     """Return a sentence on answers that were lost or not asked for; "" if there are none."""
-    asked, lost, damaged, unasked = counts["asked"], counts["lost"], counts["damaged"], counts["unasked"]
+    asked, lost, damaged, unasked = (
+        counts["asked"],
+        counts["lost"],
+        counts["damaged"],
+        counts["unasked"],
+    )
     message = [f"{unasked} answers came that this program did not ask for"] if unasked else []
-    message += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
+    message += (
+        [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
+    )
     message += [f"{damaged} were damaged"] if message and damaged else []
-    why = "another program uses the port, or two servos share an id" if unasked else "look at the wiring of the bus"
+    why = (
+        "another program uses the port, or two servos share an id"
+        if unasked
+        else "look at the wiring of the bus"
+    )
     return f"{', '.join(message)}; {why}" if message else ""
 
 
 def where(report: LoopReport, limits: LoopLimits | None = None) -> str:
-    """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
+    """Return state and cause as part of a sentence: `in state slackening (no target came in
+    time)`.
+    """
     why = cause(report, limits)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
 
@@ -143,15 +169,21 @@ def onward(report: LoopReport, *, terminal: bool = False, bench: bool = True) ->
 
     Args:
         report: the newest of the loop.
-        terminal: whether its reader typed a command; else they wrote a program, and the methods are named.
-        bench: whether the robot has a rig file; one that a command emulates is homed again by each start.
+        terminal: whether its reader typed a command; else they wrote a program, and the methods are
+            named.
+        bench: whether the robot has a rig file; one that a command emulates is homed again by each
+            start.
     """
     return _typed(report, bench) if terminal else _called(report)
 
 
 def _typed(report: LoopReport, bench: bool) -> str:
     """Return what to do at the command line, where the same command is run again."""
-    home = "home the robot again (`softmap servo home --rig FILE`)" if bench and _unhomed(report) else ""
+    home = (
+        "home the robot again (`softmap servo home --rig FILE`)"
+        if bench and _unhomed(report)
+        else ""
+    )
     steps = [_remedy(report), home]
     return ", then ".join([*filter(None, steps), "run the same command again"])
 
@@ -162,9 +194,13 @@ def _called(report: LoopReport) -> str:
     if state == "fault" and why == "loop":
         return "start another Controller"
     if _unhomed(report):
-        again = "home the robot again (`softmap servo home --rig FILE`), and start another Controller"
+        again = (
+            "home the robot again (`softmap servo home --rig FILE`), and start another Controller"
+        )
         return ", then ".join(filter(None, [_remedy(report), again]))
-    acknowledge = 'call request("acknowledge"), request("arm") and engage(), or start another Controller'
+    acknowledge = (
+        'call request("acknowledge"), request("arm") and engage(), or start another Controller'
+    )
     if state == "fault":
         return ", then ".join(filter(None, [_remedy(report), acknowledge]))
     if state == "safe_stop" and _remedy(report):
@@ -190,11 +226,16 @@ def restarts(report: LoopReport) -> str:
     """Return the remedy for a servo with a hardware error."""
     ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits]
     id = ids[0] if ids else "N"
-    return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply off and on)"
+    return (
+        f"find the cause, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply "
+        "off and on)"
+    )
 
 
 def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
-    """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
+    """Return why a request was denied, of what the loop's report says: `from(ready)`,
+    `trouble(late)`, `torque`, …
+    """
     kind, _, of = message.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):
         return named
@@ -244,4 +285,7 @@ def kept_words(ids: Sequence[int]) -> str:
     """Return the message on servos that have not confirmed that their torque is off."""
     which, several = ", ".join(map(str, ids)), len(ids) > 1
     who, its, it = ("servos", "their", "they answer") if several else ("servo", "its", "it answers")
-    return f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap servo off` once {it}"
+    return (
+        f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap "
+        f"servo off` once {it}"
+    )

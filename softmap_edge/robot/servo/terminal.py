@@ -1,9 +1,10 @@
 """The keys of a terminal: what is typed, by name, and a held key, which a terminal does not report.
 
-A terminal reports no key-up. It repeats a held key: the first time after `FIRST` s at most, then each `REPEAT` s at
-most. So a key that was pressed once may be held or not, and only its first repetition shows it: what must not run on
-after a tap (`robot/commissioning/keys.py`) begins with that. Pinned by tests/robot/test_clutch.py,
-tests/robot/test_move.py and tests/robot/test_emergency_key.py.
+A terminal reports no key-up. It repeats a held key: the first time after `FIRST` s at most, then
+each `REPEAT` s at most. So a key that was pressed once may be held or not, and only its first
+repetition shows it: what must not run on after a tap (`robot/commissioning/keys.py`) begins with
+that. Pinned by tests/robot/test_clutch.py, tests/robot/test_move.py and
+tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from contextlib import contextmanager, suppress
 from types import TracebackType
 from typing import Any, Self
 
-FIRST, REPEAT = 0.7, 0.2  # s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
+# s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
+FIRST, REPEAT = 0.7, 0.2
 EMERGENCY = "e"  # wherever a terminal drives: torque off at once
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 ESC = "\x1b"
@@ -27,7 +29,9 @@ MOST = 4096  # bytes that are read at a time: more was pasted, not typed
 
 
 class RepeatedKey:
-    """A key of a terminal, which reports repetitions only: without one in time it counts as released."""
+    """A key of a terminal, which reports repetitions only: without one in time it counts as
+    released.
+    """
 
     def __init__(self) -> None:
         self._last, self._again = float("-inf"), False
@@ -42,7 +46,9 @@ class RepeatedKey:
         self._last, self._again = float("-inf"), False
 
     def held(self, now: float) -> bool:
-        """Return whether it may be held at `now` s: it repeats, or was pressed and may yet do so."""
+        """Return whether it may be held at `now` s: it repeats, or was pressed and may yet do
+        so.
+        """
         return now - self._last <= (REPEAT if self._again else FIRST)
 
     def repeats(self, now: float) -> bool:
@@ -51,16 +57,21 @@ class RepeatedKey:
 
 
 def terminal() -> int | None:
-    """Return the descriptor of standard input where it is a terminal whose keys are ours to read, else None."""
+    """Return the descriptor of standard input where it is a terminal whose keys are ours to read,
+    else None.
+    """
     try:
         file = sys.stdin.fileno()
-    except (AttributeError, OSError, ValueError):  # closed, or replaced by something that is no file
+    # closed, or replaced by something that is no file
+    except (AttributeError, OSError, ValueError):
         return None
     return file if os.isatty(file) and _foreground(file) else None
 
 
 def _foreground(file: int) -> bool:
-    """Return whether this process may read `file`; the system stops a background process that reads it."""
+    """Return whether this process may read `file`; the system stops a background process that reads
+    it.
+    """
     try:
         return os.tcgetpgrp(file) == os.getpgrp()
     except OSError:  # a terminal without job control
@@ -68,7 +79,9 @@ def _foreground(file: int) -> bool:
 
 
 class Typed:
-    """The keys that are typed at the terminal `file`, unechoed, from entering to leaving; Ctrl-C stays an interrupt."""
+    """The keys that are typed at the terminal `file`, unechoed, from entering to leaving; Ctrl-C
+    stays an interrupt.
+    """
 
     def __init__(self, file: int) -> None:
         self._file, self._before = file, list[Any]()
@@ -80,9 +93,13 @@ class Typed:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
-        with suppress(termios.error):  # a terminal that is gone; what still repeats is not for the shell
+        # a terminal that is gone; what still repeats is not for the shell
+        with suppress(termios.error):
             termios.tcsetattr(self._file, termios.TCSAFLUSH, self._before)
 
     @contextmanager
@@ -95,7 +112,9 @@ class Typed:
             tty.setcbreak(self._file)
 
     def read(self) -> list[str]:
-        """Return the names of the keys that came since, never waiting; a terminal that is gone was left by escape."""
+        """Return the names of the keys that came since, never waiting; a terminal that is gone was
+        left by escape.
+        """
         read = b""
         while not self.gone and len(read) < MOST and select.select([self._file], [], [], 0.0)[0]:
             if not _foreground(self._file):
@@ -114,7 +133,9 @@ def _read(file: int) -> bytes:
 
 
 def wait_for_release(file: int) -> None:
-    """Wait until no key of the terminal `file` has come for `REPEAT` s: one that is held would be part of an answer."""
+    """Wait until no key of the terminal `file` has come for `REPEAT` s: one that is held would be
+    part of an answer.
+    """
     with Typed(file) as typed:
         since = time.monotonic()
         while not typed.gone and time.monotonic() - since < REPEAT:
@@ -124,12 +145,15 @@ def wait_for_release(file: int) -> None:
 
 
 def named(read: bytes) -> list[str]:
-    """Return the names of the keys in what a terminal sent: characters, in small letters, `up`, `down`, `left`,
-    `right`, `escape`; a sequence that is not known is no key."""
+    """Return the names of the keys in what a terminal sent: characters, in small letters, `up`,
+    `down`, `left`, `right`, `escape`; a sequence that is not known is no key.
+    """
     keys, rest = [], read.decode("ascii", "ignore")
     while rest:
         if rest.startswith((f"{ESC}[", f"{ESC}O")) and len(rest) >= 3:
-            end = next((k for k, c in enumerate(rest[2:], 2) if c.isalpha() or c == "~"), len(rest) - 1)
+            end = next(
+                (k for k, c in enumerate(rest[2:], 2) if c.isalpha() or c == "~"), len(rest) - 1
+            )
             keys += [ARROWS[rest[2]]] if end == 2 and rest[2] in ARROWS else []
             rest = rest[end + 1 :]
         else:

@@ -1,6 +1,8 @@
-"""Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is reported.
+"""Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is
+reported.
 
-Real servos do not wait, so this does not apply to them. Pinned by tests/robot/test_simulated_time.py.
+Real servos do not wait, so this does not apply to them. Pinned by
+tests/robot/test_simulated_time.py.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ from collections.abc import Callable
 
 from softmap_edge.robot.servo.clock import BUSY, Clock
 
-LATE = 0.05  # s between two rounds, several times what one takes: the computer had no time for this program
+# s between two rounds, several times what one takes: the computer had no time for this program
+LATE = 0.05
 LONG, AGAIN = 0.2, 5.0  # s of standstill before a report, and between two reports
 SHOWN = 1.0  # s for which a page shows it
 
@@ -45,7 +48,9 @@ class Busy:
         return BUSY if now - self._stood_at < SHOWN else ""
 
     def age(self, t: float, now: float) -> float:
-        """Return the age (s) of data seen at `t`, without the time in which this program could not run."""
+        """Return the age (s) of data seen at `t`, without the time in which this program could not
+        run.
+        """
         return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
 
     def end(self) -> None:

@@ -1,10 +1,12 @@
-"""When what an operator does drives the finger: only from a fresh press of the key, and never on by itself.
+"""When what an operator does drives the finger: only from a fresh press of the key, and never on by
+itself.
 
     released → waiting → driving → lost → released
 
-A press waits up to PATIENCE for all that driving needs; whatever goes while it lasts ends it, and the key must be let
-go and pressed again. What moves is relative: the hand's pose at the press stands for where the finger is (u = 0 after
-slackening, the paper's), so that nothing jumps. Pinned by tests/robot/test_clutch.py.
+A press waits up to PATIENCE for all that driving needs; whatever goes while it lasts ends it, and
+the key must be let go and pressed again. What moves is relative: the hand's pose at the press
+stands for where the finger is (u = 0 after slackening, the paper's), so that nothing jumps. Pinned
+by tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ class Clutch:
         """Return what follows at `now` s.
 
         Args:
-            who: whose key is held, empty where nobody's is. lacking: what driving lacks, empty where nothing does.
+            who: whose key is held, empty where nobody's is. lacking: what driving lacks, empty
+                where nothing does.
         """
         if not who:
             return Clutch()
@@ -48,4 +51,8 @@ class Clutch:
 
     def lose(self, why: str) -> Clutch:
         """Return the stage after something went, or was asked for, that ends driving."""
-        return self if self.stage in ("released", "lost") else Clutch("lost", self.who, self.since, why)
+        return (
+            self
+            if self.stage in ("released", "lost")
+            else Clutch("lost", self.who, self.since, why)
+        )

@@ -1,7 +1,8 @@
-"""The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what links to one).
+"""The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what
+links to one).
 
-Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path` stay. Pinned by
-tests/robot/test_frames.py.
+Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path`
+stay. Pinned by tests/robot/test_frames.py.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def cameras(devices: Path = DEVICES) -> list[Camera]:
     found = []
     for file in devices.glob("video*"):
         if (number := _number(file, devices)) is not None and not file.is_symlink():
-            names = tuple(link for link in links if os.path.realpath(link) == os.path.realpath(file))
+            names = tuple(
+                link for link in links if os.path.realpath(link) == os.path.realpath(file)
+            )
             found.append(Camera(number, file, names))
     return sorted(found, key=lambda camera: camera.number)
 
@@ -60,12 +63,22 @@ def camera_number(text: str, devices: Path = DEVICES) -> int | None:
         number, exists = _number(path, devices), path.exists()
         if number is not None and exists:
             return number
-        if path.is_file() or not (path.is_relative_to(devices) or number is not None or path.is_char_device()):
+        if path.is_file() or not (
+            path.is_relative_to(devices) or number is not None or path.is_char_device()
+        ):
             return None
     except (OSError, RuntimeError, ValueError) as fault:
         why = getattr(fault, "strerror", None) or "links in a circle"
-        raise TeleopError(f"camera: {text!r:.80} cannot be read ({why.lower()}); {there(devices)}") from None
-    what = "is no camera" if exists else "is not there" if number is None else f"links to camera {number}, now gone"
+        raise TeleopError(
+            f"camera: {text!r:.80} cannot be read ({why.lower()}); {there(devices)}"
+        ) from None
+    what = (
+        "is no camera"
+        if exists
+        else "is not there"
+        if number is None
+        else f"links to camera {number}, now gone"
+    )
     if not exists and path == devices / f"video{number}":
         what = "is not there"
     raise TeleopError(f"camera {text:.120}: {what}; {there(devices)}; plug it in, or give another")

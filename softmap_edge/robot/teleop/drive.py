@@ -1,9 +1,11 @@
-"""A hand or a knob drives a robot: newest sight → filter → clutch → point → command → the control loop.
+"""A hand or a knob drives a robot: newest sight → filter → clutch → point → command → the control
+loop.
 
-One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one target; nothing is
-queued. Vision alone never drives: it takes a key that is held (`keys`), and a hand that goes, or a gesture, only ends
-it (`clutch`). Who holds nothing is released to the guard, which holds, then slackens (docs/reference/safety.md).
-Pinned by tests/robot/test_teleop_drive.py through the real loop on emulated servos.
+One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
+target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
+hand that goes, or a gesture, only ends it (`clutch`). Who holds nothing is released to the guard,
+which holds, then slackens (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
+through the real loop on emulated servos.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ MOST_KEPT = 200_000  # latencies: an hour and a half at 30 pictures a second
 
 @dataclass
 class DriveSummary:
-    """What a session was: pictures taken, with a hand and driven from; seconds in each state; why driving ended."""
+    """What a session was: pictures taken, with a hand and driven from; seconds in each state; why
+    driving ended.
+    """
 
     states: dict[str, float] = field(default_factory=dict)  # s
     engaged_s: float = 0.0
@@ -61,7 +65,9 @@ class DriveSummary:
         several = len(self.latency) > 0
         return {
             "driven_from": len(self.latency),
-            "latency_ms": {"median": _round(np.median(ms)), "p95": _round(np.quantile(ms, 0.95))} if several else None,
+            "latency_ms": {"median": _round(np.median(ms)), "p95": _round(np.quantile(ms, 0.95))}
+            if several
+            else None,
             "states_s": {state: round(seconds, 3) for state, seconds in self.states.items()},
             "driving_s": round(self.engaged_s, 3),
             "busy_s": round(self.busy_s, 3),
@@ -77,8 +83,10 @@ def _round(number: Any) -> float:
 
 @dataclass(frozen=True, eq=False)
 class DriveState:
-    """What is shown: the guard's report, the clutch, what drives, the newest sight, (c_f, c_r) as filtered, the knob,
-    where the finger is and is led to in the plane (mm), and how old (s) what is driven from is."""
+    """What is shown: the guard's report, the clutch, what drives, the newest sight, (c_f, c_r) as
+    filtered, the knob, where the finger is and is led to in the plane (mm), and how old (s) what is
+    driven from is.
+    """
 
     t: float
     report: LoopReport
@@ -97,11 +105,12 @@ class Drive:
     """Drives an entered `robot` until something ends it.
 
     Args:
-        robot: as entered. kinematics: of the model that the robot's commands are meant for. aim: the plane. eyes:
-            entered. inputs: whose keys count, the first that is held. reach: as `HandMap`. flip: axes of the hand that
-            change their sign. rule: the gesture beside the key. stays: go on without the camera once it is gone, for
-            the knob to drive. sent: called with the time of each picture that is driven from, and its command. show:
-            called with each moment, and must not wait. say: called with each new line.
+        robot: as entered. kinematics: of the model that the robot's commands are meant for. aim:
+            the plane. eyes: entered. inputs: whose keys count, the first that is held. reach: as
+            `HandMap`. flip: axes of the hand that change their sign. rule: the gesture beside the
+            key. stays: go on without the camera once it is gone, for the knob to drive. sent:
+            called with the time of each picture that is driven from, and its command. show: called
+            with each moment, and must not wait. say: called with each new line.
     """
 
     def __init__(
@@ -130,14 +139,17 @@ class Drive:
         self._own = OwnHand()  # that of the press, while it drives
         self._hand: Hand | None = None  # that counts in the newest sight
         self._held_by: Hand | None = None  # the one that the filter heard last
-        self._start = (np.zeros(2), np.zeros(2))  # where hand or knob, and the finger, were at the press
+        # where hand or knob, and the finger, were at the press
+        self._start = (np.zeros(2), np.zeros(2))
         self._source, self._led, self._driven = "", np.zeros(2), -np.inf
         self._line = ""
         self._busy = Busy(robot.time, self._note)
         self.account = DriveSummary()
 
     def run(self, seconds: float | None = None) -> DriveSummary:
-        """Drive for some seconds, or until the file, the loop or an input ends it; the finger is let go of then."""
+        """Drive for some seconds, or until the file, the loop or an input ends it; the finger is
+        let go of then.
+        """
         begun = before = time.monotonic()
         try:
             while not self.account.ended:
@@ -190,11 +202,17 @@ class Drive:
                 one.rest(self._knob(here))
         self._tell(report)
         if self._show is not None:
-            seen = None if self._smooth is None or self._old(self._smooth.t, now) else self._smooth.x
+            seen = (
+                None if self._smooth is None or self._old(self._smooth.t, now) else self._smooth.x
+            )
             age = None if sight is None else now - sight.t
             led = self._led if self._clutch.stage == "driving" else None
             busy = self._busy.line(now)
-            self._show(DriveState(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
+            self._show(
+                DriveState(
+                    now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy
+                )
+            )
 
     def _take(self) -> HandObservation | None:
         """Take the newest sight, once, into the filter."""
@@ -202,7 +220,9 @@ class Drive:
         if sight is None or sight.number == self._last_sight:
             return sight
         self._last_sight = sight.number
-        self._hand = self._own.among(sight.hands, sight.t) if self._clutch.stage == "driving" else sight.hand
+        self._hand = (
+            self._own.among(sight.hands, sight.t) if self._clutch.stage == "driving" else sight.hand
+        )
         seen = self._eyes.view.projection(self._hand)
         if seen is not None:
             self._smooth, self._held_by = self._filter.step(self._smooth, sight.t, seen), self._hand
@@ -228,9 +248,15 @@ class Drive:
         if self._eyes.gone:
             return self._eyes.gone
         if shown is None:
-            return f"{self._eyes.name}: no picture" + (" yet" if sight is None else f" for {now - sight.t:.1f} s")
+            return f"{self._eyes.name}: no picture" + (
+                " yet" if sight is None else f" for {now - sight.t:.1f} s"
+            )
         if self._smooth is None or self._old(self._smooth.t, now):
-            return ANOTHER if self._clutch.stage == "driving" and self._own.other else "no hand is seen"
+            return (
+                ANOTHER
+                if self._clutch.stage == "driving" and self._own.other
+                else "no hand is seen"
+            )
         return "" if gesture or not key else f"the hand lets go ({self._gesture.rule})"
 
     def _old(self, t: float, now: float) -> bool:
@@ -263,7 +289,11 @@ class Drive:
         self._led = np.clip(led, low, high)
         u = self._aim.command(self._led)
         self._robot.target(u)
-        if controls.source == "hand" and self._smooth is not None and self._smooth.t != self._driven:
+        if (
+            controls.source == "hand"
+            and self._smooth is not None
+            and self._smooth.t != self._driven
+        ):
             self._driven = self._smooth.t
             if len(self.account.latency) < MOST_KEPT:
                 self.account.latency.append(time.monotonic() - self._smooth.t)
@@ -291,7 +321,8 @@ class Drive:
     def _acknowledge(self, state: str) -> None:
         try:
             if state == "fault":
-                self._robot.emergency(False)  # the one that was pressed here; a line or heartbeat of the bench stays
+                # the one that was pressed here; a line or heartbeat of the bench stays
+                self._robot.emergency(False)
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":
                 self._robot.request("arm")
@@ -302,7 +333,9 @@ class Drive:
     # --- what it looks like -------------------------------------------------------------
 
     def _here(self, report: LoopReport) -> Floats:
-        """Where the finger is in the plane, by the goals that were sent last, or where the servos are."""
+        """Where the finger is in the plane, by the goals that were sent last, or where the servos
+        are.
+        """
         ticks: list[int] = []
         for values in (report.get("position"), report.get("goal")):
             known = [one for one in values or [] if one is not None]
@@ -329,7 +362,11 @@ class Drive:
             self.account.ended, self.account.failed = why, True
         elif self._eyes.over:
             self.account.ended = f"{self._eyes.name}: has ended"
-        elif self._eyes.gone and not self._stays and self._robot.state not in ("engaged", "hold", "safe_stop"):
+        elif (
+            self._eyes.gone
+            and not self._stays
+            and self._robot.state not in ("engaged", "hold", "safe_stop")
+        ):
             self.account.ended, self.account.failed = self._eyes.gone, True  # once it has slackened
 
     def _tell(self, report: LoopReport) -> None:

@@ -1,8 +1,8 @@
 """Pictures of a camera, newest first, or of a video file at its own rate (`[teleop]` extra).
 
-A camera is read by a thread of its own into one slot, since its driver keeps pictures in a queue: whoever asks gets
-the newest, never an old one. Times are those of the steady clock (`time.monotonic`). Pinned by
-tests/robot/test_frames.py.
+A camera is read by a thread of its own into one slot, since its driver keeps pictures in a queue:
+whoever asks gets the newest, never an old one. Times are those of the steady clock
+(`time.monotonic`). Pinned by tests/robot/test_frames.py.
 """
 
 from __future__ import annotations
@@ -26,15 +26,19 @@ from softmap_edge.errors import TeleopError
 from softmap_edge.robot.teleop import devices
 from softmap_edge.robot.teleop.requirements import INSTALL
 
-WIDTH, HEIGHT, RATE = 640, 480, 30.0  # what a camera is asked for, as in the paper; it may give something else
+# what a camera is asked for, as in the paper; it may give something else
+WIDTH, HEIGHT, RATE = 640, 480, 30.0
 SILENCE = 2.0  # s without a picture, after which a camera is gone
 FASTEST = 1000.0  # pictures a second that a file may claim
-MISSING = 0.02  # share of the pictures that a file claims and may lack: some count more than they hold
+# share of the pictures that a file claims and may lack: some count more than they hold
+MISSING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture (H, W, 3) uint8 of blue, green, red, when it was taken (s, steady clock) and its number from 0."""
+    """A picture (H, W, 3) uint8 of blue, green, red, when it was taken (s, steady clock) and its
+    number from 0.
+    """
 
     picture: NDArray[np.uint8]
     t: float
@@ -43,16 +47,20 @@ class Frame:
 
 @dataclass(frozen=True)
 class UdpAddress:
-    """Where landmarks are received: `udp://HOST:PORT`, an empty host for every network of this computer."""
+    """Where landmarks are received: `udp://HOST:PORT`, an empty host for every network of this
+    computer.
+    """
 
     host: str
     port: int
 
 
 def source(text: str) -> int | Path | UdpAddress:
-    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names: a camera, a video file, a place for landmarks.
+    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names: a camera, a video file, a
+    place for landmarks.
 
-    A path of a device is a camera, by the number of what it links to; any other path is a video file.
+    A path of a device is a camera, by the number of what it links to; any other path is a video
+    file.
 
     Raises:
         TeleopError: it names none of these, or a device that is no camera.
@@ -65,11 +73,22 @@ def source(text: str) -> int | Path | UdpAddress:
             port = parts.port
         except ValueError:
             port = None
-        if port is None or not 1 <= port <= 65535 or parts.path.strip("/") or parts.query or parts.username:
-            raise TeleopError(f"camera: {text!r:.80} is no udp://HOST:PORT with a port of 1 to 65535")
+        if (
+            port is None
+            or not 1 <= port <= 65535
+            or parts.path.strip("/")
+            or parts.query
+            or parts.username
+        ):
+            raise TeleopError(
+                f"camera: {text!r:.80} is no udp://HOST:PORT with a port of 1 to 65535"
+            )
         return UdpAddress(parts.hostname or "", port)
     if "://" in text or not text or "\0" in text:
-        raise TeleopError(f"camera: {text!r:.80}; give the number or path of a camera, a video file or udp://HOST:PORT")
+        raise TeleopError(
+            f"camera: {text!r:.80}; give the number or path of a camera, a video file or "
+            "udp://HOST:PORT"
+        )
     number = devices.camera_number(text, devices.DEVICES)
     return Path(text) if number is None else number
 
@@ -77,9 +96,9 @@ def source(text: str) -> int | Path | UdpAddress:
 class FileFrames:
     """The pictures of a video file, in a loop `for frame in …`; a context manager, to be closed.
 
-    As `live` they come at the file's own rate, and those that are due before anybody asks are left out, as a camera's
-    would be; else every picture comes as soon as it is asked for. Each loop begins with the first, and
-    `t` counts from there.
+    As `live` they come at the file's own rate, and those that are due before anybody asks are left
+    out, as a camera's would be; else every picture comes as soon as it is asked for. Each loop
+    begins with the first, and `t` counts from there.
 
     Raises:
         TeleopError: OpenCV is absent, or there is no such video.
@@ -89,13 +108,18 @@ class FileFrames:
         self.path, self.live = Path(path), live
         cv2 = _cv2()
         if not self.path.is_file():
-            raise TeleopError(f"{path}: no such video file; give one, or a camera; {devices.there(devices.DEVICES)}")
+            raise TeleopError(
+                f"{path}: no such video file; give one, or a camera; "
+                f"{devices.there(devices.DEVICES)}"
+            )
         self._video = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
         self.rate = float(self._video.get(cv2.CAP_PROP_FPS)) if self._video.isOpened() else math.nan
         self.claimed = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
         if not 0 < self.rate <= FASTEST:
             self._video.release()
-            raise TeleopError(f"{path}: is no video that can be read, or a damaged one; give another file")
+            raise TeleopError(
+                f"{path}: is no video that can be read, or a damaged one; give another file"
+            )
         self._again = cv2.CAP_PROP_POS_FRAMES
 
     def __iter__(self) -> Iterator[Frame]:
@@ -110,12 +134,16 @@ class FileFrames:
                 continue  # a newer one is due already
             got, picture = self._video.retrieve()
             if not got:
-                raise TeleopError(f"{self.path}: picture {number - 1} is damaged; give another file")
+                raise TeleopError(
+                    f"{self.path}: picture {number - 1} is damaged; give another file"
+                )
             if self.live and late < 0:
                 time.sleep(-late)
             yield Frame(picture, due, number - 1)
         if number == 0 or number < self.claimed * (1 - MISSING) - 1:
-            raise TeleopError(f"{self.path}: ends after {number} of {self.claimed:.0f} pictures: it is damaged")
+            raise TeleopError(
+                f"{self.path}: ends after {number} of {self.claimed:.0f} pictures: it is damaged"
+            )
 
     def close(self) -> None:
         """Close the file; may be called again."""
@@ -124,15 +152,20 @@ class FileFrames:
     def __enter__(self) -> FileFrames:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
 
 class CameraFrames:
     """The newest pictures of a camera, in a loop `for frame in …`; a context manager, to be closed.
 
-    `index` is the N of /dev/videoN. `device` stands for what OpenCV would open (`read() -> (bool, picture)`,
-    `release()`). `.dropped` counts the pictures that nobody asked for in time.
+    `index` is the N of /dev/videoN. `device` stands for what OpenCV would open (`read() -> (bool,
+    picture)`, `release()`). `.dropped` counts the pictures that nobody asked for in time.
 
     Raises:
         TeleopError: OpenCV is absent, there is no such camera, or it cannot be opened.
@@ -154,7 +187,9 @@ class CameraFrames:
             TeleopError: the camera is gone, gives nothing, or is closed.
         """
         with self._new:
-            came = self._new.wait_for(lambda: self._slot is not None or self._gone or self._closed, self.silence)
+            came = self._new.wait_for(
+                lambda: self._slot is not None or self._gone or self._closed, self.silence
+            )
             frame, self._slot = self._slot, None
         if self._closed:
             raise TeleopError(f"{self.name}: is closed; open it again")
@@ -163,7 +198,8 @@ class CameraFrames:
         if came:
             raise TeleopError(f"{self.name}: is gone (unplugged?); plug it in and begin again")
         raise TeleopError(
-            f"{self.name}: no picture for {self.silence:g} s; plug it in again, or close the program that uses it"
+            f"{self.name}: no picture for {self.silence:g} s; plug it in again, or close the "
+            "program that uses it"
         )
 
     def __iter__(self) -> Iterator[Frame]:
@@ -181,11 +217,18 @@ class CameraFrames:
     def __enter__(self) -> CameraFrames:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _read(self) -> None:
-        """Put picture after picture into the slot; the device is given back by the thread that reads it."""
+        """Put picture after picture into the slot; the device is given back by the thread that
+        reads it.
+        """
         number = 0
         try:
             while not self._closed:
@@ -213,18 +256,26 @@ def _opened(index: int) -> Any:
     if not file.exists():
         here = devices.there(devices.DEVICES)
         raise TeleopError(
-            f"camera {index}: there is no {file}; {here}; give another camera, a video file or udp://:PORT"
+            f"camera {index}: there is no {file}; {here}; give another camera, a video file or "
+            "udp://:PORT"
         )
     if not os.access(file, os.R_OK | os.W_OK):
         raise TeleopError(
-            f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log in again"
+            f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log "
+            "in again"
         )
     device = cv2.VideoCapture(index, cv2.CAP_V4L2)
     if not device.isOpened():
         raise TeleopError(
-            f"camera {index}: {file} cannot be opened; close the program that uses it, or try another number"
+            f"camera {index}: {file} cannot be opened; close the program that uses it, or try "
+            "another number"
         )
-    for key, value in (("FRAME_WIDTH", WIDTH), ("FRAME_HEIGHT", HEIGHT), ("FPS", RATE), ("BUFFERSIZE", 1)):
+    for key, value in (
+        ("FRAME_WIDTH", WIDTH),
+        ("FRAME_HEIGHT", HEIGHT),
+        ("FPS", RATE),
+        ("BUFFERSIZE", 1),
+    ):
         device.set(getattr(cv2, f"CAP_PROP_{key}"), value)
     return device
 
@@ -233,4 +284,6 @@ def _cv2() -> Any:
     try:
         return importlib.import_module("cv2")
     except ImportError as cause:
-        raise TeleopError(f"camera: OpenCV cannot be loaded ({cause!s:.80}); run {INSTALL}") from None
+        raise TeleopError(
+            f"camera: OpenCV cannot be loaded ({cause!s:.80}); run {INSTALL}"
+        ) from None

@@ -1,9 +1,11 @@
-"""A gesture in addition to the deadman key: it can let go, or be asked for as well, and never stands in for the key.
+"""A gesture in addition to the deadman key: it can let go, or be asked for as well, and never
+stands in for the key.
 
-`openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index finger leaves alone:
-0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and OPEN whatever was there before stays, so
-that a hand near one threshold does not flicker. A palm that leans towards the camera looks shorter everywhere, which
-the scale takes out; fingers that point at the camera look folded, which lets go. Pinned by tests/robot/test_gesture.py.
+`openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index
+finger leaves alone: 0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and
+OPEN whatever was there before stays, so that a hand near one threshold does not flicker. A palm
+that leans towards the camera looks shorter everywhere, which the scale takes out; fingers that
+point at the camera look folded, which lets go. Pinned by tests/robot/test_gesture.py.
 """
 
 from __future__ import annotations
@@ -24,16 +26,23 @@ Rule = Literal["key", "fist releases", "open palm", "fist"]
 
 
 def openness(hand: Hand) -> float | None:
-    """Return how straight the three other fingers are, in hand scales; None where they cannot be seen."""
+    """Return how straight the three other fingers are, in hand scales; None where they cannot be
+    seen.
+    """
     seen = [projection(hand, finger) for finger in OTHER_FINGERS]
-    return None if any(c is None for c in seen) else float(np.mean([c[0] for c in seen if c is not None]))
+    return (
+        None
+        if any(c is None for c in seen)
+        else float(np.mean([c[0] for c in seen if c is not None]))
+    )
 
 
 class Deadman:
     """Whether the operator holds on: the key always, and by `rule` what the hand shows.
 
-    `key`: the key alone. `fist releases`: as the key, but a fist lets go until the key is let go and pressed again.
-    `open palm`, `fist`: the key, and this gesture for as long as it is held; without a hand nothing is held.
+    `key`: the key alone. `fist releases`: as the key, but a fist lets go until the key is let go
+    and pressed again. `open palm`, `fist`: the key, and this gesture for as long as it is held;
+    without a hand nothing is held.
 
     Raises:
         TeleopError: no such rule.
@@ -41,7 +50,9 @@ class Deadman:
 
     def __init__(self, rule: Rule = "fist releases") -> None:
         if rule not in get_args(Rule):
-            raise TeleopError(f"deadman: no rule {rule!r:.40}; there are {', '.join(get_args(Rule))}")
+            raise TeleopError(
+                f"deadman: no rule {rule!r:.40}; there are {', '.join(get_args(Rule))}"
+            )
         self.rule = rule
         self._fist: bool | None = None  # None: not known yet
         self._since: float | None = None  # s, since when the asked gesture is shown
@@ -49,7 +60,9 @@ class Deadman:
         self._released = False
 
     def held(self, key: bool, hand: Hand | None, t: float) -> bool:
-        """Return whether the operator holds on at `t` s, a steady clock; to be asked once a picture."""
+        """Return whether the operator holds on at `t` s, a steady clock; to be asked once a
+        picture.
+        """
         if self._last is None or not 0.0 <= t - self._last <= GAP:
             self._fist, self._since = None, None
         self._last = t

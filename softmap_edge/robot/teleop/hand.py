@@ -1,13 +1,16 @@
-"""The operator's index finger as two numbers that neither the place, turn nor distance of the hand changes.
+"""The operator's index finger as two numbers that neither the place, turn nor distance of the hand
+changes.
 
-    f = (p_mid − p_wrist) / |p_mid − p_wrist|     r = (f_y, −f_x)     d = p_tip − p_mcp     s = |p_mid − p_wrist|
+    f = (p_mid − p_wrist) / |p_mid − p_wrist|     r = (f_y, −f_x)     d = p_tip − p_mcp
+        s = |p_mid − p_wrist|
     c_f = d·f / s                                 c_r = d·r / s
 
-The hand frame of the SoftMap paper ("Human Motion Capture"): wrist (landmark 0), index knuckle (5) and tip (8), middle
-knuckle (9), all in the plane of the picture; c_f is 0.8 to 1 for a straight finger and about 0 for a curled one.
-Where we differ: landmarks are taken to pixels of the picture's true aspect first (normalised per axis they are off by
-up to 0.15 in c), y points up in the formula, so that r is to the right of f as one sees it, and where the paper adds
-ε to s a hand too small to have a direction is no hand. Pinned by tests/robot/test_hand.py.
+The hand frame of the SoftMap paper ("Human Motion Capture"): wrist (landmark 0), index knuckle (5)
+and tip (8), middle knuckle (9), all in the plane of the picture; c_f is 0.8 to 1 for a straight
+finger and about 0 for a curled one. Where we differ: landmarks are taken to pixels of the picture's
+true aspect first (normalised per axis they are off by up to 0.15 in c), y points up in the formula,
+so that r is to the right of f as one sees it, and where the paper adds ε to s a hand too small to
+have a direction is no hand. Pinned by tests/robot/test_hand.py.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ Side = Literal["left", "right"]
 
 LANDMARKS = 21
 WRIST, INDEX_KNUCKLE, INDEX_TIP, MIDDLE_KNUCKLE = 0, 5, 8, 9
-SMALLEST = 12.0  # px from wrist to middle knuckle: landmarks scatter by 1 to 2 px, 10° of the frame's direction
+# px from wrist to middle knuckle: landmarks scatter by 1 to 2 px, 10° of the frame's direction
+SMALLEST = 12.0
 FARTHEST = 3.0  # hand scales: no finger is longer, so that one which seems to be was not seen
 MOST_PIXELS = 1e5  # px from the corner: beyond any picture
 
@@ -34,8 +38,8 @@ MOST_PIXELS = 1e5  # px from the corner: beyond any picture
 class Hand:
     """One hand in one picture.
 
-    `points` (21, 2) px from the picture's upper left corner, y down, square pixels; `side` as one sees it in a picture
-    that is not mirrored; `score` how sure of that, 0 to 1.
+    `points` (21, 2) px from the picture's upper left corner, y down, square pixels; `side` as one
+    sees it in a picture that is not mirrored; `score` how sure of that, 0 to 1.
 
     Raises:
         TeleopError: points of another shape, not finite, or beyond any picture.
@@ -48,23 +52,33 @@ class Hand:
     def __post_init__(self) -> None:
         points = np.asarray(self.points, dtype=np.float64)
         if points.shape != (LANDMARKS, 2):
-            raise TeleopError(f"hand: points of shape {points.shape}, expected {(LANDMARKS, 2)} in px")
+            raise TeleopError(
+                f"hand: points of shape {points.shape}, expected {(LANDMARKS, 2)} in px"
+            )
         if not (np.abs(points) <= MOST_PIXELS).all():  # also false for NaN
             raise TeleopError(
-                f"hand: points hold NaN or lie beyond {MOST_PIXELS:g} px; give what was seen in a picture"
+                f"hand: points hold NaN or lie beyond {MOST_PIXELS:g} px; give what was seen in a "
+                "picture"
             )
         if self.side not in ("left", "right") or not 0.0 <= self.score <= 1.0:
-            raise TeleopError(f"hand: side {self.side!r:.20}, score {self.score!r:.20}; expected left or right, 0 to 1")
+            raise TeleopError(
+                f"hand: side {self.side!r:.20}, score {self.score!r:.20}; expected left or right, "
+                "0 to 1"
+            )
         object.__setattr__(self, "points", points)
 
 
 def in_pixels(normalised: ArrayLike, width: int, height: int) -> Floats:
-    """Return landmarks (21, 2) px of landmarks (21, 2 or 3) that are shares of `width` and `height` px."""
+    """Return landmarks (21, 2) px of landmarks (21, 2 or 3) that are shares of `width` and `height`
+    px.
+    """
     return np.asarray(normalised, dtype=np.float64)[:, :2] * (width, height)
 
 
 def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP)) -> Floats | None:
-    """Return (c_f, c_r) of a finger, given by its knuckle and tip; None where they are not those of a hand."""
+    """Return (c_f, c_r) of a finger, given by its knuckle and tip; None where they are not those of
+    a hand.
+    """
     points = hand.points * (1.0, -1.0)  # y up
     forward = points[MIDDLE_KNUCKLE] - points[WRIST]
     scale = float(np.hypot(*forward))
@@ -85,8 +99,9 @@ def surest(hands: list[Hand]) -> Hand | None:
 class View:
     """How the camera sees the operator.
 
-    `hand` the one that drives, `any` for whichever is seen; `mirrored` whether the pictures are mirror images, as
-    those of many laptop cameras: then left is right, and c_r changes its sign, so that both mean what they are.
+    `hand` the one that drives, `any` for whichever is seen; `mirrored` whether the pictures are
+    mirror images, as those of many laptop cameras: then left is right, and c_r changes its sign, so
+    that both mean what they are.
 
     Raises:
         TeleopError: no such hand.
@@ -114,7 +129,9 @@ class View:
         return surest(self.allowed(hands))
 
     def projection(self, hand: Hand | None) -> Floats | None:
-        """Return (c_f, c_r) of the index finger, c_r positive to the right of a picture that is not mirrored."""
+        """Return (c_f, c_r) of the index finger, c_r positive to the right of a picture that is not
+        mirrored.
+        """
         seen = None if hand is None else projection(hand)
         return None if seen is None else seen * (1.0, -1.0 if self.mirrored else 1.0)
 
@@ -124,12 +141,14 @@ SIGNS = np.array([-1.0, 1.0])  # of lateral and vertical: what a picture's x and
 
 @dataclass(frozen=True, eq=False)
 class HandMap:
-    """From (c_f, c_r) to the commands (u_lat, u_vert) of a model, which is at rest in the pose it was engaged in.
+    """From (c_f, c_r) to the commands (u_lat, u_vert) of a model, which is at rest in the pose it
+    was engaged in.
 
-    `command_range` (2, 2) the lowest and highest of each command, in the model's unit, 0 among them (`Model.
-    command_range`); `reach` (lateral, forward) by how much c must change for the end of the range, in hand scales;
-    `flip` which of the two commands changes its sign. Unflipped, a finger that points to its owner's right leads to the
-    right: pictures are as a camera sees them, where that is to the left (`SIGNS`).
+    `command_range` (2, 2) the lowest and highest of each command, in the model's unit, 0 among them
+    (`Model. command_range`); `reach` (lateral, forward) by how much c must change for the end of
+    the range, in hand scales; `flip` which of the two commands changes its sign. Unflipped, a
+    finger that points to its owner's right leads to the right: pictures are as a camera sees them,
+    where that is to the left (`SIGNS`).
 
     Raises:
         TeleopError: not two commands, a range without 0, a reach that is not above 0.
@@ -142,15 +161,24 @@ class HandMap:
     def __post_init__(self) -> None:
         span = np.asarray(self.command_range, dtype=np.float64)
         if span.shape != (2, 2):
-            raise TeleopError(f"hand: command_range of shape {span.shape}, expected (2, 2): a hand drives two commands")
+            raise TeleopError(
+                f"hand: command_range of shape {span.shape}, expected (2, 2): a hand drives two "
+                "commands"
+            )
         if not (np.isfinite(span).all() and (span[:, 0] < 0).all() and (span[:, 1] > 0).all()):
-            raise TeleopError(f"hand: command_range {span.tolist()}, expected LOW < 0 < HIGH for each of both commands")
+            raise TeleopError(
+                f"hand: command_range {span.tolist()}, expected LOW < 0 < HIGH for each of both "
+                "commands"
+            )
         if not (len(self.reach) == 2 and all(0 < reach < np.inf for reach in self.reach)):
-            raise TeleopError(f"hand: reach {self.reach!r:.60}, expected two numbers above 0 in hand scales")
+            raise TeleopError(
+                f"hand: reach {self.reach!r:.60}, expected two numbers above 0 in hand scales"
+            )
         object.__setattr__(self, "command_range", span)
 
     def command(self, seen: ArrayLike, neutral: ArrayLike) -> Floats:
-        """Return the commands (2,) for `seen` (c_f, c_r); `neutral` is what was seen when the operator engaged.
+        """Return the commands (2,) for `seen` (c_f, c_r); `neutral` is what was seen when the
+        operator engaged.
 
         Raises:
             TeleopError: either is not two finite numbers; what sees no hand has no command.
@@ -158,7 +186,8 @@ class HandMap:
         both = np.array([np.asarray(seen, dtype=np.float64), np.asarray(neutral, dtype=np.float64)])
         if both.shape != (2, 2) or not np.isfinite(both).all():
             raise TeleopError(
-                f"hand: {both.tolist()!s:.80} is not (c_f, c_r) twice; without a hand there is no command"
+                f"hand: {both.tolist()!s:.80} is not (c_f, c_r) twice; without a hand there is no "
+                "command"
             )
         moved = (both[0] - both[1])[::-1] / self.reach * SIGNS * np.where(self.flip, -1.0, 1.0)
         low, high = self.command_range.T

@@ -1,7 +1,9 @@
-"""What is seen of the hand, newest first: a thread takes pictures and finds landmarks, or they come over UDP.
+"""What is seen of the hand, newest first: a thread takes pictures and finds landmarks, or they come
+over UDP.
 
-A sight replaces the one before; whoever is slower than the camera misses some, and none waits. What ends it (camera
-gone, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
+A sight replaces the one before; whoever is slower than the camera misses some, and none waits. What
+ends it (camera gone, file over) is reported, not raised. Pinned by
+tests/robot/test_teleop_drive.py.
 """
 
 from __future__ import annotations
@@ -26,14 +28,17 @@ from softmap_edge.robot.teleop.landmarker import Landmarker
 from softmap_edge.robot.teleop.landmarks import Receiver
 
 LOOK = 0.005  # s between two looks at what came over UDP
-SEEN = 0.15  # s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
+# s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
+SEEN = 0.15
 FRESH = 0.5  # s for which an old message is still news: beyond, the sender was away
 
 
 @dataclass(frozen=True, eq=False)
 class HandObservation:
-    """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its number from 0, the
-    picture (None where landmarks came alone), and all hands in it that may drive."""
+    """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its
+    number from 0, the picture (None where landmarks came alone), and all hands in it that may
+    drive.
+    """
 
     t: float
     number: int
@@ -65,8 +70,10 @@ class Finder(Protocol):
 
 
 class HandSource(ABC):
-    """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing comes any more,
-    `over` that a file came to its end. `.taken` and `.hands` count pictures and those with the driving hand."""
+    """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing
+    comes any more, `over` that a file came to its end. `.taken` and `.hands` count pictures and
+    those with the driving hand.
+    """
 
     def __init__(self, name: str, view: View) -> None:
         self.name, self.view = name, view
@@ -81,7 +88,12 @@ class HandSource(ABC):
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._done.set()
         self._close()
         self._thread.join(5.0)
@@ -93,7 +105,9 @@ class HandSource(ABC):
     def wait(self, number: int, seconds: float) -> None:
         """Wait until a sight other than `number` is there, at most some seconds."""
         with self._news:
-            self._news.wait_for(lambda: self._sight is not None and self._sight.number != number, seconds)
+            self._news.wait_for(
+                lambda: self._sight is not None and self._sight.number != number, seconds
+            )
 
     def _see(self, sight: HandObservation) -> None:
         self.taken += 1
@@ -108,7 +122,8 @@ class HandSource(ABC):
             self.over = not self._done.is_set()
         except TeleopError as fault:
             self.gone = str(fault)
-        except Exception as fault:  # a driver's or mediapipe's own: the hand is gone, the loop goes on
+        # a driver's or mediapipe's own: the hand is gone, the loop goes on
+        except Exception as fault:
             self.gone = f"{self.name}: failed ({type(fault).__name__}: {brief(fault)}); begin again"
 
     @abstractmethod
@@ -142,7 +157,11 @@ class CameraHandSource(HandSource):
                 if self._done.is_set():
                     return
                 hands = self.view.allowed(self._finder.see(frame.picture, frame.t))
-                self._see(HandObservation(frame.t, frame.number, surest(hands), frame.picture, tuple(hands)))
+                self._see(
+                    HandObservation(
+                        frame.t, frame.number, surest(hands), frame.picture, tuple(hands)
+                    )
+                )
         except TeleopError:
             if not self._done.is_set():
                 raise
@@ -151,7 +170,8 @@ class CameraHandSource(HandSource):
             self._pictures.close()
 
     def _close(self) -> None:
-        if isinstance(self._pictures, CameraFrames):  # whoever waits for its next picture ends at once
+        # whoever waits for its next picture ends at once
+        if isinstance(self._pictures, CameraFrames):
             self._pictures.close()
 
 
@@ -172,7 +192,9 @@ class RemoteHandSource(HandSource):
             now = time.monotonic()
             self._key.say(last.held, now - got.age)
             hands = self.view.allowed([] if last.hand is None else [last.hand])
-            self._see(HandObservation(now - got.age, got.sequence, surest(hands), None, tuple(hands)))
+            self._see(
+                HandObservation(now - got.age, got.sequence, surest(hands), None, tuple(hands))
+            )
         self._receiver.close()
 
     def controls(self, now: float) -> Controls:
@@ -204,4 +226,6 @@ def camera_hand_source(what: int | Path, model: str | Path | None, view: View) -
     except BaseException:
         finder.close()
         raise
-    return CameraHandSource(f"camera {what}" if isinstance(what, int) else str(what), pictures, finder, view)
+    return CameraHandSource(
+        f"camera {what}" if isinstance(what, int) else str(what), pictures, finder, view
+    )

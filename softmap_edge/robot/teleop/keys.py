@@ -1,8 +1,9 @@
-"""The deadman's key that is heard of again and again, what an operator does, and who of several asks for what.
+"""The deadman's key that is heard of again and again, what an operator does, and who of several
+asks for what.
 
-What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed again: a page or a
-computer that comes back after a silence with its key down does not go on by itself. Pinned by
-tests/robot/test_clutch.py.
+What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed
+again: a page or a computer that comes back after a silence with its key down does not go on by
+itself. Pinned by tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from softmap_edge.model.safety import STALE
 
 Source = Literal["hand", "knob"]
 
-LAPSE = STALE  # s without a word, after which a key counts as let go: the guard's own limit for commands
+# s without a word, after which a key counts as let go: the guard's own limit for commands
+LAPSE = STALE
 
 
 class HeldKey:
@@ -41,8 +43,9 @@ class HeldKey:
 
 @dataclass(frozen=True)
 class Controls:
-    """What an operator does: whether the key is held, where the knob is (right, up; -1 to 1 of the range), and which of
-    hand and knob is to drive."""
+    """What an operator does: whether the key is held, where the knob is (right, up; -1 to 1 of the
+    range), and which of hand and knob is to drive.
+    """
 
     held: bool = False
     knob: tuple[float, float] = (0.0, 0.0)
@@ -59,7 +62,9 @@ class Input(Protocol):
         ...
 
     def asked(self) -> str | None:
-        """Return what was asked for since the last call: `stop`, `emergency`, `acknowledge` or `end`."""
+        """Return what was asked for since the last call: `stop`, `emergency`, `acknowledge` or
+        `end`.
+        """
         ...
 
     def rest(self, knob: tuple[float, float]) -> None:

@@ -1,8 +1,10 @@
-"""The landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, the model by `fetch_model`).
+"""The landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, the model by
+`fetch_model`).
 
-mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor that it was not
-compiled for it aborts the whole process. So the first task of a process is made in a child, whose death is an error
-here; on ARM the processor is asked before that. Pinned by tests/robot/test_landmarker.py.
+mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor
+that it was not compiled for it aborts the whole process. So the first task of a process is made in
+a child, whose death is an error here; on ARM the processor is asked before that. Pinned by
+tests/robot/test_landmarker.py.
 """
 
 from __future__ import annotations
@@ -39,16 +41,20 @@ _tried: set[str] = set()  # models that a child of this process has made a task 
 class Landmarker:
     """Finds hands in one picture after another; a context manager, to be closed.
 
-    `model` is the task file (`default_path()` without), `hands` how many are looked for, `confidence` from which on a
-    hand counts, 0 to 1. `.model` says which file and checksum.
+    `model` is the task file (`default_path()` without), `hands` how many are looked for,
+    `confidence` from which on a hand counts, 0 to 1. `.model` says which file and checksum.
 
     Raises:
         TeleopError: mediapipe is absent or cannot run here, or the model is not usable.
     """
 
-    def __init__(self, model: str | Path | None = None, *, hands: int = 1, confidence: float = 0.5) -> None:
+    def __init__(
+        self, model: str | Path | None = None, *, hands: int = 1, confidence: float = 0.5
+    ) -> None:
         if not (1 <= hands <= 4 and 0.0 <= confidence <= 1.0):
-            raise TeleopError(f"landmarker: {hands} hands, confidence {confidence}; allowed are 1 to 4, 0 to 1")
+            raise TeleopError(
+                f"landmarker: {hands} hands, confidence {confidence}; allowed are 1 to 4, 0 to 1"
+            )
         self.model: HandModel = check_model(default_path() if model is None else model)
         try_out(self.model.path)
         self._mediapipe = importlib.import_module("mediapipe")
@@ -66,26 +72,38 @@ class Landmarker:
         self._ms = -1
 
     def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
-        """Return the hands in a picture (H, W, 3) of blue, green, red, seen at `t` s; empty where there is none.
+        """Return the hands in a picture (H, W, 3) of blue, green, red, seen at `t` s; empty where
+        there is none.
 
-        Times tell how far a hand may have moved since the picture before. One that is not later counts as 1 ms later.
+        Times tell how far a hand may have moved since the picture before. One that is not later
+        counts as 1 ms later.
 
         Raises:
             TeleopError: it is no picture, mediapipe failed, or this landmarker is closed.
         """
         if self._task is None:
             raise TeleopError("landmarker: is closed; make another")
-        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or 0 in picture.shape:
-            raise TeleopError(f"landmarker: {picture.dtype} of shape {picture.shape}, expected uint8 (H, W, 3)")
+        if (
+            picture.ndim != 3
+            or picture.shape[2] != 3
+            or picture.dtype != np.uint8
+            or 0 in picture.shape
+        ):
+            raise TeleopError(
+                f"landmarker: {picture.dtype} of shape {picture.shape}, expected uint8 (H, W, 3)"
+            )
         if not 0.0 <= t <= 1e12:
             raise TeleopError(f"landmarker: t = {t} s, expected 0 to 1e12")
-        self._ms = max(self._ms + 1, round(t * 1000.0))  # mediapipe refuses a time that does not rise
+        # mediapipe refuses a time that does not rise
+        self._ms = max(self._ms + 1, round(t * 1000.0))
         colours = np.ascontiguousarray(picture[:, :, ::-1])
         image = self._mediapipe.Image(image_format=self._mediapipe.ImageFormat.SRGB, data=colours)
         try:
             found = self._task.detect_for_video(image, self._ms)
         except (RuntimeError, ValueError) as fault:
-            raise TeleopError(f"landmarker: mediapipe failed ({brief(fault)}); make another landmarker") from None
+            raise TeleopError(
+                f"landmarker: mediapipe failed ({brief(fault)}); make another landmarker"
+            ) from None
         height, width = picture.shape[:2]
         return [
             hand
@@ -102,22 +120,34 @@ class Landmarker:
     def __enter__(self) -> Landmarker:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
 
 def _hand(points: Any, side: Any, width: int, height: int) -> Hand | None:
-    """What mediapipe saw as a hand, None where its numbers are none. Its sides are those of unmirrored pictures."""
+    """What mediapipe saw as a hand, None where its numbers are none. Its sides are those of
+    unmirrored pictures.
+    """
     normalised = np.array([[point.x, point.y] for point in points])
     try:
         score = min(max(float(side.score), 0.0), 1.0)
-        return Hand(in_pixels(normalised, width, height), "left" if side.category_name == "Left" else "right", score)
+        return Hand(
+            in_pixels(normalised, width, height),
+            "left" if side.category_name == "Left" else "right",
+            score,
+        )
     except TeleopError:
         return None
 
 
 def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECONDS) -> None:
-    """Make one task of the model in a child process, once a process; do nothing where that was done.
+    """Make one task of the model in a child process, once a process; do nothing where that was
+    done.
 
     Raises:
         TeleopError: mediapipe is absent, or dies, hangs or fails here.
@@ -127,18 +157,31 @@ def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECOND
     try:
         version = importlib.metadata.version("mediapipe")
     except importlib.metadata.PackageNotFoundError:
-        raise TeleopError(f"landmarker: mediapipe is not installed; run {INSTALL}, or {UDP}") from None
+        raise TeleopError(
+            f"landmarker: mediapipe is not installed; run {INSTALL}, or {UDP}"
+        ) from None
     here = processor()
     if not here.fine and int(version.split(".")[0]) >= NEEDS_LSE:
-        raise TeleopError(f"landmarker: mediapipe {version} on {here.name}: {here.found}; {here.do}")
+        raise TeleopError(
+            f"landmarker: mediapipe {version} on {here.name}: {here.found}; {here.do}"
+        )
     try:
-        done = subprocess.run([python, "-P", "-c", _TRY, str(model)], capture_output=True, timeout=limit, check=False)
+        done = subprocess.run(
+            [python, "-P", "-c", _TRY, str(model)], capture_output=True, timeout=limit, check=False
+        )
     except subprocess.TimeoutExpired:
-        raise TeleopError(f"landmarker: mediapipe {version} did not start within {limit:g} s; {UDP}") from None
+        raise TeleopError(
+            f"landmarker: mediapipe {version} did not start within {limit:g} s; {UDP}"
+        ) from None
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
         raise TeleopError(f"landmarker: mediapipe {version} dies on this computer ({name}); {UDP}")
     if done.returncode:
-        said = [line for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()]
-        raise TeleopError(f"landmarker: mediapipe {version} fails here ({brief(Exception(said[-1] if said else ''))})")
+        said = [
+            line for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()
+        ]
+        raise TeleopError(
+            f"landmarker: mediapipe {version} fails here "
+            f"({brief(Exception(said[-1] if said else ''))})"
+        )
     _tried.add(str(model))

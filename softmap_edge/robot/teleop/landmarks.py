@@ -1,11 +1,14 @@
-"""Landmarks of a hand over UDP from another computer, for boards that cannot run MediaPipe; also a heartbeat.
+"""Landmarks of a hand over UDP from another computer, for boards that cannot run MediaPipe; also a
+heartbeat.
 
-A datagram is DATAGRAM bytes, little-endian, of one layout: mark `SMH1`, flags (1: a hand, 2: a right hand, 4: the key
-is held), session (16 bytes), sequence number, the sender's clock (s), score, 21 points (x, y) in px, and HMAC-SHA256
-of all that under a shared key. Whoever has no key can neither write nor change one; they are not secret.
+A datagram is DATAGRAM bytes, little-endian, of one layout: mark `SMH1`, flags (1: a hand, 2: a
+right hand, 4: the key is held), session (16 bytes), sequence number, the sender's clock (s), score,
+21 points (x, y) in px, and HMAC-SHA256 of all that under a shared key. Whoever has no key can
+neither write nor change one; they are not secret.
 
-It is sent and listened for in sessions (`signed_udp`). `age` of what is newest counts from its arrival, and adds by how
-much later it arrived than the quickest did: what stood in a queue is old. Pinned by tests/robot/test_landmarks_udp.py.
+It is sent and listened for in sessions (`signed_udp`). `age` of what is newest counts from its
+arrival, and adds by how much later it arrived than the quickest did: what stood in a queue is old.
+Pinned by tests/robot/test_landmarks_udp.py.
 """
 
 from __future__ import annotations
@@ -48,17 +51,23 @@ class Received:
     age: float
 
 
-def packed(message: Message, session: bytes, sequence: int, clock: float, key: bytes | None) -> bytes:
+def packed(
+    message: Message, session: bytes, sequence: int, clock: float, key: bytes | None
+) -> bytes:
     """Return a message as a signed datagram."""
     hand = message.hand
-    flags = (HELD if message.held else 0) | (0 if hand is None else HAND | (RIGHT if hand.side == "right" else 0))
+    flags = (HELD if message.held else 0) | (
+        0 if hand is None else HAND | (RIGHT if hand.side == "right" else 0)
+    )
     points = np.zeros(2 * LANDMARKS) if hand is None else hand.points.ravel()
     score = 0.0 if hand is None else hand.score
     return signed(key, _BODY.pack(MARK, flags, session, sequence, clock, score, *points))
 
 
 def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, float] | str:
-    """Return (message, session, sequence, sender's clock) of a datagram, or in a word why it counts nothing."""
+    """Return (message, session, sequence, sender's clock) of a datagram, or in a word why it counts
+    nothing.
+    """
     body = body_of(key, datagram, _BODY.size)
     if isinstance(body, str):
         return body
@@ -68,7 +77,9 @@ def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, f
     hand = None
     if flags & HAND:
         try:
-            hand = Hand(np.reshape(points, (LANDMARKS, 2)), "right" if flags & RIGHT else "left", score)
+            hand = Hand(
+                np.reshape(points, (LANDMARKS, 2)), "right" if flags & RIGHT else "left", score
+            )
         except TeleopError:
             return "content"
     return Message(hand, bool(flags & HELD)), session, sequence, clock
@@ -85,15 +96,18 @@ class Sender(signed_udp.Sender):
         super().__init__(host, port, key, OFFER_MARK)
 
     def send(self, message: Message) -> bool:
-        """Send one message; False where it could not be sent just now (no network, or nobody listens)."""
+        """Send one message; False where it could not be sent just now (no network, or nobody
+        listens).
+        """
         return self._put(packed(message, *self._next(), time.monotonic(), self._key))
 
 
 class Receiver(Listener):
-    """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager, to be closed.
+    """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager, to be
+    closed.
 
-    `newest()` is to be asked at least as often as pictures come. `.refused` counts what was not taken, by why: length,
-    signature, content, and those of a `Listener`.
+    `newest()` is to be asked at least as often as pictures come. `.refused` counts what was not
+    taken, by why: length, signature, content, and those of a `Listener`.
 
     Raises:
         LinkError: the address is not ours or in use, or the key is too short.

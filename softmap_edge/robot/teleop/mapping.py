@@ -1,8 +1,9 @@
-"""Where a hand or knob leads: a point of a plane, which is the two commands themselves or the tip's place aside.
+"""Where a hand or knob leads: a point of a plane, which is the two commands themselves or the tip's
+place aside.
 
-The paper's direct map takes the commands (u_lat, u_vert) for that plane; `TipMapping` takes the tip's (x, y) from
-where it is at u = 0 and finds the commands by inverse kinematics, for any number of tendons. Pinned by
-tests/robot/test_aim.py.
+The paper's direct map takes the commands (u_lat, u_vert) for that plane; `TipMapping` takes the
+tip's (x, y) from where it is at u = 0 and finds the commands by inverse kinematics, for any number
+of tendons. Pinned by tests/robot/test_aim.py.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class DirectMapping:
 
     def __init__(self, kinematics: Kinematics) -> None:
         if (count := kinematics.model.channels) != 2:
-            raise TeleopError(f"the model takes {count} commands, a hand drives two; give --tip to lead its tip")
+            raise TeleopError(
+                f"the model takes {count} commands, a hand drives two; give --tip to lead its tip"
+            )
         self.box = kinematics.acting_bounds
 
     def command(self, point: ArrayLike) -> Floats:
@@ -60,18 +63,24 @@ class DirectMapping:
 
 
 class TipMapping:
-    """The tip's x and y from where it is at u = 0; out of reach the nearest point of it is led to."""
+    """The tip's x and y from where it is at u = 0; out of reach the nearest point of it is led
+    to.
+    """
 
     names = ("x", "y")
 
     def __init__(self, kinematics: Kinematics) -> None:
         if kinematics.axes != "xy":
-            raise TeleopError(f"the tip is led in x and y, and the kinematics count {kinematics.axes}")
+            raise TeleopError(
+                f"the tip is led in x and y, and the kinematics count {kinematics.axes}"
+            )
         self._kinematics = kinematics
         low, high = kinematics.acting_bounds.T
         count = len(low)
         rest = np.clip(np.zeros(count), low, high)
-        some = product(*zip(low, rest, high)) if count <= MOST_GRID else _one_by_one(low, rest, high)
+        some = (
+            product(*zip(low, rest, high)) if count <= MOST_GRID else _one_by_one(low, rest, high)
+        )
         self._rest = np.asarray(kinematics.tip.evaluate(rest[None]))[0]
         places = np.asarray(kinematics.tip.evaluate(np.array(list(some))))[:, :2] - self._rest[:2]
         self.box = np.stack([places.min(axis=0), places.max(axis=0)], axis=1)

@@ -1,10 +1,11 @@
-"""The file `hand_landmarker.task`, which mediapipe needs and does not ship: built from an older wheel of it, or copied.
+"""The file `hand_landmarker.task`, which mediapipe needs and does not ship: built from an older
+wheel of it, or copied.
 
-A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of mediapipe (Apache 2.0)
-holds them; the landmarks are those of the published task file. Whatever is given was made by somebody else: sizes are
-bounded before anything is read, nothing is unpacked to a disk, and only what has the right form is written. The
-checksum is kept next to the file, in the form of `sha256sum`, and asked each time. Pinned by
-tests/robot/test_model_file.py.
+A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of
+mediapipe (Apache 2.0) holds them; the landmarks are those of the published task file. Whatever is
+given was made by somebody else: sizes are bounded before anything is read, nothing is unpacked to a
+disk, and only what has the right form is written. The checksum is kept next to the file, in the
+form of `sha256sum`, and asked each time. Pinned by tests/robot/test_model_file.py.
 """
 
 from __future__ import annotations
@@ -36,14 +37,18 @@ MOST_MEMBERS = 20_000  # of a wheel, which has some 700
 
 @dataclass(frozen=True)
 class HandModel:
-    """A complete task file: where it is, its SHA-256, and what it is known as (empty where it is not)."""
+    """A complete task file: where it is, its SHA-256, and what it is known as (empty where it is
+    not).
+    """
 
     path: Path
     sha256: str
     known_as: str
 
     def __str__(self) -> str:
-        return f"{self.path}: sha256 {self.sha256} ({self.known_as or 'not one that is known here'})"
+        return (
+            f"{self.path}: sha256 {self.sha256} ({self.known_as or 'not one that is known here'})"
+        )
 
 
 def default_path() -> Path:
@@ -52,8 +57,11 @@ def default_path() -> Path:
     return Path(home) / "softmap" / "hand_landmarker.task"
 
 
-def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool = False) -> HandModel:
-    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its checksum next to it.
+def fetch_model(
+    source: str | Path, to: str | Path | None = None, *, force: bool = False
+) -> HandModel:
+    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its
+    checksum next to it.
 
     Args:
         source: the wheel or task file; distinguished by their contents, not by their names.
@@ -75,12 +83,15 @@ def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool
             else:
                 with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as task:
                     for name, network in networks.items():
-                        task.writestr(zipfile.ZipInfo(name), network)  # without a date: the same bytes each time
+                        # without a date: the same bytes each time
+                        task.writestr(zipfile.ZipInfo(name), network)
             sha256 = hashlib.sha256(partial.read_bytes()).hexdigest()
             _record(target).unlink(missing_ok=True)  # never the old checksum beside the new file
         write_atomically(_record(target), f"{sha256}  {target.name}\n")
     except OSError as cause:
-        raise TeleopError(f"{target}: cannot be written ({cause.strerror or cause}); give another place") from None
+        raise TeleopError(
+            f"{target}: cannot be written ({cause.strerror or cause}); give another place"
+        ) from None
     return check_model(target)
 
 
@@ -93,7 +104,8 @@ def check_model(path: str | Path) -> HandModel:
     file = Path(path)
     if not file.exists():
         raise TeleopError(
-            f"{file}: no model of hands; get the wheel with '{WHEEL}' and run softmap teleop --fetch-model FROM"
+            f"{file}: no model of hands; get the wheel with '{WHEEL}' and run softmap teleop "
+            "--fetch-model FROM"
         )
     _networks(file)
     with file.open("rb") as stream:
@@ -104,7 +116,8 @@ def check_model(path: str | Path) -> HandModel:
             said = stream.read(64).decode("ascii", "replace")
         if said != sha256:
             raise TeleopError(
-                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {said[:16]!r}…; fetch the model again"
+                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {said[:16]!r}…; fetch "
+                "the model again"
             )
     return HandModel(file, sha256, KNOWN.get(sha256, ""))
 
@@ -114,9 +127,13 @@ def _record(file: Path) -> Path:
 
 
 def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
-    """Return the two networks in a wheel or task file by their names in a task file, and whether it is one."""
+    """Return the two networks in a wheel or task file by their names in a task file, and whether it
+    is one.
+    """
     if not file.is_file():
-        raise TeleopError(f"{file}: no such file; give a wheel of mediapipe 0.10.18, or a hand_landmarker.task")
+        raise TeleopError(
+            f"{file}: no such file; give a wheel of mediapipe 0.10.18, or a hand_landmarker.task"
+        )
     size = file.stat().st_size
     if size > LARGEST_SOURCE:
         raise TeleopError(f"{file}: {size >> 20} MB, at most {LARGEST_SOURCE >> 20} MB are read")
@@ -125,19 +142,23 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
             members = archive.infolist()
             names = [member.filename for member in members]
             if len(names) > MOST_MEMBERS or len(set(names)) < len(names):
-                raise TeleopError(f"{file}: {len(names)} entries, up to {MOST_MEMBERS} of different names are read")
+                raise TeleopError(
+                    f"{file}: {len(names)} entries, up to {MOST_MEMBERS} of different names are "
+                    "read"
+                )
             if set(names) == {DETECTOR, LANDMARKS}:
                 if any(member.compress_type != zipfile.ZIP_STORED for member in members):
                     raise TeleopError(
-                        f"{file}: its networks are compressed, which mediapipe cannot read; fetch it again"
+                        f"{file}: its networks are compressed, which mediapipe cannot read; fetch "
+                        "it again"
                     )
                 places = {DETECTOR: DETECTOR, LANDMARKS: LANDMARKS}
             elif set(IN_WHEEL.values()) <= set(names):
                 places = IN_WHEEL
             else:
                 raise TeleopError(
-                    f"{file}: holds no model of hands; give a wheel of mediapipe 0.10.18 ('{WHEEL}'), or a task file "
-                    f"of {DETECTOR} and {LANDMARKS}"
+                    f"{file}: holds no model of hands; give a wheel of mediapipe 0.10.18 "
+                    f"('{WHEEL}'), or a task file of {DETECTOR} and {LANDMARKS}"
                 )
             networks = {name: _network(file, archive, place) for name, place in places.items()}
             return networks, places is not IN_WHEEL
@@ -145,7 +166,8 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
         raise
     except Exception as fault:  # zipfile, zlib, struct, codecs: whatever a damaged archive meets
         raise TeleopError(
-            f"{file}: is no zip archive, or a damaged one ({type(fault).__name__}: {fault!s:.60}); get it again"
+            f"{file}: is no zip archive, or a damaged one ({type(fault).__name__}: "
+            f"{fault!s:.60}); get it again"
         ) from None
 
 
@@ -153,7 +175,9 @@ def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
     with archive.open(place) as stream:
         content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever the entry says of itself
     if len(content) > LARGEST_NETWORK:
-        raise TeleopError(f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does")
+        raise TeleopError(
+            f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does"
+        )
     if content[4:8] != b"TFL3":
         raise TeleopError(f"{file}: {place} is no network in TFLite's form; get it again")
     return content

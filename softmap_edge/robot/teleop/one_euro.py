@@ -1,10 +1,12 @@
-"""The one-euro filter: a low pass that opens with speed, still when the hand is still and without lag when it moves.
+"""The one-euro filter: a low pass that opens with speed, still when the hand is still and without
+lag when it moves.
 
-    cutoff = min_cutoff + beta |dx/dt|       x̂ ← x̂ + a (x − x̂)       a = 1 / (1 + 1 / (2π cutoff dt))
+    cutoff = min_cutoff + beta |dx/dt|  x̂ ← x̂ + a (x − x̂)  a = 1 / (1 + 1 / (2π cutoff dt))
 
-G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, component by component. The speed is low-passed at SPEED_CUTOFF
-itself. After a gap it starts again from what is seen, and so it does where the clock went back by more than one; a
-sample that is late by less changes nothing. Pinned by tests/robot/test_one_euro.py.
+G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, component by component. The speed is
+low-passed at SPEED_CUTOFF itself. After a gap it starts again from what is seen, and so it does
+where the clock went back by more than one; a sample that is late by less changes nothing. Pinned by
+tests/robot/test_one_euro.py.
 """
 
 from __future__ import annotations
@@ -43,9 +45,12 @@ class OneEuro:
     gap: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (0 < self.min_cutoff < math.inf and 0 <= self.beta < math.inf and 0 < self.gap < math.inf):
+        if not (
+            0 < self.min_cutoff < math.inf and 0 <= self.beta < math.inf and 0 < self.gap < math.inf
+        ):
             raise TeleopError(
-                f"one-euro filter: {self}; expected min_cutoff > 0 Hz, beta ≥ 0 and gap > 0 s, all finite"
+                f"one-euro filter: {self}; expected min_cutoff > 0 Hz, beta ≥ 0 and gap > 0 s, "
+                "all finite"
             )
 
     def step(self, state: OneEuroState | None, t: float, x: ArrayLike) -> OneEuroState:
@@ -57,10 +62,14 @@ class OneEuro:
         seen = np.atleast_1d(np.asarray(x, dtype=np.float64))
         if not (math.isfinite(t) and np.isfinite(seen).all()):
             raise TeleopError(
-                f"one-euro filter: t = {t}, x = {seen.tolist()!s:.60}; give finite numbers, or start again"
+                f"one-euro filter: t = {t}, x = {seen.tolist()!s:.60}; give finite numbers, or "
+                "start again"
             )
         if state is not None and seen.shape != state.x.shape:
-            raise TeleopError(f"one-euro filter: x of shape {seen.shape} after {state.x.shape}; start again with None")
+            raise TeleopError(
+                f"one-euro filter: x of shape {seen.shape} after {state.x.shape}; start again "
+                "with None"
+            )
         dt = math.inf if state is None else t - state.t
         if state is None or abs(dt) > self.gap:
             return OneEuroState(t, seen, np.zeros_like(seen))

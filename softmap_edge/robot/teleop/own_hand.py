@@ -1,9 +1,11 @@
-"""Follow the hand that was seen when the key was pressed: only this hand drives until the key is released.
+"""Follow the hand that was seen when the key was pressed: only this hand drives until the key is
+released.
 
-A picture shows the same hand if palm, size and direction have changed no more than a hand can in the time since it was
-last seen (time in which another hand is in view does not count). MediaPipe sometimes takes a left hand for a right one
-for a picture or two, so a changed side alone counts only if it lasts. Any other hand counts as no hand. The hand may
-come back if it was not gone for longer than `eyes.SEEN`. Pinned by tests/robot/test_own_hand.py.
+A picture shows the same hand if palm, size and direction have changed no more than a hand can in
+the time since it was last seen (time in which another hand is in view does not count). MediaPipe
+sometimes takes a left hand for a right one for a picture or two, so a changed side alone counts
+only if it lasts. Any other hand counts as no hand. The hand may come back if it was not gone for
+longer than `eyes.SEEN`. Pinned by tests/robot/test_own_hand.py.
 """
 
 from __future__ import annotations
@@ -20,9 +22,12 @@ Floats = NDArray[np.float64]
 
 PALM = (WRIST, INDEX_KNUCKLE, MIDDLE_KNUCKLE, 13, 17)  # motion of the fingers does not move these
 LENGTH = 2.0  # wrist to fingertip, in wrist to middle knuckle
-PICTURE = 1.0 / 30.0  # s: two pictures that are nearer in time are compared as if they were this far apart
-LEAP, SPEED = 1.0, 12.0  # hand lengths from a picture to the next, and a second beyond: 6 m/s and 2.4 m/s
-GROWTH, GROWS = math.log(1.55), 3.0  # of the size (log), from a picture to the next, and a second beyond
+# s: two pictures that are nearer in time are compared as if they were this far apart
+PICTURE = 1.0 / 30.0
+# hand lengths from a picture to the next, and a second beyond: 6 m/s and 2.4 m/s
+LEAP, SPEED = 1.0, 12.0
+# of the size (log), from a picture to the next, and a second beyond
+GROWTH, GROWS = math.log(1.55), 3.0
 TURN, TURNS = math.radians(75.0), math.radians(400.0)  # of its direction, likewise
 FLAT = 0.5  # of the palm's size that wrist to knuckle must be long, for its direction to count
 SIDES = 2  # pictures in which the other side counts as an error of the detector
@@ -30,7 +35,9 @@ ANOTHER = "another hand is in view"
 
 
 class OwnHand:
-    """Follow one hand from picture to picture; `other` is true if another one was seen in its place."""
+    """Follow one hand from picture to picture; `other` is true if another one was seen in its
+    place.
+    """
 
     def __init__(self) -> None:
         self.begin(None, -math.inf)
@@ -41,7 +48,8 @@ class OwnHand:
         self._strange, self.other, self._until = 0, False, math.inf
 
     def among(self, hands: Sequence[Hand], t: float) -> Hand | None:
-        """Return the followed hand among those in a picture taken at `t` s; None if it is not there.
+        """Return the followed hand among those in a picture taken at `t` s; None if it is not
+        there.
 
         Args:
             hands: all hands that may drive. t: time of the picture, s.
@@ -50,8 +58,11 @@ class OwnHand:
         if self._last is None:
             return surest(hands)
         last, since = self._last, max(min(t, self._until) - self._t - PICTURE, 0.0)
-        same = [hand for hand in hands if _moved(last, hand, since if hand.side == self._side else 0.0)]
-        # The side decides between two hands in one picture, and how near they are where it does not.
+        same = [
+            hand for hand in hands if _moved(last, hand, since if hand.side == self._side else 0.0)
+        ]
+        # The side decides between two hands in one picture, and how near they are where it does
+        # not.
         own = min(same, key=lambda hand: (hand.side != self._side, _leap(last, hand)), default=None)
         if own is not None:
             self._strange = max(self._strange + (1 if own.side != self._side else -1), 0)
@@ -94,4 +105,6 @@ def _length(hand: Hand) -> float:
 def _size(hand: Hand) -> float:
     """Return px of the palm in its longer direction: a hand that leans is shorter in one alone."""
     palm = hand.points[list(PALM)]
-    return float(2.0 * np.linalg.svd(palm - palm.mean(axis=0), compute_uv=False)[0] / math.sqrt(len(palm)))
+    return float(
+        2.0 * np.linalg.svd(palm - palm.mean(axis=0), compute_uv=False)[0] / math.sqrt(len(palm))
+    )

@@ -1,12 +1,14 @@
-"""The page on localhost: shows picture, hand, finger and guard, and takes keyboard, mouse and the deadman.
+"""The page on localhost: shows picture, hand, finger and guard, and takes keyboard, mouse and the
+deadman.
 
-Served from this package alone by `websockets` (BSD; its threaded server needs no event loop beside the loop that
-drives). Who has the link drives: its random token is in the part behind `#`, which no browser sends to anybody, and is
-asked of every connection. Host must be an address or localhost (a name that was bent to this computer, DNS rebinding,
-is refused) and Origin this very page. One page drives at a time, others watch; its key lapses by `keys.HeldKey`.
-Nothing is queued: a page is sent the newest state when it has taken the last. By the numbers of states that come back
-it is known how old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may be
-older than LATE holds no key. Pinned by tests/robot/test_teleop_page.py.
+Served from this package alone by `websockets` (BSD; its threaded server needs no event loop beside
+the loop that drives). Who has the link drives: its random token is in the part behind `#`, which no
+browser sends to anybody, and is asked of every connection. Host must be an address or localhost (a
+name that was bent to this computer, DNS rebinding, is refused) and Origin this very page. One page
+drives at a time, others watch; its key lapses by `keys.HeldKey`. Nothing is queued: a page is sent
+the newest state when it has taken the last. By the numbers of states that come back it is known how
+old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may
+be older than LATE holds no key. Pinned by tests/robot/test_teleop_page.py.
 """
 
 from __future__ import annotations
@@ -115,7 +117,9 @@ class Page:
                 logger=quiet,
             )
         except OSError as fault:
-            raise TeleopError(f"page: {host}:{port} cannot be used ({fault.strerror}); give another --page") from None
+            raise TeleopError(
+                f"page: {host}:{port} cannot be used ({fault.strerror}); give another --page"
+            ) from None
         self.port = int(self._server.socket.getsockname()[1])
         shown = f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self.port}/#{self._token}"
@@ -125,14 +129,21 @@ class Page:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._server.shutdown()
         self._thread.join(3.0)
 
     # --- what the driving thread asks and tells -----------------------------------------
 
     def shows(self, hello: Document, view: View) -> None:
-        """Set what a page receives when it comes, and what is asked for each state: the state, points, a picture."""
+        """Set what a page receives when it comes, and what is asked for each state: the state,
+        points, a picture.
+        """
         self._hello, self._view = hello, view
 
     def controls(self, now: float) -> Controls:
@@ -153,7 +164,11 @@ class Page:
         """Serve a file, refuse, or (None) go on to the connection that drives."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or not _ours(host[0], self.port):
-            return _answer(connection, 421, b"this page is served under an address or localhost, not under this name\n")
+            return _answer(
+                connection,
+                421,
+                b"this page is served under an address or localhost, not under this name\n",
+            )
         try:
             path = urlsplit(request.path)
         except ValueError:
@@ -193,7 +208,8 @@ class Page:
                 if said is None or not link.heard(said["shown"], said["t"], now):
                     connection.close(1008, "not understood")
                     break
-                if self._driver is connection or said.get("do") in ("stop", "emergency"):  # those anybody may ask for
+                # those anybody may ask for
+                if self._driver is connection or said.get("do") in ("stop", "emergency"):
                     self._hear(said, now, link.age)
                 elif said.get("do") == "take":
                     self._sit(connection)
@@ -230,15 +246,29 @@ class Page:
             number, drawn = -1, None
             while connection in self._pages:
                 begin = time.monotonic()
-                if self._view is not None and link.shown >= link.sent:  # it has drawn what it was sent
+                # it has drawn what it was sent
+                if self._view is not None and link.shown >= link.sent:
                     state, points, picture = self._view()
                     sent = link.sent + 1
-                    seat = "mine" if self._driver is connection else "free" if self._driver is None else "taken"
-                    state |= {"number": sent, "seat": seat, "knob": self._rest, "pages": len(self._pages)}
+                    seat = (
+                        "mine"
+                        if self._driver is connection
+                        else "free"
+                        if self._driver is None
+                        else "taken"
+                    )
+                    state |= {
+                        "number": sent,
+                        "seat": seat,
+                        "knob": self._rest,
+                        "pages": len(self._pages),
+                    }
                     state["slow_ms"] = round(1e3 * link.age) if LATE < link.age < math.inf else None
                     if points is not None and points is not drawn:
                         drawn = points
-                        connection.send(struct.pack("<II", POINTS, sent) + points.astype("<f4").tobytes())
+                        connection.send(
+                            struct.pack("<II", POINTS, sent) + points.astype("<f4").tobytes()
+                        )
                     if picture is not None and picture[0] != number:
                         number = picture[0]
                         connection.send(struct.pack("<II", PICTURE, sent) + self._jpeg(*picture))
@@ -257,17 +287,20 @@ class Page:
 
 
 class _Link:
-    """How old a page's words may be at most: a state's number comes back after it was sent, whatever the delay.
+    """How old a page's words may be at most: a state's number comes back after it was sent,
+    whatever the delay.
 
-    The page's clock is ahead of ours by no more than its time at the first word with a number, less when that state was
-    sent. So a word that is always 3 s late is known to be old, which no difference between words shows.
+    The page's clock is ahead of ours by no more than its time at the first word with a number, less
+    when that state was sent. So a word that is always 3 s late is known to be old, which no
+    difference between words shows.
     """
 
     def __init__(self) -> None:
         self.sent, self.shown = 0, 0  # numbers of states
         self.age = math.inf  # s of the last word, at most
         self._when = 0.0
-        self._behind: deque[float] = deque(maxlen=REMEMBERED)  # s, our clock against the page's, at least
+        # s, our clock against the page's, at least
+        self._behind: deque[float] = deque(maxlen=REMEMBERED)
 
     def sends(self, now: float) -> None:
         """Note that the next state goes off; it is the only one on its way."""
@@ -275,7 +308,9 @@ class _Link:
         self.sent += 1
 
     def heard(self, shown: int, t: float, now: float) -> bool:
-        """Note a word said at `t` s of the page's clock; False if it names a state that it was not sent."""
+        """Note a word said at `t` s of the page's clock; False if it names a state that it was not
+        sent.
+        """
         if shown > self.sent:
             return False
         if shown > self.shown:
@@ -286,7 +321,9 @@ class _Link:
 
 
 def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
-    """Return what websockets makes connections by: those that have brought no token yet are counted, and few."""
+    """Return what websockets makes connections by: those that have brought no token yet are
+    counted, and few.
+    """
 
     class Door(connection):  # type: ignore[misc]
         def handshake(self, *how: Any, **named: Any) -> None:
@@ -297,7 +334,8 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
 
     def made(*how: Any, **named: Any) -> Any:
         if not opening.acquire(blocking=False):
-            raise ConnectionRefusedError("too many connections are being opened")  # websockets closes the socket
+            # websockets closes the socket
+            raise ConnectionRefusedError("too many connections are being opened")
         try:
             return Door(*how, **named)
         except BaseException:
@@ -308,7 +346,9 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
 
 
 def _ours(host: str, port: int) -> bool:
-    """Whether a Host header names this server by an address or as localhost: nobody can bend those."""
+    """Whether a Host header names this server by an address or as localhost: nobody can bend
+    those.
+    """
     name, _, said = host.rpartition(":")
     if said != str(port):
         return False
@@ -321,7 +361,9 @@ def _ours(host: str, port: int) -> bool:
     return True
 
 
-def _answer(connection: Any, status: int, body: bytes, kind: str = "text/plain", host: str = "") -> Any:
+def _answer(
+    connection: Any, status: int, body: bytes, kind: str = "text/plain", host: str = ""
+) -> Any:
     response = connection.respond(status, "")
     response.body = body
     for name in ("Content-Type", "Content-Length"):
@@ -329,8 +371,8 @@ def _answer(connection: Any, status: int, body: bytes, kind: str = "text/plain",
     response.headers["Content-Type"], response.headers["Content-Length"] = kind, str(len(body))
     connect = f"'self' ws://{host}" if host else "'self'"
     response.headers["Content-Security-Policy"] = (
-        f"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src {connect}; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+        f"connect-src {connect}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     for name, value in HEADERS.items():
         response.headers[name] = value
@@ -347,7 +389,11 @@ def _read(message: str | bytes) -> Document | None:
         numbers = [t, *knob]
         if len(knob) != 2 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
             return None
-        if abs(t) > 1e12 or type(said["held"]) is not bool or said["source"] not in ("hand", "knob"):
+        if (
+            abs(t) > 1e12
+            or type(said["held"]) is not bool
+            or said["source"] not in ("hand", "knob")
+        ):
             return None
         if type(said["shown"]) is not int or not 0 <= said["shown"] < 1 << 53:
             return None

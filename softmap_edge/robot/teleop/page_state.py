@@ -27,10 +27,18 @@ class PageState:
     """Turns the newest moment into what a page is sent; asked by the threads of pages.
 
     Args:
-        model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page receives once.
+        model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page
+            receives once.
     """
 
-    def __init__(self, model: Model, aim: HandMapping, eyes: HandSource, sketch: ShapePreview, about: Document) -> None:
+    def __init__(
+        self,
+        model: Model,
+        aim: HandMapping,
+        eyes: HandSource,
+        sketch: ShapePreview,
+        about: Document,
+    ) -> None:
         self._aim, self._eyes, self._sketch = aim, eyes, sketch
         self._moment: DriveState | None = None
         self._ages: deque[float] = deque(maxlen=AVERAGED)
@@ -72,7 +80,9 @@ class PageState:
                 points = self._sketch.points(np.array(position, float), moment.t)
                 if np.abs(points - self._points).max() > SEEN:
                     self._points = points
-        hand = None if sight is None or sight.hand is None else np.round(sight.hand.points, 1).tolist()
+        hand = (
+            None if sight is None or sight.hand is None else np.round(sight.hand.points, 1).tolist()
+        )
         picture = None if sight is None or sight.picture is None else (sight.number, sight.picture)
         low, high = self._aim.box.T
         led = moment.here if moment.led is None else moment.led
@@ -88,7 +98,9 @@ class PageState:
             "lost": words.lost(report, clutch.why) if clutch.stage == "lost" else "",
             "lacking": moment.lacking,
             "source": moment.controls.source,
-            "limits": words.limits(report) + _at_ends(led, self._aim) + [moment.busy] * bool(moment.busy),
+            "limits": words.limits(report)
+            + _at_ends(led, self._aim)
+            + [moment.busy] * bool(moment.busy),
             "here": [round(float(x), 3) for x in moment.here],
             "led": [round(float(x), 3) for x in led],
             "hand": hand,
@@ -105,8 +117,13 @@ class PageState:
     def _farthest(self, model: Model) -> Floats:
         """How far aside points come, in mm."""
         low, high = np.asarray(model.command_range, float).T
-        return np.array([self._sketch.at(np.where(np.arange(len(low)) == c, end, 0.0))[:, :2]
-                         for end in (low, high) for c in range(len(low))])  # fmt: skip
+        return np.array(
+            [
+                self._sketch.at(np.where(np.arange(len(low)) == c, end, 0.0))[:, :2]
+                for end in (low, high)
+                for c in range(len(low))
+            ]
+        )
 
 
 def _at_ends(led: Floats, aim: HandMapping) -> list[str]:

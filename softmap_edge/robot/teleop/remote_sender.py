@@ -1,4 +1,5 @@
-"""The other computer's side of `--camera udp://`: sends the landmarks that it sees, and whether its key is held.
+"""The other computer's side of `--camera udp://`: sends the landmarks that it sees, and whether its
+key is held.
 
 Pinned by tests/robot/test_teleop_verb.py.
 """
@@ -14,7 +15,10 @@ from softmap_edge.robot.teleop.hand_source import SEEN, HandSource
 from softmap_edge.robot.teleop.keys import Input
 from softmap_edge.robot.teleop.landmarks import Message, Sender
 
-UNHEARD = "no answer from there yet: `softmap teleop --camera udp://:PORT` must run there, with the same key"
+UNHEARD = (
+    "no answer from there yet: `softmap teleop --camera udp://:PORT` must run there, with the "
+    "same key"
+)
 EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
 
 
@@ -32,9 +36,15 @@ class Sent:
 
 
 def send(
-    eyes: HandSource, sender: Sender, key: Input | None, seconds: float | None, say: Callable[[str], None]
+    eyes: HandSource,
+    sender: Sender,
+    key: Input | None,
+    seconds: float | None,
+    say: Callable[[str], None],
 ) -> Sent:
-    """Send what entered `eyes` see until they, some seconds or the `key` end it; without a key none is held here."""
+    """Send what entered `eyes` see until they, some seconds or the `key` end it; without a key none
+    is held here.
+    """
     done, number, begun, line = Sent(), -1, time.monotonic(), ""
     try:
         while not done.ended:

@@ -1,9 +1,10 @@
 """What teleoperation needs of this computer, and how to mend what is missing.
 
-mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the folder `cv2/`: pip
-installs the one over the other, and uninstalling either deletes it. Nothing here imports either of them. What is absent
-is a warning, for a robot may be driven without a hand before its own camera; what clashes or is damaged is a fault.
-Pinned by tests/robot/test_teleop_installed.py.
+mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the
+folder `cv2/`: pip installs the one over the other, and uninstalling either deletes it. Nothing here
+imports either of them. What is absent is a warning, for a robot may be driven without a hand before
+its own camera; what clashes or is damaged is a fault. Pinned by
+tests/robot/test_teleop_installed.py.
 """
 
 from __future__ import annotations
@@ -19,15 +20,22 @@ from softmap_edge.errors import TeleopError
 from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.robot.teleop.model_file import check_model, default_path
 
-INSTALL = "uv pip install --override <(echo \"opencv-contrib-python; sys_platform == 'never'\") 'softmap-edge[teleop]'"
-LIBRARIES = ("libEGL.so.1", "libGLESv2.so.2")  # mediapipe's library is linked with them, and so never loads without
+INSTALL = (
+    "uv pip install --override <(echo \"opencv-contrib-python; sys_platform == 'never'\") "
+    "'softmap-edge[teleop]'"
+)
+# mediapipe's library is linked with them, and so never loads without
+LIBRARIES = ("libEGL.so.1", "libGLESv2.so.2")
 UDP = "send landmarks from another computer instead (docs/do/teleop.md, --camera udp://)"
-LAST_SILENT = (0, 10, 21)  # the last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
+# the last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
+LAST_SILENT = (0, 10, 21)
 CPU = Path("/proc/cpuinfo")
 
 
 def findings(model: str | Path | None = None) -> list[Line]:
-    """Return what was found of OpenCV, mediapipe, its libraries, this processor and the model of hands."""
+    """Return what was found of OpenCV, mediapipe, its libraries, this processor and the model of
+    hands.
+    """
     here = list(distributions())
     return [opencv(here), mediapipe(here), libraries(), processor(), hand_model(model)]
 
@@ -37,7 +45,9 @@ def opencv(installed: Iterable[Distribution]) -> Line:
     owners: dict[str, Distribution] = {}
     for distribution in installed:
         name = distribution.metadata["Name"] or ""
-        files = (str(file) for file in distribution.files or [] if name.lower().startswith("opencv"))
+        files = (
+            str(file) for file in distribution.files or [] if name.lower().startswith("opencv")
+        )
         if any(file.startswith("cv2/") for file in files):
             owners.setdefault(name, distribution)
     said = " and ".join(f"{name} {found.version}" for name, found in sorted(owners.items()))
@@ -50,7 +60,9 @@ def opencv(installed: Iterable[Distribution]) -> Line:
     file = next(iter(owners.values())).locate_file("cv2/__init__.py")
     if not Path(str(file)).is_file():
         mend = f"run uv pip uninstall {next(iter(owners))}, then {INSTALL}"
-        return Line("opencv", FAULT, f"{said} lost its folder cv2/ when another OpenCV was removed", mend)
+        return Line(
+            "opencv", FAULT, f"{said} lost its folder cv2/ when another OpenCV was removed", mend
+        )
     return Line("opencv", OK, said)
 
 
@@ -61,7 +73,10 @@ def mediapipe(installed: Iterable[Distribution]) -> Line:
         return Line("mediapipe", WARNING, "not installed", f"run {INSTALL}, or {UDP}")
     if _numbers(found.version) <= LAST_SILENT:
         return Line("mediapipe", OK, found.version)
-    said = f"{found.version}, which reports its use to its maker when there is a network (docs/do/teleop.md)"
+    said = (
+        f"{found.version}, which reports its use to its maker when there is a network "
+        "(docs/do/teleop.md)"
+    )
     return Line("mediapipe", OK, said)
 
 
@@ -84,7 +99,9 @@ def libraries(names: Iterable[str] = LIBRARIES) -> Line:
 
 
 def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
-    """Find whether this processor has what mediapipe 1.0 and later were compiled for: on ARM the LSE atomics."""
+    """Find whether this processor has what mediapipe 1.0 and later were compiled for: on ARM the
+    LSE atomics.
+    """
     machine = platform.machine() if machine is None else machine
     if machine not in ("aarch64", "arm64"):
         return Line("processor", OK, machine)
@@ -93,11 +110,22 @@ def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
     except OSError:
         return Line("processor", OK, f"{machine}, {cpu} cannot be read")
     # Every core must have them: boards mix cores.
-    lines = [line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith("Features")]
+    lines = [
+        line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith("Features")
+    ]
     if lines and not all("atomics" in line for line in lines):
         mend = f"install mediapipe==0.10.18, or {UDP}"
-        return Line("processor", WARNING, f"{machine} without LSE atomics: mediapipe 1.0 and later abort here", mend)
-    return Line("processor", OK, f"{machine} with LSE atomics" if lines else f"{machine}, features not reported")
+        return Line(
+            "processor",
+            WARNING,
+            f"{machine} without LSE atomics: mediapipe 1.0 and later abort here",
+            mend,
+        )
+    return Line(
+        "processor",
+        OK,
+        f"{machine} with LSE atomics" if lines else f"{machine}, features not reported",
+    )
 
 
 def hand_model(path: str | Path | None = None) -> Line:

@@ -1,7 +1,8 @@
-"""The terminal's keys: Space or an arrow held drives, Esc releases tension, e stops at once, q ends.
+"""The terminal's keys: Space or an arrow held drives, Esc releases tension, e stops at once, q
+ends.
 
-A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go is noticed 0.2 s
-later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
+A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go
+is noticed 0.2 s later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ HELP = (
 
 
 class Terminal:
-    """The keys of a terminal, as an input; a context manager that leaves it as it was. `source`: what drives."""
+    """The keys of a terminal, as an input; a context manager that leaves it as it was. `source`:
+    what drives.
+    """
 
     name = "the terminal"
 
@@ -38,7 +41,12 @@ class Terminal:
         self._typed.__enter__()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._typed.__exit__(kind, fault, at)
 
     def controls(self, now: float) -> Controls:
@@ -63,5 +71,7 @@ class Terminal:
             self._key.press(now)
         elif key in ARROWS:
             self._key.press(now)
-            x, y = (min(max(at + STEP * way, -1.0), 1.0) for at, way in zip(self._knob, ARROWS[key]))
+            x, y = (
+                min(max(at + STEP * way, -1.0), 1.0) for at, way in zip(self._knob, ARROWS[key])
+            )
             self._knob = (x, y)
