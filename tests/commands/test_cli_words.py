@@ -79,7 +79,7 @@ def test_help_of_a_verb_is_what_the_option_prints(name, capsys):
     assert told == capsys.readouterr().out and told.startswith(f"usage: softmap {name}")
 
 
-@pytest.mark.parametrize("name", [command.name for command in BUILTIN])
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_shows_examples_that_are_taken_and_a_page_that_is_there(name, capsys):
     command = COMMANDS[name]
     assert main([*name.split(), "--help"]) == 0

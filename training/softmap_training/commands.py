@@ -12,12 +12,22 @@ def verbs() -> list[Command]:
             "train",
             "make or change a model",
             "train a prior or a residual network",
-            "softmap_training.train_verb",
+            "softmap_training.train_command",
+            "training",
+            (
+                "train prior sim.zarr --out prior",
+                "train residual grid.npz again.npz --bundle prior --out corrected",
+            ),
         ),
         Command(
             "evaluate",
             "understand what is missing",
             "models side by side, with the paper's figures",
-            "softmap_training.evaluate_verb",
+            "softmap_training.evaluate_command",
+            "training",
+            (
+                "evaluate prior --set sim.zarr --model linear modes",
+                "evaluate corrected --run paths.npz --train grid.npz --html tables.html",
+            ),
         ),
     ]

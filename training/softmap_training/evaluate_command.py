@@ -7,8 +7,9 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,12 +19,14 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.npz import read_npz
+from softmap_edge.model.model import Model
 from softmap_edge.model.training_range import command_extrapolation, shape_mismatch
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
 from softmap_training import choices
 from softmap_training.baselines import NAMES as BASELINES
+from softmap_training.choices import ResidualKind
 from softmap_training.errors import TrainingError
 from softmap_training.evaluate import (
     FALLS,
@@ -39,13 +42,38 @@ from softmap_training.evaluate import (
     size_of,
 )
 from softmap_training.evaluate_text import lines, samples
-from softmap_training.train_verb import checked_torch
+from softmap_training.train_command import checked_torch
+
+if TYPE_CHECKING:
+    from softmap_training.contenders import Plan
 
 ALL = "all"
 MODELS = (*choices.PRIORS, *BASELINES)
 MOST_SEEDS = 100
 WITHOUT = ", without residual"
 BETWEEN = "given all nodes of its grid, so validated halfway between them"
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Options of `softmap evaluate`, as its parser declares them."""
+
+    bundles: list[str]
+    effects: list[str]
+    trust_onnx: bool
+    set: str | None
+    model: list[str]
+    run: str | None
+    truth: str | None
+    train: list[str]
+    residual: list[ResidualKind]
+    no_decoder: bool
+    seed: int
+    seeds: int
+    epochs: int | None
+    work: str | None
+    html: str | None
+    json: bool
 
 
 def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,7 +140,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def evaluate(args: argparse.Namespace) -> int:
+def evaluate(args: EvaluateOptions) -> int:
     """Evaluate models and print their tables."""
     asked = _checked(args)
     load_own(args)
@@ -174,24 +202,23 @@ def evaluate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _checked(args: argparse.Namespace) -> list[str]:
+def _checked(args: EvaluateOptions) -> list[str]:
     """Return which models are to be fitted to the set, after checking what was asked for."""
     if args.set is None and args.run is None:
         raise TrainingError("nothing to validate on; give --set SET, --run RUN or both")
-    for name in ("truth", "train"):
-        if getattr(args, name) and args.run is None:
+    for name, given in (("truth", args.truth), ("train", args.train)):
+        if given and args.run is None:
             raise TrainingError(f"--{name} goes with --run")
     asked = [*MODELS] if ALL in args.model else args.model
     if wrong := [name for name in asked if name not in MODELS]:
         raise TrainingError(f"--model {wrong[0]}: there are {', '.join(MODELS)}, and all")
     if asked and args.set is None:
         raise TrainingError("--model fits models to simulated shapes; give --set SET")
-    for name, low, high in (
-        ("seeds", 1, MOST_SEEDS),
-        ("epochs", 1, 1_000_000),
-        ("seed", 0, 2**32 - MOST_SEEDS),
+    for name, value, low, high in (
+        ("seeds", args.seeds, 1, MOST_SEEDS),
+        ("epochs", args.epochs, 1, 1_000_000),
+        ("seed", args.seed, 0, 2**32 - MOST_SEEDS),
     ):
-        value = getattr(args, name)
         if value is not None and not low <= value <= high:
             raise TrainingError(f"--{name} {value}: give {low} to {high}")
     check_file("--html", args.html, ".html")
@@ -200,7 +227,7 @@ def _checked(args: argparse.Namespace) -> list[str]:
     return list(asked)
 
 
-def _first(models: dict[str, Any], what: str) -> tuple[str, Any]:
+def _first(models: dict[str, Model], what: str) -> tuple[str, Any]:
     """Return the first of the models whose points are vertices of the finger.
 
     Raises:
@@ -215,19 +242,19 @@ def _first(models: dict[str, Any], what: str) -> tuple[str, Any]:
     return found
 
 
-def _seeds(args: argparse.Namespace) -> list[int]:
+def _seeds(args: EvaluateOptions) -> list[int]:
     return list(range(args.seed, args.seed + args.seeds))
 
 
-def _plan(args: argparse.Namespace) -> Any:
+def _plan(args: EvaluateOptions) -> Plan:
     from softmap_training.contenders import Plan
 
     return Plan(tuple(_seeds(args)), args.epochs, None if args.work is None else Path(args.work))
 
 
 def _on_set(
-    args: argparse.Namespace,
-    models: dict[str, Any],
+    args: EvaluateOptions,
+    models: dict[str, Model],
     asked: list[str],
     bar: Callable[[str, float], None],
     warnings: list[str],
@@ -274,8 +301,8 @@ def _on_set(
 
 
 def _on_run(
-    args: argparse.Namespace,
-    models: dict[str, Any],
+    args: EvaluateOptions,
+    models: dict[str, Model],
     run: Run,
     taught: list[Run],
     bar: Callable[[str, float], None],

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.commands.progress import Bar
+from softmap_edge.model.model import Model
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.choices import PriorKind, ResidualKind
@@ -21,12 +24,52 @@ FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # at o
 WORK = ".training"  # what the folder of checkpoints and logs ends in, next to the bundle
 
 
+@dataclass(frozen=True)
+class _TrainOptions:
+    """Options that both actions of `softmap train` have."""
+
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    work: str | None
+    epochs: int | None
+    seed: int | None
+    device: str
+    tensorboard: bool
+    json: bool
+
+
+@dataclass(frozen=True)
+class PriorOptions(_TrainOptions):
+    """Options of `softmap train prior`, as its parser declares them."""
+
+    set: str
+    model: str
+
+
+@dataclass(frozen=True)
+class ResidualOptions(_TrainOptions):
+    """Options of `softmap train residual`, as its parser declares them."""
+
+    runs: list[str]
+    model: ResidualKind
+
+
 def train_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `train`."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
-    prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
-    prior.add_argument("set", help="simulated shapes of `softmap model sweep` (.zarr or .npz)")
-    prior.add_argument(
+    """Declare the arguments of `train` and of its actions."""
+    add_actions(parser, ACTIONS)
+
+
+def train(args: argparse.Namespace) -> int:
+    """Train a prior or a residual network."""
+    return run_action(ACTIONS, args)
+
+
+def _prior_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("set", help="simulated shapes of `softmap model sweep` (.zarr or .npz)")
+    parser.add_argument(
         "--model",
         choices=(*get_args(PriorKind), *BASELINES),
         default="modes",
@@ -37,45 +80,82 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
             "are its own (to compare in `softmap track --table`)"
         ),
     )
-    residual = what.add_parser(
-        "residual", help="from a recording: what the model misses, by command"
-    )
-    residual.add_argument(
+    _shared_arguments(parser)
+
+
+def _residual_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         "runs", nargs="+", metavar="run", help="recordings (.npz), clouds or vertices"
     )
-    residual.add_argument(
+    parser.add_argument(
         "--model",
         choices=get_args(ResidualKind),
         default="modes",
         help="ours (default), or the paper's network",
     )
-    for one in (prior, residual):
-        one.add_argument(
-            "--bundle",
-            metavar="DIR",
-            help="the model that it joins; the built-in finger without it",
-        )
-        effects_argument(one)
-        bundle_arguments(one)
-        one.add_argument(
-            "--work", metavar="DIR", help="checkpoints and log.csv; the bundle's name + .training"
-        )
-        one.add_argument("--epochs", type=int, help="another number of epochs")
-        one.add_argument("--seed", type=int, help="draws the first weights and the order (0)")
-        one.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to train")
-        one.add_argument(
-            "--tensorboard",
-            action="store_true",
-            help="write events for TensorBoard next to the log",
-        )
-        one.add_argument(
-            "--json", action="store_true", default=argparse.SUPPRESS, help="print one document"
-        )
+    _shared_arguments(parser)
 
 
-def train(args: argparse.Namespace) -> int:
-    """Train a network and write the bundle that holds it."""
-    _check_fitted(args)
+def _shared_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model that it joins; the built-in finger without it"
+    )
+    effects_argument(parser)
+    bundle_arguments(parser)
+    parser.add_argument(
+        "--work", metavar="DIR", help="checkpoints and log.csv; the bundle's name + .training"
+    )
+    parser.add_argument("--epochs", type=int, help="another number of epochs")
+    parser.add_argument("--seed", type=int, help="draws the first weights and the order (0)")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to train")
+    parser.add_argument(
+        "--tensorboard", action="store_true", help="write events for TensorBoard next to the log"
+    )
+
+
+def _train_prior(args: PriorOptions) -> int:
+    """Train a prior and write the bundle that holds it."""
+    if args.model in FITTED:
+        _check_fitted(args, args.model)
+    if args.model == "deepsoro" and (args.device != "cpu" or args.tensorboard):
+        raise TrainingError(
+            "'deepsoro' is trained on the processor, without TensorBoard; leave these out"
+        )
+    base = _opened(args)
+    work = None if args.model in FITTED else _work_of(args)
+    resumed = _has_checkpoint(work)
+    with Bar(args.json) as bar:
+        model, report = _prior(args, base, work, bar)
+    _write(args, "prior", model, report, work, resumed)
+    return 0
+
+
+def _train_residual(args: ResidualOptions) -> int:
+    """Train a residual, write the bundle that holds it; 1 if it does not lower the error."""
+    base = _opened(args)
+    work = _work_of(args)
+    resumed = _has_checkpoint(work)
+    with Bar(args.json) as bar:
+        model, report = _residual(args, base, work, bar)
+    _write(args, "residual", model, report, work, resumed)
+    return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
+
+
+ACTIONS: dict[str, Action] = {
+    "prior": Action(
+        "from a simulated set: commands → shapes", _prior_arguments, _train_prior, PriorOptions
+    ),
+    "residual": Action(
+        "from a recording: what the model misses, by command",
+        _residual_arguments,
+        _train_residual,
+        ResidualOptions,
+    ),
+}
+
+
+def _opened(args: _TrainOptions) -> Model:
+    """Check what is asked for and return the model that the network joins."""
     torch = checked_torch()
     if args.device == "cuda" and not torch.cuda.is_available():
         raise TrainingError(
@@ -85,43 +165,51 @@ def train(args: argparse.Namespace) -> int:
         raise TrainingError(f"--epochs {args.epochs}: give 1 to 1000000")
     if args.seed is not None and not 0 <= args.seed < 2**32:
         raise TrainingError(f"--seed {args.seed}: give 0 to 4294967295")
-    from softmap_edge.model.bundle import save_bundle
-
     check_bundle(args.out, args.force)
     load_own(args)
-    base = open_model(args.bundle)
-    work = None if args.model in FITTED else Path(args.work or f"{Path(args.out)}{WORK}")
-    resumed = work is not None and any(work.rglob("checkpoint.pt"))
-    with Bar(args.json) as bar:
-        model, report = (_prior if args.what == "prior" else _residual)(args, base, work, bar)
+    return open_model(args.bundle)
+
+
+def _check_fitted(args: _TrainOptions, model: str) -> None:
+    """Refuse what a model that is fitted at once does not use."""
+    given = {"--epochs": args.epochs, "--work": args.work, "--tensorboard": args.tensorboard}
+    given |= {"--device": args.device if args.device != "cpu" else None}
+    unused = [name for name, value in given.items() if value]
+    if unused:
+        raise TrainingError(
+            f"{', '.join(unused)}: '{model}' is fitted at once, without epochs; leave that out"
+        )
+
+
+def _work_of(args: _TrainOptions) -> Path:
+    return Path(args.work or f"{Path(args.out)}{WORK}")
+
+
+def _has_checkpoint(work: Path | None) -> bool:
+    return work is not None and any(work.rglob("checkpoint.pt"))
+
+
+def _write(
+    args: _TrainOptions,
+    what: str,
+    model: Model,
+    report: dict[str, Any],
+    work: Path | None,
+    resumed: bool,
+) -> None:
+    """Save the bundle and print the report."""
+    from softmap_edge.model.bundle import save_bundle
+
     save_bundle(model, args.out)
     document = {
         "schema": "softmap.train/1",
         "bundle": args.out,
-        "what": args.what,
+        "what": what,
         "resumed": resumed,
         **report,
     }
     document |= {} if work is None else {"work": str(work)}
     print(json.dumps(document) if args.json else _text(document))
-    if args.what == "residual":
-        return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
-    return 0
-
-
-def _check_fitted(args: argparse.Namespace) -> None:
-    """Refuse what a model that is fitted at once does not use."""
-    given = {"--epochs": args.epochs, "--work": args.work, "--tensorboard": args.tensorboard}
-    given |= {"--device": args.device if args.device != "cpu" else None}
-    unused = [name for name, value in given.items() if value]
-    if args.model in FITTED and unused:
-        raise TrainingError(
-            f"{', '.join(unused)}: '{args.model}' is fitted at once, without epochs; leave that out"
-        )
-    if args.model == "deepsoro" and (args.device != "cpu" or args.tensorboard):
-        raise TrainingError(
-            "'deepsoro' is trained on the processor, without TensorBoard; leave these out"
-        )
 
 
 def checked_torch() -> Any:
@@ -137,8 +225,8 @@ def checked_torch() -> Any:
 
 
 def _prior(
-    args: argparse.Namespace, base: Any, work: Path | None, bar: Bar
-) -> tuple[Any, dict[str, Any]]:
+    args: PriorOptions, base: Model, work: Path | None, bar: Bar
+) -> tuple[Model, dict[str, Any]]:
     from softmap_training import choices
     from softmap_training.prior import (
         Surface,
@@ -189,8 +277,8 @@ def _prior(
 
 
 def _residual(
-    args: argparse.Namespace, base: Any, work: Path | None, bar: Bar
-) -> tuple[Any, dict[str, Any]]:
+    args: ResidualOptions, base: Model, work: Path | None, bar: Bar
+) -> tuple[Model, dict[str, Any]]:
     from softmap_training import choices
     from softmap_training.residual import train_residual
 
