@@ -2,6 +2,9 @@
 
 from collections.abc import Iterable
 
+_LEAST, _MOST = 6, 17  # digits of a time that are printed
+_NEAR = 0.05  # of the smallest difference: how far a text may be off
+
 
 class SoftmapError(Exception):
     """Base of every error a user can cause; its message is one complete line."""
@@ -173,3 +176,28 @@ def no_effect(name: str, known: Iterable[str]) -> str:
 def brief(fault: BaseException) -> str:
     """Return what another library's exception says, as at most 160 characters of one line."""
     return " ".join(str(fault).split())[:160]
+
+
+def differing_times(*times: float) -> list[str]:
+    """Return times (s) as texts, without exponents, that show how much they differ."""
+    ordered = sorted(set(times))
+    gaps = [after - before for before, after in zip(ordered, ordered[1:])]
+    if not gaps and len(times) > 1:  # all digits that a clock may have
+        return [_plain(time, _MOST - 1) for time in times]
+    for digits in range(_LEAST, _MOST):
+        texts = [_plain(time, digits) for time in times]
+        if not gaps or all(
+            abs(float(text) - time) <= _NEAR * min(gaps) for text, time in zip(texts, times)
+        ):
+            return texts
+    return [_plain(time, _MOST) for time in times]
+
+
+def _plain(time: float, digits: int) -> str:
+    """Return a time with at most `digits` digits; the digits before the point are always
+    complete.
+    """
+    if not 1e-6 < abs(time) < 1e15:
+        return f"{time:.{digits}g}"
+    text = f"{time:.{max(0, digits - len(str(int(abs(time)))))}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

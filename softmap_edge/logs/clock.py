@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError
-from softmap_edge.files.time_digits import differing
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.rising import longest_rise
 from softmap_edge.logs.set_clock import Jump, both, returns, set_back, set_forward, usual_step
@@ -301,7 +300,7 @@ def _refuse_falls(
     jump = find_steps(t, values, clock)
     at = int(np.argmax(late)) + 1 if jump is None else int(jump.rows[0])
     back = step[at - 1] < 0
-    now, before = differing(t[at], t[at - 1])
+    now, before = differing_times(t[at], t[at - 1])
     raise RunError(
         f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} "
         f"{lines[at]}: {now} s after {before} s), {int(late.sum())} such rows; "

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError
-from softmap_edge.files.time_digits import differing
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
@@ -310,7 +309,7 @@ def choose_frames(
     slack = 1e-9 * max(1.0, abs(low), abs(high))
     keep = np.flatnonzero((t_seen >= low - slack) & (t_seen <= high + slack))
     if len(t_seen) and not len(keep):
-        first, last, begin, end = differing(float(t_seen[0]), float(t_seen[-1]), low, high)
+        first, last, begin, end = differing_times(float(t_seen[0]), float(t_seen[-1]), low, high)
         raise RunError(
             f"{mapping.path}: the frames last from {first} to {last} s, but only {begin} to {end} "
             "s is commanded and asked for; give time.offset_s of one log"
@@ -318,7 +317,7 @@ def choose_frames(
     if len(keep) < len(t_seen):
         notes.append(
             f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside "
-            f"{' to '.join(differing(low, high))} s and were dropped"
+            f"{' to '.join(differing_times(low, high))} s and were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
         # the first frame at or after each tick of the clock asked for: even where the log's own

@@ -22,10 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed
-from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
@@ -128,7 +127,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         t = t - zero
         if t_seen is not None:
             fields["t_seen"] = t_seen - zero
-        notes.append(f"time counts from {differing(zero, float(t[-1]) + zero)[0]} s of the log")
+        notes.append(
+            f"time counts from {differing_times(zero, float(t[-1]) + zero)[0]} s of the log"
+        )
     files = list(dict.fromkeys(part.path for one in logs for part in one.parts))
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in files]

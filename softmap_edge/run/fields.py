@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.time_digits import differing
 from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
@@ -291,7 +290,7 @@ def _times(name: str, t: NDArray[np.float64]) -> None:
         return
     row = int(np.flatnonzero(late)[0]) + 1
     what = "goes backwards" if step[row - 1] < 0 else "stands still"
-    now, before = differing(float(t[row]), float(t[row - 1]))
+    now, before = differing_times(float(t[row]), float(t[row - 1]))
     raise RunError(
         f"{name}: time {what} at row {row} ({now} s after {before} s), "
         f"{int(late.sum())} such rows; "
@@ -393,7 +392,7 @@ def _units(run: Run) -> None:
                 "`command_unit`"
             )
     if len(run.t) and len(run.t_seen) and (run.t_seen[-1] < run.t[0] or run.t_seen[0] > run.t[-1]):
-        first, last, begin, end = differing(
+        first, last, begin, end = differing_times(
             *(float(t) for t in (*run.t_seen[[0, -1]], *run.t[[0, -1]]))
         )
         raise RunError(

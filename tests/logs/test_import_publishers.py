@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from recordings import JOINT_STATE, TRANSFORMS, joint_state, transforms, write_mcap
 
-from softmap_edge.errors import RunError
-from softmap_edge.files.time_digits import differing
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.run.run import Run
@@ -160,4 +159,4 @@ def test_times_in_errors_differ_where_they_do(tmp_path):
     ],
 )
 def test_times_are_printed_plainly(times, texts):
-    assert differing(*times) == texts
+    assert differing_times(*times) == texts

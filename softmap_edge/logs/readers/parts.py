@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softmap_edge.errors import RunError
-from softmap_edge.files.time_digits import differing
+from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.numbered import numbers_in, without_numbers
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.text import TextColumns
@@ -227,7 +226,7 @@ class JoinedColumns:
         """Raise RunError if two files overlap in time."""
         for k, later in zip(order, order[1:]):
             if times[k].max() > times[later].min():
-                end, begin = differing(float(times[k].max()), float(times[later].min()))
+                end, begin = differing_times(float(times[k].max()), float(times[later].min()))
                 name = " and ".join(str(column) for column in self.clock.columns)
                 raise RunError(
                     f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time "
