@@ -114,7 +114,7 @@ class Adaptation:
         ]
         share = f"{100 * abs(self.fall):.0f} %"
         lines.append(
-            f"  {share} of the error are gone"
+            f"  {share} of the error is gone"
             if self.fall >= 0
             else f"  the error is {share} larger"
         )

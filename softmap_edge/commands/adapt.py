@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 
 from softmap_edge.adaptation.adapt import adapt as learn
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.understand import teller, warn_outside, write_page
 from softmap_edge.model.bundle import save_bundle
@@ -75,7 +75,7 @@ def adapt(args: AdaptOptions) -> int:
     print(
         json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1)
         if args.json
-        else f"{folder}\n{found}"
+        else f"{folder}\n{found}\n{next_command('compare', 'ANOTHER_RUN', bundle=str(folder))}"
     )
     if args.html:
         kind = "fitted" if held_out is None else "held out"

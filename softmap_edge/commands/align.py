@@ -15,7 +15,7 @@ import numpy as np
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.base_in_clouds import align_clouds
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
-from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
 from softmap_edge.geometry.rigid import RigidPose
@@ -107,7 +107,7 @@ def align(args: AlignOptions) -> int:
             json.dumps(found.to_dict() | {"run": args.run, "out": args.out, "hash": aligned.hash()})
         )
     else:
-        print(f"{found}\nwritten to {args.out}")
+        print(f"{found}\nwritten to {args.out}\n{next_command('check', args.out)}")
     return 0
 
 
@@ -148,7 +148,7 @@ def _like(args: AlignOptions, like: str, run: Run) -> int:
     }
     text = (
         f"{args.out}: in the base frame by the transform of {args.like}; cameras and base must "
-        "stand as they did then"
+        f"stand as they did then\n{next_command('check', args.out)}"
     )
     print(json.dumps(document) if args.json else text)
     return 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from softmap_edge.calibration.calibration import calibrate as find
 from softmap_edge.calibration.found import Calibrated
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_picture
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_picture, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError
 from softmap_edge.files.atomic import write_atomically
@@ -95,6 +95,7 @@ def calibrate(args: CalibrateOptions) -> int:
         print(json.dumps(found.to_dict() | {"bundle": str(folder)}, ensure_ascii=False))
     else:
         print(f"{found}\n{folder}: runs with ticks are taken as commands from here on")
+        print(next_command("compare", args.run, bundle=str(folder)))
     return 0 if found.affine else NOT_AFFINE
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from softmap_edge.commands.output import next_command
 from softmap_edge.commands.progress import Ticker
 from softmap_edge.comparison.comparison import Comparison, compare
 from softmap_edge.comparison.series import series
@@ -263,6 +264,7 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
         + (f" (for pictures in it: {install}, then again)" if install else "")
     )
     lines.append(f"({seconds:.0f} s)")
+    lines.append(next_command("check", files["run"]))
     return lines
 
 

@@ -6,6 +6,8 @@ import argparse
 import json
 from dataclasses import dataclass
 
+from softmap_edge.commands.output import next_command
+
 WELL, UNWELL = 0, 1
 
 
@@ -34,4 +36,6 @@ def doctor(args: DoctorOptions) -> int:
 
     found = examine(args.rig, args.bundle, args.camera)
     print(json.dumps(found.to_dict()) if args.json else found)
+    if found.well and args.rig and not args.json:
+        print(next_command("track", "S", "--rig", args.rig, bundle=args.bundle))
     return WELL if found.well else UNWELL

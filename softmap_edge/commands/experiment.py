@@ -9,9 +9,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
@@ -20,6 +20,9 @@ from softmap_edge.files.atomic import read_document
 from softmap_edge.files.npz import write_npz
 from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
@@ -163,7 +166,7 @@ def next(args: NextOptions) -> int:
         lines += [f"  at {step}" for step in steps(made.notes)]
         lines += [BOTH.format(times * made.minutes)] if times > 1 else []
     if made is not None and args.out:
-        lines += [f"written to {args.out}" + _played(args, model)]
+        lines += [f"written to {args.out}", *_playing(args, args.out, model)]
     print("\n".join(lines))
     return 0
 
@@ -240,24 +243,22 @@ def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any],
     return made, found, lines, times
 
 
-def _played(args: NextOptions, model: Any) -> str:
-    """Say how the commands are played on the simulated finger, if it is this robot."""
+def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
+    """Return how the commands are played: on the simulated finger if it is this robot, or on a rig."""
     from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:
-        return ""
-    bundle = "" if args.bundle is None else f" --bundle {args.bundle}"
+        return [next_command("record", commands, "--rig", "rig.toml", "--out", "new.npz")]
     if args.protocol:
-        line = f"softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz"
-        return (
-            f"; on the virtual finger: `{line}` (its --seed draws the finger, not the commands: "
-            "one for all its runs)"
-        )
-    line = f"softmap record {args.out} --sim{bundle} --out new.npz"
-    return (
-        f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the "
-        "runs before)"
-    )
+        virtual = ("--sim", "--virtual", "--out", "new.npz", "--truth", "truth.npz")
+        return [
+            "  --seed of `softmap record` draws the finger, not the commands: one for all its runs",
+            next_command("record", commands, *virtual),
+        ]
+    return [
+        "  give `softmap record` the --hide or --virtual and the --seed of the runs before",
+        next_command("record", commands, "--sim", "--out", "new.npz", bundle=args.bundle),
+    ]
 
 
 def _limits(args: NextOptions, model: Any) -> Any:
@@ -446,7 +447,11 @@ def record(args: RecordOptions) -> int:
         "hash": run.hash(),
     }
     apart = "" if args.truth is None else f"; its truth in {args.truth}"
-    said = f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}"
+    after = next_command("compare", args.out, bundle=args.bundle)
+    said = (
+        f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}\n"
+        f"{after}"
+    )
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
 

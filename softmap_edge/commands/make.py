@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
+from softmap_edge.commands.output import (
+    bundle_arguments,
+    check_bundle,
+    check_file,
+    check_no_run,
+    next_command,
+)
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.finger import Finger
@@ -94,7 +100,13 @@ def build(args: BuildOptions) -> int:
     print(
         json.dumps(result | {"notes": notes})
         if args.json
-        else "\n".join([text, *(f"  {mark}{n}" for n in notes)])
+        else "\n".join(
+            [
+                text,
+                *(f"  {mark}{n}" for n in notes),
+                next_command("compare", "RUN", bundle=str(args.out)),
+            ]
+        )
     )
     return 0
 
@@ -185,6 +197,7 @@ def learn(args: LearnOptions) -> int:
     ]
     lines += _memory(learned, args.static)
     lines += [f"  {number}" for number in learned.numbers]
+    lines += [next_command("diagnose", "ANOTHER_RUN", bundle=str(args.out))]
     print(json.dumps(result) if args.json else words_in_unit("\n".join(lines), output))
     for note in learned.notes:
         print(f"softmap learn: {words_in_unit(note, output)}", file=sys.stderr)
@@ -266,6 +279,7 @@ def sweep(args: SweepOptions) -> int:
         [
             f"{args.out}: {len(result.command)} commands, none failed",
             *(f"  look at: {n}" for n in notes),
+            next_command("build", args.out, "--out", "model"),
         ]
     )
     print(json.dumps(document | {"notes": notes}) if args.json else text)
@@ -305,9 +319,9 @@ def _stored(args: SweepOptions) -> int:
         "chunks": len(store.done),
     }
     there = f", {count - solved} of them were there" if solved < count else ""
-    print(
-        json.dumps(document) if args.json else f"{args.out}: {count} commands, none failed{there}"
-    )
+    after = next_command("train", "prior", args.out, "--out", "prior")
+    text = f"{args.out}: {count} commands, none failed{there}\n{after}"
+    print(json.dumps(document) if args.json else text)
     return 0
 
 

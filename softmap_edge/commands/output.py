@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import Protocol
@@ -18,6 +19,18 @@ class JsonOption(Protocol):
 
     @property
     def json(self) -> bool: ...
+
+
+def next_command(*words: str | None, bundle: str | None = None) -> str:
+    """Return the last line of a command's text: the command to type next.
+
+    Args:
+        words: the command without `softmap`; None is left out.
+        bundle: value of `--bundle`, left out for the built-in finger.
+    """
+    given = [word for word in words if word is not None]
+    given += [] if bundle is None else ["--bundle", bundle]
+    return " ".join(["next: softmap", *map(shlex.quote, given)])
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:

@@ -16,7 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
+from softmap_edge.commands.output import (
+    check_bundle,
+    check_file,
+    check_no_run,
+    next_command,
+    to_stderr,
+)
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import announce_edited_limits, emulated, own_map
@@ -331,7 +337,5 @@ def _said(args: RecordOptions, run: object, summary: dict[str, Any]) -> str:
     lines += [f"{summary[name]}: written" for name in ("record", "bundle") if summary[name]]
     bundle = args.calibrated or args.bundle
     if bundle:
-        lines.append(
-            f"next: softmap diagnose {shlex.quote(args.out)} --bundle {shlex.quote(bundle)}"
-        )
+        lines.append(next_command("diagnose", args.out, bundle=bundle))
     return "\n".join(lines)

@@ -10,7 +10,7 @@ from typing import Literal
 from softmap_edge.alignment.clouds import read_clouds
 from softmap_edge.alignment.register import PRINTED
 from softmap_edge.alignment.register import register as lay
-from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RegistrationError
 
@@ -78,5 +78,6 @@ def register(args: RegisterOptions) -> int:
             if len(notes) > PRINTED
             else []
         )
-        print("\n".join([str(found), *lines, f"written to {args.out}"]))
+        after = next_command("compare", args.out, bundle=args.bundle)
+        print("\n".join([str(found), *lines, f"written to {args.out}", after]))
     return POOR if any(row["warnings"] for row in found.frames) else 0

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.errors import RunError
 from softmap_edge.robot.drive.recorded import open_run
@@ -148,6 +148,7 @@ def _cut(args: CutOptions) -> int:
             "  prediction begins in equilibrium at the first row; --lead S keeps the commands "
             "before a piece"
         )
+    print(next_command("check", names[0]))
     return 0
 
 
@@ -211,6 +212,7 @@ def _join(args: JoinOptions) -> int:
     else:
         print("\n".join([f"{args.out}: {len(args.runs)} runs joined", *lines(document)]))
         print("".join(f"look at   {doubt}\n" for doubt in document["doubts"]), end="")
+        print(next_command("check", args.out))
     return 0
 
 
@@ -223,7 +225,7 @@ def _show(args: ShowOptions) -> int:
             )
         )
     else:
-        print("\n".join(lines(document)))
+        print("\n".join([*lines(document), next_command("check", args.run)]))
     return 0
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from softmap_edge import _core
 from softmap_edge.checks.advice_text import effect_lines
 from softmap_edge.checks.summary import SCHEMA, sentences, summary
-from softmap_edge.commands.output import check_file, check_kept, check_no_run
+from softmap_edge.commands.output import check_file, check_kept, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.files.atomic import write_atomically
@@ -105,7 +105,8 @@ def import_(args: ImportOptions) -> int:
             *(f"  {note}" for note in imported.notes),
             *(f"  look at: {doubt}" for doubt in imported.doubts),
         ]
-        print("\n".join([str(run), *lines, f"written to {args.out}"]))
+        after = next_command("check", str(args.out))
+        print("\n".join([str(run), *lines, f"written to {args.out}", after]))
     return DONE
 
 
@@ -133,8 +134,8 @@ def _guess(args: ImportOptions) -> int:
         "\n".join(
             [
                 *lines,
-                f"written to {args.out}: read it, put right what is wrong, then import with --map "
-                f"{args.out}",
+                f"written to {args.out}: read it and put right what is wrong",
+                next_command("import", *args.logs, "--map", args.out, "--out", "run.npz"),
             ]
         )
     )
@@ -194,8 +195,22 @@ def check(args: CheckOptions) -> int:
             effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
         )
         state = "sound" if document["sound"] else "damaged" if found.get("fault") else "not sound"
+        lines += [_after_check(path, kind, args.bundle)] if document["sound"] else []
         print("\n".join([f"{state:<10}{path}", *lines]))
     return DONE if document["sound"] else FAULT
+
+
+def _after_check(path: Path, kind: str, bundle: str | None) -> str:
+    """Return what to do with a sound file: compare, build a model of a sweep, or learn one."""
+    from softmap_edge.fem.finger import Finger
+
+    if kind == "sweep":
+        return next_command("build", str(path), "--out", "model")
+    if kind == "bundle":
+        return next_command("compare", "RUN", bundle=str(path))
+    if bundle is None and open_run(path).robot != Finger.builtin().name:
+        return next_command("learn", str(path), "--out", "model")
+    return next_command("compare", str(path), bundle=bundle)
 
 
 @dataclass(frozen=True)
@@ -230,7 +245,7 @@ def show(args: ShowOptions) -> int:
         print(
             json.dumps(document, ensure_ascii=False)
             if args.json
-            else "\n".join(_bundle_lines(document))
+            else "\n".join([*_bundle_lines(document), next_command("check", str(path))])
         )
         return DONE
     sweep = is_shape_sweep(path)
@@ -257,6 +272,7 @@ def show(args: ShowOptions) -> int:
         )
     for label, values in [] if run is None else _traces(run):
         print(f"  {label:<14} {_trace(values)}")
+    print(next_command("check", str(path)))
     return DONE
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_picture
+from softmap_edge.commands.output import check_picture, next_command
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
@@ -346,14 +345,14 @@ def _text(summary: dict[str, Any]) -> str:
         f"{summary[name]}: written" for name in ("record", "seen", "picture") if summary[name]
     ]
     if summary["seen"]:
-        bundle = f" --bundle {shlex.quote(summary['bundle'])}" if summary["bundle"] else ""
+        bundle = summary["bundle"] or None
         frames = summary["seen_mm"]["n"] if summary["seen_mm"] else 0
         if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
             lines.append(
                 f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or "
                 "more"
             )
-            lines.append(f"next: softmap next --standard{bundle} --out next.csv")
+            lines.append(next_command("next", "--standard", "--out", "next.csv", bundle=bundle))
         else:
-            lines.append(f"next: softmap diagnose {shlex.quote(summary['record'])}{bundle}")
+            lines.append(next_command("diagnose", summary["record"], bundle=bundle))
     return "\n".join(lines)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from softmap_edge.commands.output import (
     JsonOption,
@@ -16,6 +16,7 @@ from softmap_edge.commands.output import (
     check_bundle,
     check_file,
     check_kept,
+    next_command,
 )
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
@@ -24,6 +25,9 @@ from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.files.atomic import write_atomically
 from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
+
+if TYPE_CHECKING:
+    from softmap_edge.diagnosis.document import Diagnosis
 
 RESIDUAL = "residual"
 NUMBERS = {
@@ -102,6 +106,9 @@ def compare(args: CompareOptions) -> int:
         for path, one in zip(args.bundle or [], found if len(found) > 2 else []):
             print(f"{path}\n{one}\n")
         print(pair_text(found[0], found[-1]) if len(found) > 1 else found[0])
+        better = found[-1].error["rms_mm"] <= found[0].error["rms_mm"]
+        bundle = None if not args.bundle else args.bundle[-1 if better else 0]
+        print(next_command("diagnose", args.run, "--out", "diagnosis.json", bundle=bundle))
     if args.html:
         write_page(args.html, run, models[0], models[-1], None, "measured")
     return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
@@ -191,7 +198,24 @@ def diagnose(args: DiagnoseOptions) -> int:
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
     if before is not None and not args.json:
         print("\n".join(["", *progress_lines(before, found.to_dict())]))
+    if not args.json and (after := _after_diagnosis(args, found)):
+        print(f"\n{after}")
     return 0
+
+
+def _after_diagnosis(args: DiagnoseOptions, found: Diagnosis) -> str | None:
+    """Return the command that adds what was named, or plans what would settle it; None for neither.
+
+    Both need the diagnosis as a file, so without one it is to be written first.
+    """
+    named = bool(found.effects) and found.verdict == "identified"
+    if not named and not found.next:
+        return None
+    if args.out is None:
+        return next_command("diagnose", *args.runs, "--out", "diagnosis.json", bundle=args.bundle)
+    if named:
+        return next_command("add", "--from", args.out, "--out", "better", bundle=args.bundle)
+    return next_command("next", args.out, "--out", "next.csv", bundle=args.bundle)
 
 
 @dataclass(frozen=True)
@@ -467,6 +491,7 @@ def _write(
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")
+    print(next_command("compare", "ANOTHER_RUN", bundle=str(args.out)))
     return 0
 
 

@@ -192,14 +192,10 @@ EFFECT = {
     "doc": "What it is, in a sentence or two.",
     "signature": "What the error looks like while it is missing.",
     "parameters": [  # nothing changes at null; a fit begins at start and searches from low to high
-        {
-            "name": "share", "unit": "1", "null": 0.0, "start": 0.1, "low": -0.5, "high": 0.5,
-            "doc": "how much",
-        },
-        {
-            "name": "reach", "unit": "mm", "null": 5.0, "start": 5.0, "low": 1.0, "high": 20.0,
-            "doc": "from where on",
-        },
+        {"name": "share", "unit": "1", "null": 0.0, "start": 0.1, "low": -0.5, "high": 0.5,
+         "doc": "how much"},
+        {"name": "reach", "unit": "mm", "null": 5.0, "start": 5.0, "low": 1.0, "high": 20.0,
+         "doc": "from where on"},
     ],
 }
 

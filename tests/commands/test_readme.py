@@ -119,6 +119,19 @@ def test_the_lines_of_the_readme_work_on_what_it_leaves(demo_printed, monkeypatc
     assert Path("d.html").read_text(encoding="utf-8").startswith("<!doctype html")
 
 
+def test_each_output_ends_with_the_next_command_and_it_works(demo_printed, monkeypatch, capsys):
+    folder, _ = demo_printed
+    monkeypatch.chdir(folder / "out/demo")
+    shutil.rmtree("better", ignore_errors=True)
+    done, line = [], "softmap check run.npz"
+    while len(done) < 5:
+        done.append(line.split()[1])
+        run(shlex.split(line.replace("ANOTHER_RUN", "other_run.npz")))
+        line = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    assert done == ["check", "compare", "diagnose", "add", "compare"]
+    assert line == ("softmap diagnose other_run.npz --out diagnosis.json --bundle better")
+
+
 def test_the_lines_of_its_page_work_on_what_it_leaves(demo_printed, monkeypatch, tmp_path):
     shutil.copytree(demo_printed[0] / "out", tmp_path / "out")
     monkeypatch.chdir(tmp_path)

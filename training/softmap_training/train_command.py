@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from softmap_edge.commands.output import bundle_arguments, check_bundle
+from softmap_edge.commands.output import bundle_arguments, check_bundle, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.commands.progress import Bar
@@ -209,7 +209,11 @@ def _write(
         **report,
     }
     document |= {} if work is None else {"work": str(work)}
-    print(json.dumps(document) if args.json else _text(document))
+    after = next_command(
+        *(("compare", "RUN") if what == "residual" else ("evaluate", args.out, "--set", "SET")),
+        bundle=args.out if what == "residual" else None,
+    )
+    print(json.dumps(document) if args.json else f"{_text(document)}\n{after}")
 
 
 def checked_torch() -> Any:

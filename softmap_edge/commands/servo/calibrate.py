@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass, replace
 
 from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
-from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
+from softmap_edge.commands.output import bundle_arguments, check_bundle, next_command, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model.bundle import save_bundle
@@ -107,6 +107,7 @@ def calibrate_bench(args: CalibrateOptions) -> int:
             f"tick, straight at {found.home[k]:.0f} ticks ± {found.sigma_b[k]:.2f} mm"
         )
     print("\n".join([*(f"  look at: {line}" for line in warnings), f"{folder}: written"]))
+    print(next_command("servo", "doctor", "--rig", args.rig, bundle=str(folder)))
     return 0
 
 

@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from softmap_edge.commands.output import check_file, check_no_run, to_stderr, with_files
+from softmap_edge.commands.output import (
+    check_file,
+    check_no_run,
+    next_command,
+    to_stderr,
+    with_files,
+)
 from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.commands.servo.calibrate import (
     CalibrateOptions,
@@ -101,6 +107,12 @@ def _scan(args: ScanOptions) -> int:
     elif not found and not remarks:
         more = "" if args.baud is None else ", and without --baud every rate is tried"
         print(f"no servo answers; check its power and wiring{more}")
+    elif not remarks and args.rig:
+        print(next_command("servo", "doctor", "--rig", args.rig))
+    elif not remarks:
+        first = found[0]
+        where = ("--port", first.port, "--baud", str(first.baud), "--id", str(first.id))
+        print(next_command("servo", "setup", *where, "--rig", "rig.toml"))
     return 0 if found and not remarks else OTHERWISE
 
 
@@ -230,12 +242,9 @@ def _setup(args: SetupOptions) -> int:
 def _next(args: SetupOptions, done: setup.ServoState) -> str:
     """Return what comes after set-up: homing, which needs a rig that holds the servo."""
     if args.rig:
-        return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"
-    where = f"--port {shlex.quote(done.port)} --baud {done.baud} --id {done.id}"
-    return (
-        f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo "
-        "home --rig rig.toml"
-    )
+        return "once all servos are set up,\n" + next_command("servo", "home", "--rig", args.rig)
+    where = ("--port", done.port, "--baud", str(done.baud), "--id", str(done.id))
+    return next_command("servo", "setup", *where, "--rig", "rig.toml")
 
 
 def _off(args: OffOptions) -> int:

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 
 from softmap_edge.commands.commissioning import confirm
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, next_command
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning.home import prove, relax
 from softmap_edge.robot.servo.rig import read_rig
@@ -55,6 +55,7 @@ def home(args: HomeOptions) -> int:
     print(
         json.dumps(homed.to_dict() | {"rig": args.rig})
         if args.json
-        else f"{homed}\n{args.rig}: home is proved"
+        else f"{homed}\n{args.rig}: home is confirmed\n"
+        + next_command("servo", "pull", "--rig", args.rig)
     )
     return 0

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 
 from softmap_edge.commands.commissioning import announce, deadman, hold_argument
-from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.output import check_file, next_command, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import announce_edited_limits
@@ -66,7 +66,11 @@ def pull_test(args: PullOptions) -> int:
         how = f"{MARGIN:g} times the most of both, and {IDLE:g} of the stall current"
         print(
             "\n".join(
-                [*map(str, done), f"{args.rig}: the ceilings are written ({how}); torque is off"]
+                [
+                    *map(str, done),
+                    f"{args.rig}: the ceilings are written ({how}); torque is off",
+                    next_command("servo", "doctor", "--rig", args.rig, bundle=args.bundle),
+                ]
             )
         )
     return 0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 from dataclasses import dataclass
 
+from softmap_edge.commands.output import next_command
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning.reboot import restart
 from softmap_edge.robot.commissioning.setup import scan
@@ -46,7 +46,7 @@ def reboot(args: RebootOptions) -> int:
     if args.json:
         print(json.dumps(done.to_dict()))
     else:
-        print(f"{done}\n  next: softmap servo home --rig {shlex.quote(args.rig or 'FILE')}")
+        print(f"{done}\n{next_command('servo', 'home', '--rig', args.rig or 'FILE')}")
     return 0
 
 
