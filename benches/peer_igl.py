@@ -25,8 +25,9 @@ class Handles:
 
 
 class Published:
-    """Eq. 1 of the paper: every vertex asks for its nearest point of the cloud, one round of
-    libigl's solver, again.
+    """Eq. 1 of the paper by libigl: pull every vertex to its nearest point of the cloud.
+
+    Each time follows one round of libigl's solver.
 
     libigl has no soft constraints, but its implicit time step is one: mass · |v − (v⁰ +
     h·velocity)|² / stiffness, with h = 1 and the velocity that leads to the nearest point. Its mass

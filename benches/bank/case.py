@@ -71,8 +71,9 @@ class Case:
         return names(self.laws)
 
     def run(self, protocol: Protocol, laws: Sequence[Law] | None = None) -> Run:
-        """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same
-        noise for both.
+        """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing.
+
+        Same noise for both.
         """
         rng = np.random.default_rng([self.seed, protocol.frames])
         acting = (*self.small, *(self.laws if laws is None else laws))
@@ -121,8 +122,9 @@ class Case:
 
 
 def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
-    """Make a case. Raises KeyError for an unknown word, ArithmeticError if a body does not
-    settle.
+    """Make a case.
+
+    Raises KeyError for an unknown word, ArithmeticError if a body does not settle.
     """
     name = f"{seeds}-{slice_}-{level}-{kind}-{number:04d}"
     rng = stream(seeds, slice_, level, kind, number)

@@ -54,8 +54,9 @@ class Past:
 
 @dataclass(frozen=True)
 class Law:
-    """One hidden cause. `NAME` is the library's name for it, `STRONG` the fields that grow with
-    strength.
+    """One hidden cause.
+
+    `NAME` is the library's name for it, `STRONG` the fields that grow with strength.
     """
 
     NAME: ClassVar[str]

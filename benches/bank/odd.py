@@ -1,5 +1,6 @@
-"""Slice *odd*: causes of false claims. Smooth maps, drifts, chance, other robots, robots that
-stand.
+"""Slice *odd*: causes of false claims.
+
+Smooth maps, drifts, chance, other robots, robots that stand.
 
     null       nothing is hidden: clean, with background, with heavy tails, with slow jitter, with
                bodies that bend

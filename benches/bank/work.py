@@ -1,5 +1,6 @@
-"""One case from beginning to end: made once and stored, diagnosed, scored, one small JSON. The
-processes call this.
+"""One case from beginning to end: made once and stored, diagnosed, scored, one small JSON.
+
+The processes call this.
 """
 
 from __future__ import annotations
@@ -86,8 +87,9 @@ def make(job: Job) -> dict[str, Any]:
 
 
 def work(job: Job) -> dict[str, Any]:
-    """Make a case if it is missing, and score it. A failure is written into its row, and the case
-    is tried again.
+    """Make a case if it is missing, and score it.
+
+    A failure is written into its row, and the case is tried again.
     """
     row = make(job)
     return written(row, job) if "failed" in row else judge(job)

@@ -1,5 +1,6 @@
-"""The official cascaded-tanks benchmark: pump voltage in, level of the lower tank out. A table
-only, no diagnosis.
+"""The official cascaded-tanks benchmark: pump voltage in, level of the lower tank out.
+
+A table only, no diagnosis.
 
 ẋ₁ = −k₁ √x₁ + k₄ u,  ẋ₂ = k₂ √x₁ − k₃ √x₂ (+ k₅ u while x₁ = 10: the upper tank overflows),  y = x₂
 """

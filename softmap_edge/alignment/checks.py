@@ -1,5 +1,6 @@
-"""What an alignment refuses: other units, mirrors, lines, other robots. Every refusal has its
-number and its remedy.
+"""What an alignment refuses: other units, mirrors, lines, other robots.
+
+Every refusal has its number and its remedy.
 
 Units: mm, rad. Pinned by tests/alignment/test_align_refuses.py.
 """

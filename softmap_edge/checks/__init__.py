@@ -1,3 +1,1 @@
-"""Checks of the data: lost points, clocks, conditions that cannot be separated, a run of another
-robot.
-"""
+"""Checks of data: lost points, clocks, inseparable conditions, a run of another robot."""

@@ -53,8 +53,9 @@ COLLINEAR = 0.02  # of their length: markers nearer to one line than this show n
 
 @dataclass(frozen=True)
 class Advice:
-    """An answer: `about` a question, `tells` whether the run answers it, in a sentence, and the
-    remedy if not.
+    """An answer: `about` a question, whether the run answers it, a sentence, and the remedy if not.
+
+    `tells` is true if the run answers it.
     """
 
     about: str
@@ -125,8 +126,9 @@ def missing_data(runs: Sequence[Run], frames: int, replicates: bool) -> list[str
 
 
 def _guessed(sigma: Floats | None) -> Advice:
-    """Say that the noise is a guess: a declared `sigma` is held against repeats (`sound.py`), never
-    taken for them.
+    """Report that the noise is a guess.
+
+    A declared `sigma` is compared with repeats (`clean.py`), and never replaces them.
     """
     stated = ""
     if sigma is not None:
@@ -163,9 +165,7 @@ def _enough(frames: int) -> Advice:
 
 
 def _folds(run: Run) -> Iterator[Advice]:
-    """Report blocks of a run that are shorter than the gap that separates held-out frames from the
-    others.
-    """
+    """Report blocks shorter than the gap that separates held-out frames from the others."""
     count, folds = (0, 0) if run.timeless else without_gap(run.t_seen, run.block)
     if count > 1:  # one part of several changes the held-out error by little
         text = (
@@ -385,8 +385,9 @@ def _channels(u: Floats) -> Iterator[Advice]:
 def _pairs(
     u: Floats, alive: NDArray[np.intp], grouped: set[frozenset[int]]
 ) -> list[tuple[int, int, float]]:
-    """Return pairs of channels that move together and their correlation, without those of a group
-    that is reported.
+    """Return pairs of channels that move together and their correlation.
+
+    Pairs of a group that is reported are left out.
     """
     if len(alive) < 2:
         return []
@@ -455,9 +456,7 @@ def _dwell(state: Conditions) -> Advice:
 
 
 def _since_gap(t: Floats) -> Floats:
-    """Return the time (K,) s since the last gap in the frames: what happened in a gap was not
-    seen.
-    """
+    """Return the time (K,) s since the last gap in the frames; events in a gap were not seen."""
     if len(t) < 2:
         return np.zeros(len(t))
     step = np.diff(t)

@@ -1,6 +1,4 @@
-"""What a run can identify, and how effects would show in it, for a terminal. Text only, 100
-columns.
-"""
+"""What a run can identify, and how effects would show in it: text for a terminal, 100 columns."""
 
 from __future__ import annotations
 
@@ -10,8 +8,9 @@ from softmap_edge.files.numbers import folded
 
 
 def advice_lines(words: list[Advice]) -> list[str]:
-    """Return the words for a terminal: what can be identified, what cannot with its remedy, and the
-    minutes in all.
+    """Return text for a terminal: what can be identified, what cannot, and the minutes.
+
+    What cannot be identified comes with its remedy.
     """
     lines = ["", "This run can identify"]
     lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or [

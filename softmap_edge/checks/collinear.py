@@ -1,5 +1,4 @@
-"""Find conditions of a run that cannot be separated from time or from the commands, and tied
-channels.
+"""Find conditions that cannot be separated from time or from the commands, and tied channels.
 
     R² of a condition on (1, t), on (1, t, t²) where that is monotonic, on one exponential or on one
     step: time
@@ -63,8 +62,9 @@ EQUAL = 0.05  # weights closer than this are equal
 
 @dataclass(frozen=True)
 class Collinear:
-    """A declared `condition` that this run cannot separate from time or the commands (`with_`), and
-    how well it fits.
+    """A declared `condition` that this run cannot separate from time or the commands (`with_`).
+
+    It also has how well it fits.
 
     `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step",
     "a polynomial".
@@ -90,8 +90,7 @@ class Collinear:
 
 @dataclass(frozen=True)
 class TiedChannels:
-    """Channels that move in fewer directions than there are channels: their separate effects cannot
-    be identified.
+    """Channels that move in fewer directions than their number: their effects cannot be separated.
 
     `weights` are those of the sum that stays constant, largest 1, if there is one such sum; else
     empty. `total` is that sum, in the unit of the commands.
@@ -131,8 +130,7 @@ class TiedChannels:
 
 
 def collinear_conditions(run: Run) -> list[Collinear]:
-    """Return the declared conditions of a run that cannot be separated from time or from the
-    commands.
+    """Return declared conditions of a run that cannot be separated from time or from the commands.
 
     Args:
         run: any run; only its seen frames count.
@@ -155,8 +153,9 @@ def collinear_conditions(run: Run) -> list[Collinear]:
 
 
 def tied_channels(command: Floats) -> list[TiedChannels]:
-    """Return the groups of channels of commands (T, C) that move in fewer directions than they have
-    channels.
+    """Return the groups of channels of commands (T, C) that move in too few directions.
+
+    They are fewer than the channels.
     """
     spread = command.std(axis=0) if len(command) else np.zeros(command.shape[1])
     alive = np.flatnonzero(spread > 1e-9 * max(float(spread.max(initial=0.0)), 1e-300))
@@ -172,8 +171,9 @@ def tied_channels(command: Floats) -> list[TiedChannels]:
 
 
 def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChannels:
-    """Return a group of channels with its null vectors (n, m) of the standardised commands;
-    `command` (T, m).
+    """Return a group of channels with its null vectors (n, m).
+
+    They are of the standardised commands `command` (T, m).
     """
     _, singular, vectors = np.linalg.svd(null, full_matrices=False)
     dimension = int((singular > 0.5).sum())
@@ -190,9 +190,7 @@ def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChann
 
 
 def _groups(projector: Floats) -> list[NDArray[np.intp]]:
-    """Return the connected groups of two or more channels in the projector (C, C) on the null
-    space.
-    """
+    """Return connected groups of two or more channels in the null space's projector (C, C)."""
     joined = np.abs(projector) > PART
     left, found = set(np.flatnonzero(np.diag(projector) > PART).tolist()), []
     while left:
@@ -220,9 +218,7 @@ def _at_frames(run: Run, rows: Floats) -> Floats:
 
 
 def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
-    """Yield each declared condition that changes: its name and its values (K, n) at the seen
-    frames.
-    """
+    """Yield each declared condition that changes: its name and values (K, n) at the seen frames."""
     given: dict[str, NDArray[np.generic] | None] = {
         "temperature": run.temperature,
         "orientation": run.gravity,
@@ -257,8 +253,9 @@ def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
 
 
 def _polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C): degree 3, or up to squares for many channels;
-    the 1 is first.
+    """Return the monomials (K, m) of commands (K, C), the constant first.
+
+    Their degree is 3, or 2 for many channels.
     """
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = (

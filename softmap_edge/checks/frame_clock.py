@@ -1,5 +1,4 @@
-"""Compare the clock of the frames with that of the commands: a different rate, or a step, from the
-motion alone.
+"""Compare the clocks of frames and commands: a different rate or a step, from the motion alone.
 
     y(t) = W φ(t − d(t)) + e        d(t) = a,  a + b (t − t₀),  or  a + s [t ≥ t₁]
 
@@ -159,9 +158,7 @@ def _found(run: Run) -> FrameClock | None:
 
 
 def _motion(run: Run) -> tuple[Floats, Floats] | None:
-    """Return times (K,) s and components (K, P) mm of the motion in frames with all chosen
-    points.
-    """
+    """Return times (K,) s and components (K, P) mm of motion in frames with all chosen points."""
     seen = run.vertices if run.vertices is not None else run.markers
     given = run.command if run.command is not None else run.ticks
     if seen is None or given is None or run.timeless or run.channels == 0:
@@ -242,9 +239,7 @@ class _Memory:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A map of the columns (K, F) onto what was seen: errors and slopes over time (K, P); all
-    weighted.
-    """
+    """A map of columns (K, F) to what was seen: errors and slopes over time (K, P); weighted."""
 
     columns: Floats
     error: Floats
@@ -305,8 +300,9 @@ class _Blocks:
         self.inverse = np.asarray(np.linalg.pinv(self.weight, rcond=1e-6, hermitian=True), float)
 
     def fit(self, part: Floats, kind: str, pivot: float) -> _Line:
-        """Fit a first value and so much of a `part` (B,) to the delays; their scatter gives the
-        standard error.
+        """Fit a first value and so much of a `part` (B,) to the delays.
+
+        Their scatter gives the standard error.
         """
         ones = np.ones((self.count, 1))
         columns = ones if kind == "constant" else np.column_stack([ones, part])
@@ -384,9 +380,7 @@ def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:
 
 
 def _place(shape: _Line, t: Floats) -> float:
-    """Return the time of the step: the stamps whose distance shows it, near the place found by the
-    blocks.
-    """
+    """Return the time of the step: where time stamps are apart, near the place found by blocks."""
     apart = np.diff(t) - np.median(np.diff(t))
     near = np.abs(t[1:] - shape.pivot) < 2 * (t[-1] - t[0]) / LEAST_BLOCKS
     odd = np.where(near, np.sign(shape.value[1]) * apart, -np.inf)

@@ -62,16 +62,15 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 
 
 def _looked_for(run: Run) -> bool:
-    """Return whether an import has searched for such points, or the user keeps them; an array does
-    not count.
+    """Return whether an import has searched for such points, or the user keeps them.
+
+    An array does not count.
     """
     return text_in(run.extra, NOT_SEEN) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
-    """Return a run in which these points are not visible, and the sentences; the same run if there
-    are none.
-    """
+    """Return a run with these points hidden, and the sentences; the same run if there are none."""
     mask, lines = lost_points(run, remedy)
     if not mask.any():
         return run, []

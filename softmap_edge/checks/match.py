@@ -1,5 +1,4 @@
-"""Check that a run belongs to this model's robot: units, frame, handedness, order of points,
-clocks.
+"""Check that a run belongs to this model's robot: units, frame, handedness, points, clocks.
 
 The checks are gross, so that missing physics passes: each limit lies beyond the reach of any effect
 of the library, and a memory as strong as a play over most of the range is no fault
@@ -108,8 +107,7 @@ def declaration_remarks(model: Model, run: Run) -> list[str]:
 def check_run_matches_model(
     model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats
 ) -> list[str]:
-    """Refuse a run that cannot be one of this robot under these commands; return doubts about one
-    that may be.
+    """Reject a run that cannot be of this robot and these commands; return doubts about others.
 
     Args:
         model, run: as for `sound`. seen, predicted: points (K, N, 3) mm. visible: (K, N).
@@ -161,8 +159,9 @@ def followed_share(left: Floats, seen: Floats, visible: Mask) -> float:
 def not_following(
     seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float
 ) -> str | None:
-    """Report a robot that does not follow its commands at all: it hardly moves, or as a model that
-    does not move.
+    """Report a robot that does not follow its commands at all.
+
+    It hardly moves, or moves as a model that does not move would.
 
     Args:
         seen: measured points (K, N, 3) mm.
@@ -283,9 +282,7 @@ def _in_place(
 
 
 def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
-    """Say so if commands of the opposite sign explain the motion as well as a frame that is
-    turned.
-    """
+    """Report if commands of the opposite sign explain the motion as well as a turned frame."""
     share = followed_share(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
     if share < ALIKE:
         return ""
@@ -302,8 +299,9 @@ def _opposite(model: Model, run: Run) -> Floats:
 def _at_the_clamp(
     model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats
 ) -> None:
-    """Where the body is held nothing moves it: points that stand at another place are in another
-    frame of reference.
+    """Report points at the clamp that are in another frame of reference.
+
+    The body is held there and nothing moves it, so they should be at their place at rest.
     """
     length = float(np.linalg.norm(model.rest, axis=1).max())
     there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
@@ -366,8 +364,7 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
 
 
 def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
-    """Return the delay of the frames in s, and the share of the motion that the commands explain
-    with it.
+    """Return the delay of the frames in s, and the share of motion that the commands then explain.
 
     A periodic command fits again a period later. Of shifts that explain nearly as much, return the
     smallest.
@@ -412,8 +409,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
 
 
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
-    """Say where a command is logged at its extreme while the body goes on as if it were not: the
-    log may be clipped.
+    """Report commands logged at their extreme while the body moves on: the log may be clipped.
 
     What is left there, along the slope of the points over this command, is by how much the command
     went on. An effect leaves the same whenever a command is held, or goes with the time that it is
@@ -468,8 +464,7 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
 
 
 def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
-    """Return how far a command (T,) gets beyond the end at which it is held, at the times `seen`
-    (K,).
+    """Return how far a command (T,) gets beyond its held end, at the times `seen` (K,).
 
     At the speed at which it came early in the hold, at that at which it left late in it; where it
     turned is not known.
@@ -492,8 +487,9 @@ def _goes_on(
     channel: int,
     step: float,
 ) -> tuple[Floats, Floats]:
-    """Return by how many steps a command must have gone on in frames for what is `left`, and what a
-    step moves.
+    """Return by how many steps a command must have gone on, and what a step moves.
+
+    The former is in frames, to explain what is `left`.
     """
     part, moved, shown = run.at(rows), np.zeros(model.channels), visible[rows][..., None]
     moved[channel] = step

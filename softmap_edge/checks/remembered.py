@@ -35,8 +35,9 @@ CAUGHT = 0.25
 
 @dataclass(frozen=True)
 class MemoryShare:
-    """Share of the motion that a play in front of the model explains at best: at scale 1, and at
-    any scale (`free`).
+    """Share of the motion that a play in front of the model explains at best.
+
+    At scale 1, and at any scale (`free`).
     """
 
     share: float
@@ -44,8 +45,9 @@ class MemoryShare:
 
 
 def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryShare:
-    """Return the share of the motion of points (K, N, 3) that the model explains behind a play of
-    the best width.
+    """Return the share of the motion that the model explains behind a play of the best width.
+
+    The points are (K, N, 3).
     """
     spans = np.ptp(model.commands(run), axis=0)
     if PLAY in model.chain_names or not np.any(spans > 0):
@@ -63,9 +65,7 @@ def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryS
 
 
 def centred(points: Floats, visible: Mask) -> Floats:
-    """Return points (K, N, 3) minus the mean of each over the frames that show it; 0 where one was
-    not seen.
-    """
+    """Return points (K, N, 3) minus their mean over the frames that show them; 0 if unseen."""
     shown = np.where(visible[..., None], points, 0.0)
     mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
     return np.where(visible[..., None], shown - mean, 0.0)
@@ -74,8 +74,9 @@ def centred(points: Floats, visible: Mask) -> Floats:
 def catches_up(
     begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, predicted: Floats
 ) -> bool:
-    """Return whether points jump, after repeated pictures, by the complete motion that the model
-    predicts meanwhile.
+    """Return whether points jump after repeated pictures by the motion predicted meanwhile.
+
+    It must be the complete motion.
 
     After a plateau of a play they continue from where they stood, by the last step at most.
 

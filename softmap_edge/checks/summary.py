@@ -1,5 +1,4 @@
-"""Summarise what a run holds and what it cannot identify, as one dictionary: the content of
-`softmap check`.
+"""Summarise what a run holds and cannot identify, as a dictionary, for `softmap check`.
 
 Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its
 range (servo resolution is 10 times finer, so two visits of one command are always found and two

@@ -1,5 +1,6 @@
-"""Find runs whose points move although no command changes, or stay still although commands change;
-without a model.
+"""Find runs whose points do not answer the commands, without a model.
+
+The points move although no command changes, or stay still although commands change.
 
 A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by
 tests/checks/test_unanswered.py.
@@ -24,8 +25,9 @@ CHANCE = 5.0  # times the share of the motion that the commands explain by chanc
 
 
 def unanswered(run: Run) -> str | None:
-    """Return a sentence if commands and motion contradict each other; None if not, or if it cannot
-    be known.
+    """Return a sentence if commands and motion contradict each other.
+
+    None if not, or if it cannot be known.
     """
     points = run.markers if run.markers is not None else run.vertices
     u = commanded(run)
@@ -62,17 +64,16 @@ def _noise(places: Array) -> float:
 
 
 def _length(places: Array) -> float:
-    """Return the extent (mm) of the middle places of points (K, N, 3), with the base where there is
-    one point.
+    """Return the extent (mm) of the mean places of points (K, N, 3).
+
+    The base is added where there is one point.
     """
     middle = np.nanmedian(places, axis=0)
     return float(np.linalg.norm(np.ptp(middle, axis=0) if len(middle) > 1 else middle[0]))
 
 
 def _other_cause(run: Run) -> bool:
-    """Return whether something else that the run declares changes: load, orientation or
-    temperature.
-    """
+    """Return whether the run declares another change: load, orientation or temperature."""
     given = [
         run.load,
         run.temperature,

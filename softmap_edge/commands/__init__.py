@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command: `module` holds `NAME_arguments(parser)`, `NAME(options) -> int` and the dataclass
-    `NameOptions`.
+    """A command: `module` has `NAME_arguments(parser)`, `NAME(options) -> int`, `NameOptions`.
+
+    The last is a dataclass.
 
     Attributes:
         name: one word, or two for an action of a group, such as `model adapt`
@@ -37,8 +38,9 @@ class Command:
 
     @property
     def options(self) -> str:
-        """The name of the frozen dataclass of its options in its module; commands with actions have
-        one for each.
+        """The name in its module of the frozen dataclass of its options.
+
+        Commands with actions have one for each.
         """
         return f"{self.function.title().replace('_', '')}Options"
 

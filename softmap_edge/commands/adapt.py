@@ -1,5 +1,6 @@
-"""The verb adapt: from recordings to a bundle that is calibrated, has the physics it lacked, and a
-residual.
+"""The command `adapt`: from recordings to a calibrated, completed bundle with a residual.
+
+The bundle has the effects that it lacked.
 """
 
 from __future__ import annotations
@@ -59,9 +60,7 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def adapt(args: AdaptOptions) -> int:
-    """Calibrate, diagnose, add, learn a residual and judge; 1 if the held-out error does not
-    fall.
-    """
+    """Calibrate, diagnose, add, learn a residual, validate; 1 if the held-out error stays."""
     check_bundle(args.out, args.force)
     check_file("--html", args.html, ".html")
     load_own(args)

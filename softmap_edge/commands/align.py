@@ -1,5 +1,6 @@
-"""The verb align: bring what was seen from the camera's or mocap's frame to the robot's base frame,
-once.
+"""The command `align`: from the frame of camera or mocap to the robot's base frame.
+
+It is done once for what was seen.
 """
 
 from __future__ import annotations
@@ -79,8 +80,9 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def align(args: AlignOptions) -> int:
-    """Find the transform from the frame of the measurement to the base, and write the run in the
-    base frame.
+    """Find the transform from the measurement's frame to the base.
+
+    Write the run in the base frame.
     """
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)

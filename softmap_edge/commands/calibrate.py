@@ -1,5 +1,6 @@
-"""The verb calibrate: from a run with ticks and shapes to a bundle that knows what its servos'
-ticks are.
+"""The command `calibrate`: from a run with ticks and shapes to a calibrated bundle.
+
+The calibration maps its servos' ticks to commands.
 """
 
 from __future__ import annotations
@@ -75,8 +76,9 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def calibrate(args: CalibrateOptions) -> int:
-    """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not
-    affine.
+    """Fit u = A (ticks − home) + b and write the bundle; 1 if the relation is not affine.
+
+    It must clearly not be so.
     """
     check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)

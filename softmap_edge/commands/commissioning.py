@@ -1,5 +1,4 @@
-"""What the verbs of commissioning share: what has to be held while anything moves, and questions at
-the terminal.
+"""Shared by the commissioning commands: the enable key of moves, and terminal questions.
 
 Pinned by tests/robot/test_move.py, tests/robot/test_home.py and
 tests/robot/test_calibrate_bench.py.
@@ -30,8 +29,9 @@ def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 @contextlib.contextmanager
 def deadman(held: bool) -> Iterator[Deadman]:
-    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a
-    key of it.
+    """Return what has to be held: the program itself, or a key of the terminal.
+
+    The program is stopped by keys where there is a terminal.
     """
     if held and terminal() is None:
         yield Held()
@@ -47,8 +47,7 @@ def announce(args: JsonOption, what: str, hand: Deadman) -> None:
 
 
 def confirm(question: str, instead: str) -> bool:
-    """Ask a question on the terminal, until it is answered by yes or no, or not at all, which is
-    no.
+    """Ask a question on the terminal until the answer is yes or no; no answer is a no.
 
     A key that is still held is no answer: it is waited for. `instead` is the option that says it
     where there is no terminal.

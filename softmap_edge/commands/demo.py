@@ -1,5 +1,6 @@
-"""The verb demo: measure a second finger that hides something, find out what is missing, add it,
-and judge the result.
+"""The command `demo`: measure a second finger, find what is missing, add it, validate.
+
+The finger has hidden effects.
 
 A `Trial` is that story without words; the hidden-effect tests run the same one.
 """
@@ -38,8 +39,9 @@ FLOOR_KIND = "the same finger with nothing hidden"
 
 @dataclass(frozen=True)
 class Trial:
-    """One hidden case from end to end. Errors are held out: RMS mm over all vertices of a run that
-    was never fitted.
+    """One hidden case from end to end.
+
+    Errors are held out: RMS mm over all vertices of a run that was never fitted.
     """
 
     truth: Truth
@@ -192,9 +194,7 @@ def _hidden_names(words: Sequence[str], seed: int) -> list[str]:
 
 
 def _write(story: Trial, folder: Path) -> dict[str, str]:
-    """Write runs, diagnosis, the bundle with what was found, and the report; return what is
-    where.
-    """
+    """Write runs, diagnosis, completed bundle and report; return what is where."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {
         "run": folder / "run.npz",

@@ -1,5 +1,6 @@
-"""Verbs about the next experiment: next (which block to record, as a command file), record (play a
-command file).
+"""Commands of the next experiment: `next` and `record`.
+
+`next` finds which block to record, as a command file; `record` plays a command file.
 """
 
 from __future__ import annotations
@@ -172,9 +173,7 @@ def next(args: NextOptions) -> int:
 
 
 def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]:
-    """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by
-    name.
-    """
+    """Return commands without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.run.protocol import standard_protocol
     from softmap_edge.synthetic.virtual_protocol import virtual_protocol
@@ -209,8 +208,9 @@ def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]
 
 
 def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any], list[str], int]:
-    """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how
-    often to play.
+    """Return the commands for what a diagnosis left open.
+
+    Also the blocks weighed, what is open, and how often to play.
     """
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.separate import REFIT
@@ -457,9 +457,7 @@ def record(args: RecordOptions) -> int:
 
 
 def _ahead(made: Any, hidden: bool) -> str:
-    """Say how long the recording would be, and what is solved for it; the bar tells how long that
-    takes.
-    """
+    """Print how long the recording would be, and what is simulated; the bar shows progress."""
     first = "finding how strong the hidden effects are, then " if hidden else ""
     return (
         f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one "

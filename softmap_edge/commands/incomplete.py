@@ -15,8 +15,9 @@ from softmap_edge.errors import RecordingWarning, SessionWarning
 
 @contextlib.contextmanager
 def printing_warnings(verb: str) -> Iterator[set[str]]:
-    """Print recording and session warnings as lines of the command `verb`; yield the set of
-    recording warnings.
+    """Print recording and session warnings as lines of the command `verb`.
+
+    Yield the set of recording warnings.
     """
     printed: set[str] = set()
     with warnings.catch_warnings():

@@ -1,5 +1,6 @@
-"""`softmap compare --live`: how far the model is from a robot that runs, as its loop records and a
-camera sees.
+"""`softmap compare --live`: how far the model is from a running robot.
+
+Its loop records it, and a camera sees it.
 """
 
 from __future__ import annotations

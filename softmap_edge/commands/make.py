@@ -287,8 +287,9 @@ def sweep(args: SweepOptions) -> int:
 
 
 def _stored(args: SweepOptions) -> int:
-    """Simulate a grid of commands into a Zarr store, or go on with one: the work of another
-    distribution.
+    """Simulate a grid of commands into a Zarr store, or resume one.
+
+    This is the work of another distribution.
     """
     from softmap_edge.fem.build import grid_axes
 

@@ -175,8 +175,9 @@ def _numbered(rig: Rig, id: int) -> int:
 
 
 def _by_keys(jog: Jog, hand: Any) -> None:
-    """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held,
-    then on.
+    """Let keys jog until one stops: a step at a press, then on.
+
+    The servo is kept under torque while the key may yet be held.
     """
     chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     ended: Literal["", "window", "travel"] = ""
@@ -275,8 +276,9 @@ def _reported(args: MoveOptions, short: str, stood: str) -> int:
 
 
 def _cut(u: Any, done: Any) -> str:
-    """Return a line on a command `u` outside the window, of which `done` is the nearest; "" if it
-    is inside.
+    """Return a line on a command `u` outside the window; "" if it is inside.
+
+    `done` is the nearest command inside.
     """
     if np.allclose(done, u, atol=0.01):
         return ""
@@ -287,8 +289,9 @@ def _cut(u: Any, done: Any) -> str:
 
 
 def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
-    """Take away the mark of home from servos that did not turn where they had to; return a line on
-    them, or "".
+    """Clear the mark of home of servos that did not turn; return a line on them, or "".
+
+    They should have turned.
     """
     still = (np.abs(end - begin) < ARRIVED) & (np.abs(target - begin) > LEAST_SHORT)
     if not (ids := [servo.id for servo, stood in zip(rig.servos, still) if stood]):
@@ -302,8 +305,9 @@ def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
 
 
 def _short(robot: Controller, done: Any) -> str:
-    """Return a line on servos that are short of the command `done`, by the limits of the pull test;
-    else "".
+    """Return a line on servos short of the command `done`; else "".
+
+    They are so by the limits of the pull test.
     """
     home, target = robot.calibration.home, robot.calibration.ticks(done)
     limits = robot.limits["servos"]
@@ -313,9 +317,7 @@ def _short(robot: Controller, done: Any) -> str:
 
 
 def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
-    """Return a line on a jogged servo that is short of where it was asked to go; "" if it is
-    not.
-    """
+    """Return a line on a jogged servo short of its target; "" if it is not."""
     target, asked = jog.goal.copy(), begin[servo] + by
     if abs(target[servo] - asked) > max(LEAST_SHORT, SHORT * abs(by)):
         limits = jog.robot.limits["servos"][servo]
@@ -333,8 +335,9 @@ def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
 
 
 def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
-    """Return a line on servos that are farther from their targets than a move by `away` ticks
-    allows; else "".
+    """Return a line on servos too far from their targets; else "".
+
+    They are farther than a move by `away` ticks allows.
     """
     said = []
     for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
@@ -349,8 +352,9 @@ def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
 
 
 def _off(robot: Controller, command: Any, what: str) -> float:
-    """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞
-    where it says none.
+    """Return the distance (ticks) of the newest report's `goal` or `position` from a command.
+
+    ∞ if it has none.
     """
     report = robot.report
     ticks = (report.get("goal") if what == "goal" else report.get("position")) or [None]

@@ -34,8 +34,7 @@ def next_command(*words: str | None, bundle: str | None = None) -> str:
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
-    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in
-    `suffix`.
+    """Raise SoftmapError if `option`'s file cannot be written or does not end in `suffix`.
 
     `new`: nothing may stand there either, since it would be lost.
     """
@@ -66,9 +65,7 @@ def check_picture(option: str, path: str | None) -> None:
 
 
 def with_files(text: str, args: object) -> str:
-    """Return a message with the rig and the bundle that the options of a command hold, if it has
-    such options.
-    """
+    """Return a message with the rig and the bundle of a command's options, if it has these."""
     rig, bundle = (vars(args).get(name) for name in ("rig", "bundle"))
     return filled(
         text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None
@@ -76,8 +73,9 @@ def with_files(text: str, args: object) -> str:
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
-    """Raise SoftmapError when a run stands where `option` would write something else, or another
-    recording.
+    """Raise SoftmapError if `option` would overwrite a run, or another recording.
+
+    It would write something else there.
 
     `force` is that of the verb, None where it has none.
     """
@@ -107,8 +105,9 @@ def bundle_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
-    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no
-    `force`.
+    """Raise BundleError if no bundle can be written at `path`.
+
+    Something else is there, or a bundle and no `force`.
 
     `force` is that of the verb, None where it has none.
     """

@@ -1,5 +1,6 @@
-"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`, and questions on a terminal
-about a bundle.
+"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`.
+
+Questions on a terminal ask about a bundle's code.
 """
 
 from __future__ import annotations
@@ -64,8 +65,9 @@ def load_own(args: OwnOptions) -> list[str]:
 
 
 def open_model(path: str | None) -> Model:
-    """Return the model of a bundle, the built-in finger without one; its own code runs if the user
-    says so.
+    """Return a bundle's model, or the built-in finger; its own code runs if allowed.
+
+    The user allows it.
     """
     return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
 

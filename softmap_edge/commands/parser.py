@@ -66,9 +66,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_actions(parser: argparse.ArgumentParser, actions: Mapping[str, Action]) -> None:
-    """Declare the actions of a command, such as `servo scan`: `args.what` is the name of the one
-    that is given.
-    """
+    """Declare a command's actions, such as `servo scan`: `args.what` is the chosen one."""
     what = parser.add_subparsers(dest="what", required=True, metavar="|".join(actions))
     for name, action in actions.items():
         one = what.add_parser(name, help=action.help)

@@ -1,5 +1,6 @@
-"""Standard streams that outlive their reader: after `head` closes the pipe, a command still writes
-its files.
+"""Standard streams that outlive their reader.
+
+After `head` closes the pipe, a command still writes its files.
 """
 
 from __future__ import annotations

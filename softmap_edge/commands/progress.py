@@ -16,9 +16,7 @@ QUIET = 8.0  # s without a word after which long work says that it goes on
 
 
 class Ticker:
-    """Says lines, and between them a sign of life: call it with the share done of what was said
-    last.
-    """
+    """Prints lines, and signs of life between them; call it with the share done of the last."""
 
     def __init__(
         self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic
@@ -37,8 +35,7 @@ class Ticker:
 
 
 class Bar:
-    """Call it with (what, share in 0…1); it redraws one line on a terminal and clears it at the
-    end.
+    """Call it with (what, share in 0…1); it redraws one terminal line and clears it at the end.
 
     Once `what` has taken a while it says how long the rest takes at that pace, what was done before
     not counted.

@@ -1,5 +1,6 @@
-"""`softmap record` on a robot: a command file played on its servos, or on emulated ones, watched by
-a camera.
+"""`softmap record` on a robot: a command file played on servos, watched by a camera.
+
+The servos may be emulated ones.
 """
 
 from __future__ import annotations
@@ -53,8 +54,7 @@ SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
 def record_on_robot(args: RecordOptions) -> int:
-    """Play a command file on a robot and write the run; what there is of it also when it is cut
-    short.
+    """Play a command file on a robot and write the run, or its part if it is cut short.
 
     Until the run is written, what the loop did and what was seen are in files beside it, as they
     come.
@@ -230,8 +230,9 @@ def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
 
 @contextlib.contextmanager
 def _cut_in_order() -> Iterator[None]:
-    """Take SIGTERM and SIGHUP (a closed terminal, a dropped ssh) as Ctrl-C: slacken, and write what
-    there is.
+    """Treat SIGTERM and SIGHUP as Ctrl-C: release tension, and write what there is.
+
+    SIGHUP is a closed terminal, or a dropped ssh.
     """
 
     def interrupt(*_: object) -> None:

@@ -1,6 +1,4 @@
-"""The robot that a verb drives: the bench of `--rig` with the limits in force there, or an emulated
-one.
-"""
+"""The robot that a command drives: the rig of `--rig` with its limits, or an emulated one."""
 
 from __future__ import annotations
 
@@ -124,8 +122,9 @@ def bench_of(
     *,
     person: bool = False,
 ) -> Iterator[Bench]:
-    """Yield the robot of `--rig`, or an emulated one with the effects of `--hide` and the seed of
-    `--seed`.
+    """Yield the robot of `--rig`, or an emulated one by `--hide` and `--seed`.
+
+    `--hide` names its effects.
 
     Args:
         rig: file of the rig; None for an emulated robot.
@@ -143,16 +142,15 @@ def bench_of(
 
 
 def own_map(model: Model) -> Calibration:
-    """Return the true map of an emulated robot: its bundle's, or a plain one; a window it has
-    always.
-    """
+    """Return an emulated robot's true map: its bundle's, or a plain one; it has a window."""
     known = model.calibration or plain_map(model)
     return replace(known, window=known.window or known.holding(model.command_range))
 
 
 def plain_map(model: Model) -> Calibration:
-    """Return the map of an emulated robot whose bundle holds none; commands in ticks are its
-    servos' own.
+    """Return an emulated robot's map if its bundle has none; ticks are its servos' own.
+
+    This concerns commands in ticks.
     """
     if model.command_unit == TICKS:
         middle = np.rint(np.asarray(model.command_range, float).mean(axis=1))
@@ -166,8 +164,9 @@ def plain_map(model: Model) -> Calibration:
 
 @contextlib.contextmanager
 def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
-    """Enter `robot`, with the key of a terminal as its emergency stop; once Ctrl-C has ended it,
-    say what is left.
+    """Enter `robot`, with a key of the terminal as its emergency stop.
+
+    Once Ctrl-C has ended it, report what is left.
     """
     try:
         robot.tell, robot.at_terminal = to_stderr, True

@@ -186,9 +186,7 @@ def _pairs(
 
 
 def _span(run: Run) -> str:
-    """Return the time span of the frames of a piece as text, or of its commands if it has no
-    frames.
-    """
+    """Return a piece's time span of frames as text, or of commands if it has none."""
     times = run.t_seen if run.frames else run.t
     return f"{times[0]:g} to {times[-1]:g} s"
 

@@ -230,8 +230,9 @@ def show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def show(args: ShowOptions) -> int:
-    """Print what is in a run (its fields and traces) or a bundle (its manifest); code in a bundle
-    is not run.
+    """Print what is in a run (fields, traces) or a bundle (manifest).
+
+    Code in a bundle is not run.
     """
     path = _existing(args.path)
     load_own(args)
@@ -294,8 +295,9 @@ def _run(path: Path, bundle: str | None) -> dict[str, Any]:
 
 
 def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
-    """Return manifest and chain; with code that is not loaded and not `asking`, the chain as it is
-    written.
+    """Return manifest and chain; the chain as written with code that is not loaded.
+
+    This is so if not `asking`.
     """
     manifest = load_manifest(path)
     if not asking and set(manifest.get("own_effects", {})) - set(loaded()):
@@ -311,9 +313,7 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
 
 
 def _compared_networks(path: Path) -> dict[str, Any]:
-    """Compare the networks of a bundle that the core runs with onnxruntime; nothing where it has
-    none.
-    """
+    """Compare a bundle's networks that the core runs with onnxruntime; nothing without any."""
     manifest = load_manifest(path)
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     apart = {}
@@ -395,8 +395,9 @@ def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]
 
 
 def _trace(values: np.ndarray[Any, np.dtype[np.float64]]) -> str:
-    """A line of bars: the mean of each part of the record, scaled to its range; a blank where
-    nothing was seen.
+    """A line of bars: the mean of each part of the record, scaled to its range.
+
+    A blank where nothing was seen.
     """
     parts = np.array_split(values, min(_WIDTH, len(values)))
     means = np.array(

@@ -1,5 +1,6 @@
-"""The verb that lets a hand drive, and what it needs: a model of hands, a key, landmarks sent to
-another computer.
+"""The command that lets a hand drive, and what it needs.
+
+A model of hands, a key, landmarks sent to another computer.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""What `softmap track` prints without moving anything: Table II (`--table`), what a tip can reach
-(`--workspace`).
+"""What `softmap track` prints without moving anything.
+
+Table II (`--table`), what a tip can reach (`--workspace`).
 """
 
 from __future__ import annotations

@@ -80,8 +80,9 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def compare(args: CompareOptions) -> int:
-    """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than
-    the first.
+    """Show how far a model is from a run, and where.
+
+    Return 1 if the last of several bundles is worse than the first.
     """
     if args.live:
         from softmap_edge.commands.live import compare_live
@@ -354,8 +355,9 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def refit(args: RefitOptions) -> int:
-    """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does
-    not fall.
+    """Refit the effects of a bundle, or a finger's own numbers; 1 if without success.
+
+    It succeeds if the held-out error falls.
     """
     if args.finger is not None:
         return _refit_finger(args, args.finger)
@@ -395,8 +397,9 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
 
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr, beside any document, where a run leaves the commands or the frame of the
-    model.
+    """Warn on stderr where a run leaves the commands or the frame of the model.
+
+    It comes in addition to any document.
     """
     from softmap_edge.model.training_range import command_extrapolation, out_of_reach
     from softmap_edge.run.plane import plane_of
@@ -408,8 +411,9 @@ def warn_outside(verb: str, model: Any, run: Any) -> None:
 
 
 def _doubt(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as
-    it is.
+    """Warn on stderr of data that a diagnosis would set aside or refuse.
+
+    A comparison takes the run as it is.
     """
     from softmap_edge.diagnosis.clean import clean_run
 

@@ -1,5 +1,6 @@
-"""How far a model is from a measured run, and where: by section, direction, speed, dwell, history,
-command and time.
+"""How far a model is from a measured run, and where.
+
+By section, direction, speed, dwell, history, command and time.
 
     d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only rms = sqrt(mean d²);
     tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
@@ -55,8 +56,9 @@ class MemorylessFloor:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The error of one model on one run; prints itself, and `to_dict()` is the document
-    softmap.comparison/1.
+    """The error of one model on one run; `to_dict()` is the document softmap.comparison/1.
+
+    It prints as text.
     """
 
     run: Document
@@ -205,8 +207,9 @@ def compare(model: Model, run: Run) -> Comparison:
 
 
 def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
-    """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error
-    that says why not.
+    """Return prediction, measurement (hidden points zero) and visibility, with equal shapes.
+
+    Raises an error that states why they do not match.
     """
     if len(run.t_seen) == 0:
         raise ComparisonError(
@@ -268,9 +271,7 @@ def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[
 
 
 def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) -> list[Bin]:
-    """One bin per section of the template, base first, with its height range; one per marker for
-    markers.
-    """
+    """One bin per section of the template, base first, with its heights, or one per marker."""
     count = squared.shape[1]
     markers = model.markers or len(model.rest) != count
     sections = np.arange(count) if markers else np.asarray(model.sections)
@@ -322,8 +323,9 @@ def template(model: Model, seen: Floats) -> Floats | None:
 
 
 def _model_digest(model: Model) -> str:
-    """A hash of what predicts: the prior's and the fields' arrays, template, chain, parameters and
-    calibration.
+    """A hash of what predicts.
+
+    The arrays of prior and fields, template, chain, parameters and calibration.
     """
     sha = hashlib.sha256()
     for room, arrays in sorted(model.arrays.items()):

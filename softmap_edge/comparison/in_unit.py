@@ -1,5 +1,4 @@
-"""Comparisons and series of outputs other than places, with their figures in the output's own unit
-for a report.
+"""Comparisons and series of outputs other than places, with figures in their own unit for reports.
 
 Pinned by tests/run/test_output.py.
 """

@@ -1,5 +1,4 @@
-"""A model's error while a robot runs: of the newest frames, over the last seconds, and since the
-beginning.
+"""A model's error on a running robot: newest frames, over the last seconds, and from the start.
 
 Positions of the servos arrive period by period, frames when they are ready. The chain of effects is
 advanced by the new periods alone and keeps its memory. A frame waits for the positions of its time,
@@ -43,8 +42,9 @@ FRESH = 64
 
 @dataclass(frozen=True)
 class LiveError:
-    """Errors in mm (RMS over points; NaN where no frame was) now, over the last `RECENT` s and
-    since the beginning.
+    """Errors in mm now, over the last `RECENT` s and since the beginning.
+
+    RMS over points; NaN where there was no frame.
     """
 
     seconds: float
@@ -221,9 +221,7 @@ def _channel(name: str) -> bool:
 
 
 def _shape(model: Model) -> Model:
-    """Return the model of what is acting already: without the effects that change commands, and
-    without ticks.
-    """
+    """Return the model for effective commands: without ticks or effects that change commands."""
     names = tuple(name for name in model.chain_names if not _channel(name))
     rest = _core.Chain(list(names), model.channels)
     params = valued(rest, model.params, rest.null)
@@ -231,8 +229,9 @@ def _shape(model: Model) -> Model:
 
 
 def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
-    """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was
-    given before.
+    """Return a function from new commands (n, C) at (n,) s to effective ones (n, C).
+
+    It takes all earlier commands into account.
     """
     chain, params = model.chain, model.chain_params[None]
     own = {info.name for info in registry().values() if info.own} & set(model.chain_names)

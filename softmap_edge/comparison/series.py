@@ -1,5 +1,4 @@
-"""What the pictures of a report need of a run: errors over time, over the body, over commands, and
-some poses.
+"""What a report's pictures need: errors over time, body and commands, and some poses.
 
 Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by
 tests/comparison/test_compare.py.
@@ -31,9 +30,7 @@ POSES = 5  # drawn of a run
 
 @dataclass(frozen=True, eq=False)
 class ExamplePose:
-    """One measured frame, to be drawn: its points (N, 3) mm, NaN where unseen, and their errors
-    (N,) mm.
-    """
+    """One measured frame to draw: its points (N, 3) mm, NaN where unseen, and errors (N,) mm."""
 
     frame: int
     points: Floats
@@ -43,8 +40,7 @@ class ExamplePose:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One output, or the tip, against one command at the frames (K,): measured, predicted before
-    and after.
+    """One output, or the tip, against one command at frames (K,): measured, before and after.
 
     `after` is None where there is one model. `others` are the commands of the other channels at the
     same frames.
@@ -60,8 +56,9 @@ class Loop:
 
 @dataclass(frozen=True)
 class Series:
-    """What pictures need of a run seen by one model or by two (before, after): errors per frame and
-    per point, mm.
+    """What pictures need of a run: errors per frame and per point, mm.
+
+    They are of one model, or of two (before, after).
     """
 
     # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
@@ -87,8 +84,7 @@ class Series:
 
 
 def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
-    """Collect what the pictures of a run need, for one model or for a model before and after a
-    change.
+    """Collect what a run's pictures need, for one model or for a model before and after a change.
 
     Args:
         run: as for `compare`.
@@ -176,8 +172,7 @@ def _loops(
 def tip_loops(
     command: Floats, seen: Floats, before: Floats, after: Floats | None
 ) -> tuple[Loop, ...]:
-    """Return the tip's displacement in the direction in which each command moves it, against that
-    command.
+    """Return the tip's displacement along the direction in which each command moves it.
 
     A linear regression of the measured tip on all commands gives the directions, and the tip at
     command 0 as the origin of displacements. Commands that stand still, or do not move the tip,
@@ -217,9 +212,7 @@ def _correlation(x: Floats, y: Floats) -> float:
 
 
 def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
-    """Where to draw the points: on the template with its triangles, or where the markers were on
-    average.
-    """
+    """Where to draw the points: on the template with triangles, or at the markers' mean places."""
     rest = template(model, seen)
     if rest is not None and len(model.triangles):
         return rest, np.asarray(model.triangles, np.int64)
@@ -230,8 +223,9 @@ def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[n
 def _poses(
     command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None
 ) -> list[ExamplePose]:
-    """Return frames whose commands lie far apart, of those in which most is seen; squares (K, N)
-    mm² become errors.
+    """Return frames with distant commands, among those in which most is seen.
+
+    Squares (K, N) mm² become errors.
     """
     count = visible.sum(axis=1)
     complete = np.flatnonzero(count >= 0.9 * count.max())

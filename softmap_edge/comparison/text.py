@@ -1,5 +1,6 @@
-"""Reports of comparisons for a terminal: of one, and of two side by side. Text only, no colour, 100
-columns.
+"""Reports of comparisons for a terminal: of one, and of two side by side.
+
+Text only, no colour, 100 columns.
 
 Bars of one block share one scale, so that their lengths may be compared; every number says its
 unit, and every error what it was measured on.
@@ -223,9 +224,7 @@ def _pair_row(label: str, old: float, new: float) -> str:
 
 
 def _pair_line(row: Bin, partner: Bin | None, scale: float) -> str:
-    """One bin before and after on one line: solid is what is left, light what fell, dark what
-    rose.
-    """
+    """One bin before and after on one line: solid remains, light was removed, dark was added."""
     after = math.nan if partner is None else partner.rms_mm
     both = (
         bar(max(row.rms_mm, after), scale, 40)

@@ -1,5 +1,6 @@
-"""When a family counts: its fall on held-out folds, ordinary imperfections, and what it cannot be
-distinguished from.
+"""When a family counts.
+
+Its fall on held-out folds, ordinary imperfections, and what it cannot be distinguished from.
 
 Units: mm. Pinned by tests/diagnosis/test_decision.py and tests/diagnosis/test_two_levels.py.
 """
@@ -40,7 +41,8 @@ SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}
 def falls_on(
     before: Floats, after: Floats, body: FeatureBody, share: float | None = None, laws: bool = False
 ) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise,
+    """Whether a loss (folds,) is seen to fall, by a `share` of what is above the noise.
+
     FALL_NEXT by default.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing.
@@ -56,17 +58,16 @@ def falls_on(
 
 
 def stands_out(loss: Floats, body: FeatureBody, laws: bool) -> bool:
-    """Whether a loss (folds,) is more than that of noise, and of the form of `laws` that were found
-    before.
-    """
+    """Whether a loss (folds,) is more than noise; the form of found `laws` may add to it."""
     return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
 
 def accepted(
     row: Representative, ranking: Ranking, state: State, later: bool, visible: float
 ) -> bool:
-    """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size
-    is visible.
+    """Whether a family is accepted: its loss falls enough, and its effect size is visible.
+
+    The loss must fall in enough folds, too.
     """
     problem = state.body.problem
     if not falls_on(
@@ -94,8 +95,9 @@ def accepted(
 
 
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
-    """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error of a map that
-    was learned freely.
+    """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error.
+
+    The model is a map that was learned freely.
 
     Such a map follows every static effect of the robot that taught it, so a new one adds to the
     model error. The model error of this run differs from its mean over the folds by the standard
@@ -111,8 +113,9 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 
 
 def is_ordinary(ranking: Ranking, state: State) -> bool:
-    """Whether a static family is best, or near the best, and all static misfit is as ordinary
-    imperfections may be.
+    """Whether a static family is best, or near it, with ordinary imperfections only.
+
+    All static misfit is then as ordinary imperfections may be.
     """
     best = ranking.rows[0].loss if ranking.rows else ranking.before
     static = any(
@@ -127,8 +130,9 @@ def beyond_ordinary(ranking: Ranking, state: State) -> bool:
 
 
 def ordinary_level(body: FeatureBody) -> float:
-    """Return the level of ordinary imperfections, mm RMS: static effects from `DOMINATES` times it
-    are discoveries.
+    """Return the level of ordinary imperfections, mm RMS.
+
+    Static effects from `DOMINATES` times it are discoveries.
 
     A map that was learned from the robot itself has no imperfections of its own. So a single small
     change since then, as of a servo that was fitted again, stands out like an effect: there the
@@ -182,9 +186,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
 
 
 def motion_mm(record: Record) -> float:
-    """Return how far the body moves about its mean, mm RMS; features that are never seen do not
-    count.
-    """
+    """Return the body's motion about its mean, mm RMS, without features that are never seen."""
     seen = np.isfinite(record.seen)
     mean = np.where(seen, record.seen, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     return record.rms_mm(record.seen - mean)
@@ -200,8 +202,9 @@ def order_of(family: Family) -> int:
 
 
 def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether a family cannot be distinguished from the first one; if only it leaves more than
-    noise, it can.
+    """Whether a family cannot be distinguished from the first one.
+
+    It can if it alone leaves more than noise.
     """
     if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
         return False
@@ -222,9 +225,7 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
 
 
 def does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether what a family does here is what a static map of the commands, or the first one, can
-    do as well.
-    """
+    """Whether a static map of the commands, or the first family, can do what a family does."""
     body = state.body
     theta = ranking.level.theta(
         [*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge]

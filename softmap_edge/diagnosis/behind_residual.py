@@ -1,5 +1,6 @@
-"""Effects that a model's residual may hide: static effects that look like it and do not contradict
-the run.
+"""Effects that a model's residual may hide.
+
+They are static effects that look like it and do not contradict the run.
 
 A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis
 names them. If they do not, a static field of its size is no evidence, since it may be the model's
@@ -39,8 +40,10 @@ AGAINST = 9.0  # of the objective over the over-dispersion: three standard devia
 
 @dataclass(frozen=True)
 class ResidualConfounds:
-    """A residual taken out: its size on the run and what the effects found leave of it, the run's
-    error with it and without, what it may be (share), and what of it the model's own error may be.
+    """The effects of a residual that was taken out.
+
+    Its size on the run and what the effects found leave of it, the run's error with it and without,
+    what it may be (share), and what of it may be model error.
     """
 
     size_mm: float
@@ -85,8 +88,9 @@ class ResidualConfounds:
 
 
 def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
-    """Return what the residual that was taken out may hide besides the effects of a fit; None
-    without a residual.
+    """Return what the residual that was taken out may hide besides the effects of a fit.
+
+    None without a residual.
     """
     record = fits.problem.record
     if record.static is None:
@@ -121,8 +125,9 @@ def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
 
 
 def _as_if_seen(fits: Fits, field: Floats) -> Problem:
-    """Return the problem in which `field` (K, F) mm is all that the model misses, without form
-    error for it.
+    """Return the problem in which `field` (K, F) mm is the only error of the model.
+
+    It has no form error for it.
     """
     problem = fits.problem
     record: Record = copy(problem.record)
@@ -154,8 +159,9 @@ def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
 
 
 def _other_conditions(name: str) -> tuple[str, float]:
-    """Return what to record so that an effect and a static field differ: for a weight, another
-    orientation.
+    """Return what to record to separate an effect from a static field.
+
+    For a weight, this is another orientation.
     """
     info = registry()[name]
     return ("another orientation", 1.0) if info.family == "dead load" else info.experiment

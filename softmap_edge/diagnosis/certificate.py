@@ -1,5 +1,4 @@
-"""Certificates: an e-value for each claim of a diagnosis, from blocks that took no part in fitting
-its numbers.
+"""Certificates: an e-value for each claim, from blocks that no fit of its numbers used.
 
     log e = T (chi²₀ - chi²₁) / (2 φ) + k/2 · ln(1 - T),  T = 1/2
 
@@ -80,16 +79,15 @@ def certified(outcome: Outcome, fit: Fit, kept: Withheld) -> Certified:
 
 
 def hypotheses(candidates: int, claims: int) -> int:
-    """Return how many hypotheses so many claims count for: each member of each set, by the share of
-    their size.
+    """Return how many hypotheses so many claims count for.
+
+    Each member of each set counts, by the share of their size.
     """
     return max(SIZES, claims) * claims * comb(candidates, claims)
 
 
 def certificates(logs: Sequence[float], count: int, kept: Withheld) -> list[Certificate]:
-    """Return certificates of claims by their log10 e (n,), of `count` hypotheses, by the rule of
-    e-BH.
-    """
+    """Return e-BH certificates of claims by their log10 e (n,), of `count` hypotheses."""
     order = np.sort(np.asarray(logs, float))[::-1]
     # of the k largest, for k = 1, 2, …
     needs = np.log10(count / LEVEL / np.arange(1, len(order) + 2))
@@ -143,8 +141,9 @@ class _Evidence:
     def _chi2(
         self, fit: Fit, representatives: Sequence[Representative]
     ) -> tuple[float, float, float]:
-        """Return chi² of the withheld frames, fitted to the others and to themselves, and of the
-        others.
+        """Return chi² of the withheld frames, fitted to the others or themselves.
+
+        The third value is the chi² of the others.
         """
         problem = self.body.problem
         there = Fit(
@@ -175,8 +174,9 @@ class _Evidence:
 
 
 def _split(outcome: Outcome, kept: Withheld) -> Problem:
-    """Return the problem of a search whose folds are the withheld frames, fitted to the others or
-    to themselves.
+    """Return a search's problem with the withheld frames as folds.
+
+    They are fitted to the others or to themselves.
 
     Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
     """

@@ -34,8 +34,9 @@ FAMILY_OF = {"temperature": "temperature", "time": "time", "speed": "rate", "ben
 
 @dataclass(frozen=True)
 class Change:
-    """A law whose numbers change with a condition: its effects, the condition, and the change's
-    share of its loss.
+    """A law whose numbers change with a condition.
+
+    Its effects, the condition, and the change's share of its loss.
 
     `share` is the fall of the held-out loss by the change, relative to the loss that the law
     explains.
@@ -54,15 +55,14 @@ class Change:
 
     @property
     def experiment(self) -> tuple[str, float]:
-        """What to record to see this change, and the minutes: the experiment of the condition's
-        family.
-        """
+        """What to record to see this change, and the minutes, as for the condition's family."""
         return next(f.experiment for f in families() if f.name == FAMILY_OF[self.condition])
 
 
 def changing(outcome: Outcome) -> list[Change]:
-    """Return the laws of a search whose numbers are not constant, each with the condition that
-    explains most.
+    """Return the laws of a search with changing numbers, and the condition of each.
+
+    It is the condition that explains most.
     """
     state, found = outcome.state, []
     if outcome.loss.sum() <= rule.ABOVE_NOISE * outcome.body.problem.numbers:
@@ -119,8 +119,9 @@ def conditions_of(state: State) -> dict[str, Floats]:
 
 
 def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
-    """Return by how much the held-out loss is seen to fall if the numbers of effects change with a
-    condition (K,).
+    """Return the fall of the held-out loss if the numbers of effects change with a condition.
+
+    The condition is (K,).
     """
     body, fit = state.body, state.fit
     own = np.flatnonzero(fit.space.of(effects))

@@ -1,5 +1,6 @@
-"""Find frames and points of a run that are no measurement, and set them aside before a fit, each
-with a remark.
+"""Find frames and points of a run that are no measurement.
+
+They are set aside before a fit, each with a remark.
 
     lost      a place that stands for "not seen" (`lost.py`): the point counts as not seen
     dark      a frame without a visible point
@@ -155,8 +156,9 @@ def clean_run(model: Model, run: Run) -> CleanRun:
 def clean_record(
     model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
-    """Bind a model to what is sound of one run or several, which stay complete in the record;
-    return it with remarks.
+    """Bind a model to the sound frames and points of one or several runs, with remarks.
+
+    The runs stay complete in the record.
 
     Raises:
         SoftmapError: as `clean_run` and `record_of`.
@@ -218,8 +220,9 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
 
 
 def _remembers(record: Record) -> bool:
-    """Return whether the model behind a play explains the motion of every run: a memory and no
-    other robot.
+    """Return whether the model behind a play explains the motion of every run.
+
+    It is then a memory, and no other robot.
     """
     for part in record.parts:
         few = part.run.at(part.spread_rows(REMEMBERED))
@@ -303,9 +306,7 @@ def _frames(
 
 
 def _untaught(model: Model, run: Run) -> Mask:
-    """Return the frames (K,) at which a learned map extrapolates; none where most frames are
-    such.
-    """
+    """Return the frames (K,) at which a learned map extrapolates; none if most are such."""
     coverage = model.coverage
     if coverage is None or not isinstance(model.prior, _core.Rod):
         return np.zeros(run.frames, bool)
@@ -314,8 +315,9 @@ def _untaught(model: Model, run: Run) -> Mask:
 
 
 def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:
-    """Return the frames (K,) of dwells in which the robot jumps though nothing is commanded, and
-    what to say of them.
+    """Return the frames (K,) of dwells in which the robot jumps, and a sentence on them.
+
+    Nothing is commanded there.
 
     Each dwell's scatter about its drift, RMS over the points that all its frames show, against the
     others' median.
@@ -364,9 +366,7 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
 
 
 def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
-    """Return which frames (K,) show the picture before them once more, where that can only be the
-    camera.
-    """
+    """Return the frames (K,) that repeat the picture before them, if only the camera can."""
     again = np.zeros(run.frames, bool)
     if run.frames < 2:
         return again
@@ -447,8 +447,9 @@ def _clipped(seen: Floats, visible: Mask, axis: int, extreme: Any) -> Mask | Non
 
 
 def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Mask:
-    """Return the points (K, N) that are far from their model in one frame and not in the two before
-    and after.
+    """Return the points (K, N) far from their model in one frame, and not just before or after.
+
+    These are the two frames before it and the two after it.
     """
     none = np.zeros(visible.shape, bool)
     if len(seen) < LEAST_FRAMES:

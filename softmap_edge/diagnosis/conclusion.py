@@ -1,5 +1,4 @@
-"""From a finished search to what a diagnosis says: findings with parameters, alternatives, and what
-is open.
+"""From a finished search to a diagnosis: findings, parameters, alternatives, open points.
 
 Nothing is searched here. Units: mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -67,8 +66,9 @@ ALONG = "mount.shift_z"  # along the axis of the straight body, where nothing th
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What is known apart from the search: an independent run, effects that were dropped or not
-    tried, certificates.
+    """What is known apart from the search.
+
+    An independent run, effects that were dropped or not tried, certificates.
     """
 
     other: Record | None = None
@@ -207,8 +207,9 @@ def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
 def _unknown(
     outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool
 ) -> bool:
-    """Whether something unknown is left: no law, beyond the named effects, or far more than the
-    model's own error.
+    """Whether something unknown is left.
+
+    No law describes it; it is beyond the named effects, or far more than the model error.
     """
     if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
         return False  # other numbers of the model's own effects explain what is left
@@ -255,8 +256,9 @@ def _family(
 
 
 def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
-    """Return the unexplained error as an unknown static map if repeated commands show the same
-    error, else nothing.
+    """Return the unexplained error as an unknown static map, if it is one.
+
+    It is if repeated commands show the same error. Else nothing.
 
     Its form may be too fine for the columns of the family.
     """
@@ -272,8 +274,9 @@ def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
 def _with_motion(
     families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]
 ) -> tuple[FamilyFinding, ...]:
-    """Return families with the motion at rest among them, by size: no effect or family of the
-    library describes it.
+    """Return families with the motion at rest among them, by size.
+
+    No effect or family of the library describes it.
     """
     found = list(families)
     for one in moving:
@@ -330,9 +333,7 @@ def _probability(
     unknown: bool,
     certificate: Certificate | None = None,
 ) -> float:
-    """Return the probability that an effect, or an equivalent one, is present, from the odds
-    against it.
-    """
+    """Return the probability of an effect, or an equivalent one, from the odds against it."""
     doubts = (
         sum(a.member == name for a in alternatives)
         + any(p.at_bound for p in numbers.values())
@@ -347,9 +348,7 @@ def _probability(
 
 
 def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
-    """Whether an alternative, or a law of its family, is physics and no fault of the
-    measurement.
-    """
+    """Whether an alternative, or a law of its family, is physics and no measurement fault."""
     members = {family.name: family.members for family in families()}
     laws = (
         name
@@ -361,8 +360,9 @@ def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
 
 
 def _ordinary_mm(outcome: Outcome) -> float:
-    """Return the size of the robot's ordinary static imperfections, mm RMS: what they explain, or
-    else their level.
+    """Return the size of the robot's ordinary static imperfections, mm RMS.
+
+    It is what they explain, or else their level.
     """
     state = outcome.state
     explained = state is not state.without_background()
@@ -372,9 +372,7 @@ def _ordinary_mm(outcome: Outcome) -> float:
 def _alternatives(
     outcome: Outcome, fit: Fit, standing: Sequence[Step], known: Registry, context: Context
 ) -> list[Alternative]:
-    """Return what cannot be excluded: laws and families that reach as far, and what looks alike by
-    its form.
-    """
+    """Return what cannot be excluded: laws and families as good, and those of the same form."""
     found: list[Alternative] = []
     dropped = set(context.demoted)
 
@@ -429,8 +427,9 @@ def _alternatives(
 
 
 def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, str, str]]:
-    """Return steps of a condition that varies as time does in every run, the family it looks like,
-    and why.
+    """Return steps of a condition that changes with time in every run.
+
+    With the family it looks like, and why.
     """
     conditions = [
         {c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts
@@ -458,8 +457,9 @@ def _why(theirs: Floats, mine: Floats) -> str:
 def _twins(
     fits: Fits, fit: Fit, member: str, known: Registry, impossible: Sequence[Untestable]
 ) -> list[tuple[str, str]]:
-    """Return effects that look like a member under the conditions of the run, and why they cannot
-    be excluded.
+    """Return effects that look like a member under the run's conditions.
+
+    With the reason why they cannot be excluded.
     """
     record, found = fits.problem.record, []
     never = {h.name for h in impossible}
@@ -484,8 +484,9 @@ def _twins(
 
 
 def _unbased(record: Record, fit: Fit, member: str, known: Registry, never: set[str]) -> list[str]:
-    """Return effects that the model does not have and that look like a member where no point of the
-    base is seen.
+    """Return effects that look like a member where no point of the base is seen.
+
+    The model does not have them.
 
     Nothing that bends a body moves it along its axis.
     """

@@ -1,5 +1,4 @@
-"""Every constant of the decision between families and between laws, and the comparisons that use
-them.
+"""All constants of the decision between families and laws, and comparisons by them.
 
 A family or a law is compared by its loss on held-out folds, fold by fold. Each constant has its
 reason in a comment; `tests/diagnosis/test_decision.py` pins each.
@@ -53,8 +52,9 @@ ODDS_DOUBT = 0.5
 
 @dataclass(frozen=True)
 class Difference:
-    """How far the held-out loss falls from one hypothesis to another: sum, standard error, share of
-    the folds.
+    """How far the held-out loss falls between two hypotheses: sum, standard error, folds.
+
+    The last is the share of the folds in which it falls.
     """
 
     fall: float
@@ -72,23 +72,26 @@ def difference(before: Floats, after: Floats) -> Difference:
 
 
 def seen_to_fall(fall: Difference) -> bool:
-    """Whether a loss falls on held-out folds: beyond one standard error, or in every fold that
-    shows anything.
+    """Whether a loss falls on held-out folds.
+
+    It does so beyond one standard error, or in every fold that shows anything.
     """
     return fall.share >= FOLDS and (fall.fall > fall.error or fall.share >= 1.0)
 
 
 def in_one_fold(before: Floats, after: Floats) -> bool:
-    """Whether a single fold shows nearly all of a fall: it may hold commands that no other fold
-    reaches.
+    """Whether a single fold shows nearly all of a fall.
+
+    It may hold commands that no other fold reaches.
     """
     fall = np.sort(before - after)
     return len(fall) > 1 and bool(fall[-2] <= FOLD_SHOWS * fall[-1])
 
 
 def near(loss: Floats, best: Floats, null: Floats) -> bool:
-    """Whether a hypothesis cannot be distinguished from the best one, given what the best explains
-    of `null`.
+    """Whether a hypothesis cannot be distinguished from the best one.
+
+    This depends on what the best explains of `null`.
     """
     behind = float(loss.sum() - best.sum())
     if behind <= FORM * float(null.sum() - best.sum()):
@@ -98,29 +101,33 @@ def near(loss: Floats, best: Floats, null: Floats) -> bool:
 
 
 def clears(loss: Floats, other: Floats, numbers: float) -> bool:
-    """Whether a hypothesis leaves no more than the noise of so many numbers, and is seen to leave
-    less than another.
+    """Whether a hypothesis leaves only noise, and is seen to leave less than another.
+
+    The noise is that of so many numbers.
     """
     return bool(loss.sum() <= ABOVE_NOISE * numbers) and seen_to_fall(difference(other, loss))
 
 
 def leaves_cause(loss: Floats, best: Floats, numbers: float) -> bool:
-    """Whether a hypothesis leaves more than noise, where the best leaves no more than the noise of
-    so many numbers.
+    """Whether a hypothesis leaves more than noise where the best does not.
+
+    The noise is that of so many numbers.
     """
     return bool(loss.sum() > ABOVE_NOISE * best.sum()) and clears(best, loss, numbers)
 
 
 def reaches(loss: Floats, best: Floats, explained: float, form: float | None = None) -> bool:
-    """Whether a law leaves no more than the best of its family, up to one standard error or its
-    form's tolerance.
+    """Whether a law leaves no more than the best of its family.
+
+    Up to one standard error, or the tolerance of its form.
     """
     form = FORM if form is None else form
     return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)
 
 
 def form_of(static: bool, moved_mm: float, ordinary_mm: float) -> float:
-    """Return the share of the explained loss that a law may miss: a static one need not explain
-    imperfections.
+    """Return the share of the explained loss that a law may miss.
+
+    A static law need not explain imperfections.
     """
     return max(FORM, min(FORM_MOST, (ordinary_mm / max(moved_mm, 1e-9)) ** 2)) if static else FORM

@@ -1,5 +1,6 @@
-"""Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error
-before and after.
+"""Diagnose: name the effect that a model lacks, with evidence, alternatives and errors.
+
+The errors are those before and after.
 
     run → frames that are measurements (sound.py) → candidates, noise, model error (prepare.py)
         → families, then their laws, accepted on held-out blocks (search.py, together.py) →
@@ -191,9 +192,7 @@ def _reach(record: Record) -> float:
 def _apart(
     run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None
 ) -> None:
-    """Refuse one recording in two places: it would be counted twice, or validate a fit to
-    itself.
-    """
+    """Reject one recording in two places: it would count twice, or validate its own fit."""
     runs = list(run) if isinstance(run, Sequence) else [run]
     others = (
         list(reference)
@@ -220,8 +219,7 @@ def _apart(
 
 
 def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Fit a model's own effects again to a run, with a number for each channel where that is far
-    better.
+    """Refit a model's own effects to a run, per channel where that is far better.
 
     Returns:
         tuple: the model with new parameters, and a document with parameters ± sigma and the error
@@ -256,9 +254,7 @@ def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
 
 
 def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of a model's own effects with a number for each channel where it has one for
-    all.
-    """
+    """Return a fit of a model's own effects with one number per channel in place of one for all."""
     space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
     if space.free_labels == fit.space.free_labels:
         return fit
@@ -283,8 +279,9 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
 
 
 def showing(model: Model, run: Run) -> list[Document]:
-    """Say, before any fit, which effects would show in a run: how large each is at typical strength
-    against the noise.
+    """Predict, before any fit, which effects would show in a run.
+
+    Compare the size of each at typical strength with the noise.
 
     Returns:
         list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment,
@@ -350,9 +347,7 @@ def _searched(
 
 
 def _shared(fit: Fit) -> dict[str, float]:
-    """Return the fitted parameters of a model: what later runs had for themselves stays with
-    them.
-    """
+    """Return a model's fitted parameters, without those that belong to single later runs."""
     return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
@@ -378,9 +373,7 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
 
 
 def _named_nothing(values: Document, verdict: str, why: str) -> Document:
-    """Return the fields of a diagnosis that names no effect, for a reason that the search does not
-    know.
-    """
+    """Return the fields of a diagnosis that names no effect, for a reason outside the search."""
     error = replace(values["error"], ladder=(), with_static_residual=None)
     return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(
         NAMED, ()
@@ -388,8 +381,9 @@ def _named_nothing(values: Document, verdict: str, why: str) -> Document:
 
 
 def _extrapolated(record: Record, outcome: Outcome) -> str | None:
-    """Return why an error says nothing where most frames are unlike what a map was learned from;
-    None if it does.
+    """Return why an error is not meaningful, if a map extrapolates in most frames.
+
+    None if it is meaningful.
 
     It does where the other frames show it too: by far more than the model's own error.
     """
@@ -425,9 +419,7 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
 
 
 def _outside(record: Record) -> str:
-    """Say how much of a run lies beyond the commands that the model was made from, where it
-    extrapolates.
-    """
+    """Report how much of a run lies beyond the model's commands, where it extrapolates."""
     reach = getattr(record.model, "command_range", None)
     if reach is None or not len(record):
         return ""
@@ -443,9 +435,7 @@ def _outside(record: Record) -> str:
 
 
 def _own_misfit(record: Record) -> OwnMisfit | None:
-    """Return what the effects that the model has already would reach with other numbers, if that is
-    much.
-    """
+    """Return what the model's own effects would reach with other numbers, if that is much."""
     if not record.model.chain_names:
         return None
     report = refit(record.model, record.recorded_runs)[1]
@@ -465,8 +455,9 @@ def _error_on(fit: Fit, other: Record) -> float:
 def _demote(
     fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float
 ) -> tuple[Fit, list[str]]:
-    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most
-    `share` without them.
+    """Drop members, or all at once, while the `error` is at most `share` without them.
+
+    It is in mm, on what was not fitted.
     """
     demoted: list[str] = []
     while fit.effects:

@@ -1,5 +1,6 @@
-"""The document softmap.diagnosis/2: the result of a diagnosis, as an object that prints, reads and
-writes itself.
+"""The document softmap.diagnosis/2.
+
+The result of a diagnosis, as an object that prints, reads and writes itself.
 
 Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on
 reading. Pinned by tests/diagnosis/test_diagnosis.py and tests/model/test_mutated_files.py.
@@ -52,8 +53,9 @@ VERDICTS = {
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The result of a diagnosis; prints itself, and `to_dict()` is the document
-    softmap.diagnosis/2.
+    """The result of a diagnosis; `to_dict()` is the document softmap.diagnosis/2.
+
+    It prints as text.
 
     `model` is the model with the accepted effects added; None after `from_dict`.
     """
@@ -126,8 +128,9 @@ class Diagnosis:
         return cls.from_dict(document)
 
     def params_of(self, name: str) -> dict[str, float]:
-        """Return the fitted parameters of one named effect or fault by label; those of the first
-        run, if it is its own.
+        """Return the fitted parameters of one named effect or fault, by label.
+
+        They are those of the first run, if they are its own.
 
         Raises:
             SoftmapError: the diagnosis does not name it.
@@ -140,8 +143,7 @@ class Diagnosis:
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def added(self, model: Model, names: Sequence[str]) -> Model:
-        """Return a model with effects that this diagnosis names, with what was fitted along with
-        them.
+        """Return a model with effects that this diagnosis names, and what was fitted with them.
 
         Raises:
             SoftmapError: the diagnosis does not name one of them, or is one of another model.
@@ -185,8 +187,9 @@ class Diagnosis:
 
 
 def with_error(model: Model, entries: Sequence[Finding]) -> Model:
-    """Return a model that errs by what the effects say that were added to it: with other numbers it
-    is another rod.
+    """Return a model with the error that was fitted along with its added effects.
+
+    A rod with other numbers has another error.
     """
     for entry in entries:
         if entry.refitted is None:
@@ -206,7 +209,5 @@ def with_error(model: Model, entries: Sequence[Finding]) -> Model:
 
 
 def _integer(digits: str) -> int | float:
-    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as
-    infinity.
-    """
+    """Return an integer of JSON; infinity for one beyond any float, which arithmetic rejects."""
     return int(digits) if len(digits) < 300 else float(digits)

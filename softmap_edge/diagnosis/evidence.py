@@ -1,5 +1,6 @@
-"""Evidence for a finished search: the error ladder, effects that this run cannot show, structure in
-the remainder.
+"""Evidence for a finished search.
+
+The error ladder, effects that this run cannot show, structure in the remainder.
 
 Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that
 took no part in the fit: blocks of time, or an independent run. The static baseline is a ridge on a
@@ -36,8 +37,9 @@ Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
 def equivalents(record: Record, name: str) -> list[str]:
-    """Return the effects of the registry, tried or not, whose form this run cannot distinguish from
-    that of `name`.
+    """Return the effects that this run cannot distinguish from `name` by their form.
+
+    They are effects of the registry, tried or not.
     """
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
@@ -53,8 +55,9 @@ def equivalents(record: Record, name: str) -> list[str]:
 
 
 def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
-    """Return the candidates outside the fit whose signature at a typical strength this run does not
-    show.
+    """Return the candidates outside the fit whose signature this run does not show.
+
+    The signature is that of a typical strength.
     """
     problem, found = fits.problem, []
     for name in fits.candidates:
@@ -68,8 +71,9 @@ def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
 
 
 def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
-    """Return the size of an effect of typical strength: mm RMS of the centreline, and its whitened
-    signature (n,).
+    """Return the size of an effect of typical strength.
+
+    mm RMS of the centreline, and its whitened signature (n,).
     """
     signature = np.where(
         np.isfinite(problem.record.seen), typical_difference(problem, name), np.nan
@@ -80,8 +84,9 @@ def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
 
 
 def unseen(moved: float, size: float) -> str | None:
-    """Return why a signature of `size` standard deviations that moves the body by `moved` mm is not
-    seen, if so.
+    """Return why a signature is not seen, if so.
+
+    It has a `size` in standard deviations and moves the body by `moved` mm.
     """
     if moved < VISIBLE_MM:
         return (
@@ -156,8 +161,9 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
 
 
 def _idle(fit: Fit, label: str) -> bool:
-    """Whether one of the numbers of an effect does nothing, relative to all of them: it may be
-    anything to its null.
+    """Whether a number of an effect does nothing, relative to all of them.
+
+    It may then be anything up to its null.
     """
     space, record = fit.space, fit.problem.record
     null = dict(zip(space.free_labels, space.null))
@@ -199,8 +205,9 @@ def condition_columns(record: Record) -> dict[str, Floats]:
 
 
 def static_basis(u: Floats) -> Floats:
-    """Return the polynomial (K, n) of scaled commands (K, C): cubic up to two channels, else
-    quadratic.
+    """Return the polynomial (K, n) of scaled commands (K, C).
+
+    It is cubic up to two channels, else quadratic.
     """
     columns = [np.ones(len(u))]
     channels = u.shape[1]
@@ -214,8 +221,9 @@ def static_basis(u: Floats) -> Floats:
 
 
 def ridge(columns: Floats, values: Floats, train: NDArray[np.int64], strength: float) -> Floats:
-    """Return predictions (K, m) of a ridge trained on frames `train`; columns (K, n) are
-    standardised there.
+    """Return predictions (K, m) of a ridge trained on frames `train`.
+
+    Columns (K, n) are standardised there.
     """
     mean, spread = columns[train].mean(axis=0), columns[train].std(axis=0)
     z = (columns - mean) / np.where(spread > 1e-9, spread, np.inf)
@@ -264,8 +272,7 @@ def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]
 def ladder(
     fits: Fits, order: Sequence[str], split: Collection[str], other: Record | None = None
 ) -> Errors:
-    """Return held-out errors in mm: model, static baseline, effects one by one, with both; per
-    fold.
+    """Return held-out errors (mm): model, static baseline, each effect, both; per fold.
 
     They are those of blocks, or of an independent run `other` with parameters and static residual
     of the diagnosed run.
@@ -305,8 +312,9 @@ def _held_out(problem: Problem, predictions: Floats, static: bool) -> float:
 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
-    """Return a static residual (K of `at`, F) trained on frames `train` of `record`, each feature
-    where it is seen.
+    """Return a static residual (K of `at`, F), trained on frames `train` of `record`.
+
+    It is trained for each feature where it is seen.
     """
     half = 0.5 * record.spread
     columns = np.concatenate(

@@ -1,5 +1,4 @@
-"""Level 1 of a diagnosis: which family of effects is missing, asked with a flexible representative
-of each.
+"""Level 1 of a diagnosis: which family is missing, by a flexible representative of each.
 
 A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields
 of the body, fitted by ridge regression of the whitened residual; cross-validation chooses the
@@ -93,16 +92,18 @@ def _homes() -> dict[str, Family]:
 
 
 def home(effect: str) -> Family | None:
-    """Return the first family that an effect may be a law of; None for a gross fault and for a
-    user's own effect.
+    """Return the first family that an effect may be a law of.
+
+    None for a gross fault and for a user's own effect.
     """
     return _homes().get(effect)
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a family about a state: column j is base[which_j] · weight_j; `commanded` of
-    them on commands.
+    """The columns of a family about a state: column j is base[which_j] · weight_j.
+
+    The first `commanded` of them act on commands.
     """
 
     base: Floats  # (s, K, F) mm
@@ -115,8 +116,9 @@ class Columns:
         return replace(self, base=np.concatenate([slopes, self.base[len(slopes) :]]))
 
     def shift(self, theta: Floats, first: int = 0) -> Floats:
-        """Return what the columns from `first` on make of the features (K, F) mm with coefficients
-        `theta` (n,).
+        """Return the change of features (K, F) mm by columns from `first` on.
+
+        Their coefficients are `theta` (n,).
         """
         out = np.zeros(self.base.shape[1:])
         for which, weight, value in zip(self.which[first:], self.weight[first:], theta[first:]):
@@ -126,9 +128,7 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Representative:
-    """A family fitted as what it can do at most: its coefficients, ridge, held-out loss and
-    displacement.
-    """
+    """A family fitted as freely as it can be: coefficients, ridge, held-out loss, displacement."""
 
     family: Family
     theta: Floats  # (n,)
@@ -146,9 +146,7 @@ class Representative:
 
 
 class FeatureBody:
-    """What level 1 needs of a problem: effective commands to features, and the columns of each
-    family.
-    """
+    """What level 1 needs: effective commands to features, and the columns of each family."""
 
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
         self.problem, self.record, self.candidates = problem, problem.record, set(candidates)
@@ -206,9 +204,7 @@ class FeatureBody:
         )
 
     def modes(self, difference: Floats) -> Floats:
-        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not
-        known, is none.
-        """
+        """Return feature differences (..., K, F) as modes (..., K, M); 0 if unseen or unknown."""
         known = np.isfinite(self.record.seen) & np.isfinite(difference)
         return np.asarray(np.where(known, difference, 0.0) @ self.weights)
 
@@ -234,8 +230,9 @@ class FeatureBody:
 
     @cached_property
     def _temperatures(self) -> list[Floats | None]:
-        """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one
-        run shows.
+        """Temperature (T,) °C of each run; None where not all of them warm.
+
+        A bank scales what one run shows.
         """
         rows = [declared(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
@@ -243,8 +240,9 @@ class FeatureBody:
 
     @cached_property
     def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
-        """Codes of all orientations, and which of them each sample (T,) of a run is in; None where
-        there is one.
+        """Codes of all orientations, and which of them each sample (T,) of a run is in.
+
+        None where there is one.
         """
         rows = [declared(part.run.gravity, len(part.run.t), 3) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
@@ -257,9 +255,7 @@ class FeatureBody:
         return np.arange(len(every)), list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
 
     def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
-        """Return the columns of a family about effective commands with their `slopes` (C, K, F), if
-        it has any.
-        """
+        """Return a family's columns at effective commands with `slopes` (C, K, F), if any."""
         bank = _core.Bank(family.name, len(self.half))
         series = self.series(commands)
         found = [
@@ -297,9 +293,7 @@ class FeatureBody:
         return self._signatures[family.name]
 
     def single(self, effect: str) -> Columns | None:
-        """Return what the numbers of one effect do, each by itself, as columns; None if they do
-        nothing here.
-        """
+        """Return the effect of each number of one effect as columns; None if none has any here."""
         if effect not in self._signatures:
             found = self._signature(effect)
             self._signatures[effect] = (
@@ -311,8 +305,9 @@ class FeatureBody:
         return Columns(rows, np.arange(len(rows)), np.ones((len(rows), len(self.record))), 0)
 
     def curves(self, commands: Commands, slopes: Floats) -> dict[str, Columns]:
-        """Return smooth static maps of one form as columns: a curve of each channel, or what one
-        does to another.
+        """Return smooth static maps of one form as columns.
+
+        Each is a curve of a channel, or what one channel does to another.
         """
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
         x, channels = (seen - self.middle) / self.half, len(self.half)
@@ -337,8 +332,9 @@ class FeatureBody:
         ]
 
     def _signature(self, name: str) -> list[Floats]:
-        """Return what each amount of an effect does on top of the model (K, F) mm, at several
-        places if it has one.
+        """Return what each amount of an effect adds to the model (K, F) mm.
+
+        At several places, if it has one.
         """
         record = self.record
         own = tuple(record.model.chain_names)
@@ -395,9 +391,7 @@ class FeatureBody:
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add the slopes of a fit over its numbers that are not at a bound; return whether there
-        are any.
-        """
+        """Add slopes of a fit over numbers not at a bound; return whether there are any."""
         free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
         if len(free):
             ones = np.ones((len(free), len(self.record)))
@@ -406,9 +400,7 @@ class FeatureBody:
 
 
 class State:
-    """What is known at a step of the search: a joint fit, representatives alongside it, and what
-    both predict.
-    """
+    """A step of the search: a joint fit, representatives alongside, and their predictions."""
 
     def __init__(
         self,
@@ -440,8 +432,9 @@ class State:
         self.shift = shift  # (K, F) mm, of the representatives
 
     def without_background(self) -> State:
-        """Return this state without families that explain ordinary imperfections, itself where it
-        has none.
+        """Return this state without families of ordinary imperfections.
+
+        It is itself where it has none.
         """
         alone = set(self.background) <= set(self.body.learned)
         return self if alone else State(self.body, self.fit, self.representatives)
@@ -462,8 +455,9 @@ class State:
         return np.asarray(self.body.record.seen - self.predicted)
 
     def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
-        """Add what was found, or another `fit`, to normal equations; return names and ridges of the
-        blocks.
+        """Add what was found, or another `fit`, to normal equations.
+
+        Return names and ridges of the blocks.
         """
         names, ridges = [], []
         if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
@@ -499,9 +493,7 @@ class State:
 
 
 def applied(body: FeatureBody, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
-    """Return effective commands behind a representative, and what it adds to the features (K, F)
-    mm.
-    """
+    """Return effective commands behind a representative, and its addition to features (K, F) mm."""
     bank = _core.Bank(one.family.name, len(body.half))
     acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
     if len(acting):
@@ -583,8 +575,9 @@ def about_itself(
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Level 1 about a state: the loss before, with the families of what was found alongside, and
-    each family's fit.
+    """Level 1 about a state: the loss before it, and each family's fit.
+
+    The loss is that with the families of what was found alongside.
     """
 
     level: _core.Level
@@ -599,8 +592,7 @@ class Ranking:
 def ranked(
     state: State, every: Sequence[Family], taken: Sequence[Family], within: float = 0.0
 ) -> Ranking:
-    """Fit each family about a state, alongside those of laws that were found: the form of a law may
-    be off.
+    """Fit each family about a state, with those of laws found: a law's form may be off.
 
     Only those that explain at least a share `within` of what the best does, on training frames, are
     cross-validated.
@@ -664,8 +656,9 @@ def _static(
 def _training_gain(
     level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats
 ) -> float:
-    """Return by how much the training loss falls with one block more: the held-out loss seldom
-    falls by more.
+    """Return the fall of the training loss by one block more.
+
+    The held-out loss seldom falls by more.
     """
     most = max(float(before.sum()), level.training_loss(names, ridges))
     return most - level.training_loss([*names, name], [*ridges, RIDGES[0]])
@@ -674,8 +667,7 @@ def _training_gain(
 def best_ridge(
     level: _core.Level, names: list[str], ridges: list[float], name: str
 ) -> tuple[Floats, float]:
-    """Return the least held-out loss with one block more, and the strength of the ridge of that
-    block.
+    """Return the least held-out loss with one block more, and the strength of its ridge.
 
     The loss over the strength has one minimum, so the search goes downhill from the second
     strength.
@@ -700,8 +692,9 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
 
 
 def declared(values: object, *shape: int) -> Floats | None:
-    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3); None where it
-    declares nothing.
+    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3).
+
+    None where it declares nothing.
     """
     return (
         None

@@ -1,5 +1,4 @@
-"""The findings of a diagnosis in the terms of its two levels: each family, its law, and the share
-of both.
+"""The findings in the terms of two levels: each family, its law, and the share of both.
 
 A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the
 facts about it. Pages take them from here (`report/families.py`). Documents of schema 1 hold no
@@ -50,8 +49,9 @@ def _capital(name: str) -> str:
 
 
 def _law(effect: str, params: Mapping[str, Row]) -> str:
-    """Return an effect with its numbers: 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel
-    1'.
+    """Return an effect with its numbers.
+
+    For example 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1'.
     """
     groups: dict[str, list[str]] = {}
     for label, value in params.items():
@@ -80,9 +80,7 @@ def family_facts(row: Row, unit: str) -> list[str]:
 
 
 def family_lines(document: Document, unit: str) -> list[str]:
-    """Return the section on families of a report for a terminal; nothing where none was
-    detected.
-    """
+    """Return the section on families of a report for a terminal; none if none was detected."""
     rows = document.get("families") or []
     lines = ["", TITLE] if rows else []
     for row in rows:

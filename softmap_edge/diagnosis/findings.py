@@ -1,5 +1,6 @@
-"""The results of a diagnosis as frozen records, written to and read from the document
-softmap.diagnosis/2.
+"""The results of a diagnosis as frozen records.
+
+They are written to and read from the document softmap.diagnosis/2.
 
 Units: mm, s. Pinned by tests/diagnosis/test_document.py.
 """
@@ -20,8 +21,9 @@ BEYOND = 6  # powers of ten of an e-value that are reported
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted parameter: value, one standard deviation, unit, whether it is at a bound, its case
-    in words.
+    """A fitted parameter: value, one standard deviation, unit, if at a bound, and its case.
+
+    The case is in words.
     """
 
     value: float
@@ -41,9 +43,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Refitted:
-    """Numbers of the model itself that were fitted together with an effect, and the error (F,) mm
-    of that fit.
-    """
+    """Numbers of the model that were fitted with an effect, and the error (F,) mm of the fit."""
 
     params: dict[str, Number]
     error_mm: tuple[float, ...] = ()
@@ -80,8 +80,9 @@ class Certificate:
 
 
 def power(log10: float) -> str:
-    """Return a number by its decimal logarithm; beyond BEYOND powers of ten no noise model is that
-    exact.
+    """Return a number by its decimal logarithm.
+
+    Beyond BEYOND powers of ten no noise model is that exact.
     """
     if abs(log10) > BEYOND:
         return f"{'more' if log10 > 0.0 else 'less'} than 10^{'' if log10 > 0.0 else '-'}{BEYOND}"
@@ -111,9 +112,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A set of effects that explains the data as well, in place of `member`, and why it cannot be
-    excluded.
-    """
+    """An equally good set of effects in place of `member`, and why it cannot be excluded."""
 
     effects: tuple[str, ...] = ()
     why: str = ""
@@ -146,8 +145,7 @@ class FamilyFinding:
 
 @dataclass(frozen=True)
 class Untestable:
-    """An effect that this run cannot show, or cannot distinguish from another: why, and what to
-    record.
+    """An effect that this run cannot show or separate from another: why, and what to record.
 
     If it is a limit `of_model`, no recording shows it with this model.
     """
@@ -169,9 +167,7 @@ class Rung:
 
 @dataclass(frozen=True)
 class ErrorLadder:
-    """Held-out RMS errors: the model, a static baseline, effects one by one, both; and the
-    floors.
-    """
+    """Held-out RMS errors: the model, a static baseline, each effect, both; and the floors."""
 
     model: float | None = None
     static_residual: float | None = None
@@ -199,8 +195,9 @@ class ErrorLadder:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it on
-    held-out blocks.
+    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it.
+
+    They do so on held-out blocks.
     """
 
     rms_mm: float | None = None
@@ -213,9 +210,7 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Bin:
-    """One class of a condition: its name, bounds (or None), number of frames and RMS error in
-    mm.
-    """
+    """A class of a condition: its name, bounds (or None), count of frames, RMS error in mm."""
 
     label: str
     low: float | None
@@ -234,8 +229,9 @@ class Where:
 
 @dataclass(frozen=True)
 class NextBlock:
-    """What to record next: the minutes it takes, what it resolves, and the simulated separation if
-    there is one.
+    """What to record next: the minutes it takes, and what it resolves.
+
+    Also the simulated separation, if there is one.
     """
 
     block: str
@@ -262,9 +258,7 @@ class ServoError:
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """Effects between command and encoder of one channel, and the held-out error before and
-    after.
-    """
+    """Effects between command and encoder of a channel; held-out error before and after."""
 
     channel: int
     unit: str
@@ -273,9 +267,7 @@ class ServoFinding:
 
 
 def plain(value: object) -> Any:
-    """Return records as dictionaries and lists, ready for JSON; omit absent entries (None by
-    default).
-    """
+    """Return records as dictionaries and lists for JSON; omit absent entries (default None)."""
     if is_dataclass(value) and not isinstance(value, type):
         return {
             f.name: plain(getattr(value, f.name))

@@ -1,5 +1,6 @@
-"""Fits parameters of effects to a run: bounded Levenberg-Marquardt on whitened features, all steps
-in batched rollouts.
+"""Fits effects' parameters to a run: bounded Levenberg-Marquardt on whitened features.
+
+All steps are in batched rollouts.
 
     J(x) = |C^(-1/2) (seen - predicted(x))|² / inflation + |x|²
 
@@ -109,9 +110,7 @@ class Space:
         return np.asarray(np.where(self.log, self._zero * np.exp(exponent), self._zero + stretched))
 
     def params(self, x: Floats) -> Floats:
-        """Return full parameter sets (B, N) of a batch x (B, P), the input of a record's
-        prediction.
-        """
+        """Return complete parameter sets (B, N) of a batch x (B, P), for a record's prediction."""
         return self.full(self._sets(x))
 
     def named(self, x: Floats) -> dict[str, float]:
@@ -129,9 +128,7 @@ class Space:
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
     def pinned(self, x: Floats) -> Space:
-        """Return the coordinates within bounds that hold whole numbers where they are at x: no
-        slope leads away.
-        """
+        """Return bounds in which integer coordinates stay as at x: no slope leads away."""
         if not self.integer.any():
             return self
         held = copy(self)
@@ -153,8 +150,9 @@ class Space:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted set of effects: objective `cost`, `chi2` without the prior, and what
-    cross-validation needs.
+    """A fitted set of effects: `cost`, `chi2` without the prior, and cross-validation data.
+
+    `cost` is the objective.
 
     Many sets are fitted and seldom looked at again: what they predict, and the slopes there, are
     found when asked for.
@@ -195,8 +193,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class ProjectedFeatures:
-    """What is seen as modes (K, M), and by itself the frames, `rows` (R,), of which some features
-    are not seen.
+    """Seen features as modes (K, M), and separately the frames with unseen features.
+
+    These frames are `rows` (R,).
     """
 
     modes: Floats
@@ -205,16 +204,12 @@ class ProjectedFeatures:
 
 
 class Problem:
-    """A record with its noise and form error: what every fit and every cross-validation of a
-    diagnosis shares.
-    """
+    """A record with noise and form error: shared by all fits and validations of a diagnosis."""
 
     def __init__(
         self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None
     ) -> None:
-        """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by
-        label.
-        """
+        """Share `record`, `noise`, `whitener`; `base` are the model's parameters by label."""
         self.record, self.noise, self.whitener = record, noise, whitener
         self.base = record.own_values() if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
@@ -237,8 +232,9 @@ class Problem:
     def space(
         self, effects: Sequence[str], free: Sequence[str] = (), split: Collection[str] = ()
     ) -> Space:
-        """Return the coordinates of a set of effects, cached. Effects in `split` have one number
-        for each channel.
+        """Return the coordinates of a set of effects, cached.
+
+        Effects in `split` have one number for each channel.
         """
         key = (tuple(effects), tuple(free), tuple(sorted(split)))
         if key not in self._spaces:
@@ -270,8 +266,9 @@ class Problem:
         return self.record.forms(self._weights)
 
     def _projected(self) -> ProjectedFeatures | None:
-        """Return the modes of what is seen, found again if that was exchanged; None where much is
-        not seen.
+        """Return the modes of seen features, found again if those were exchanged.
+
+        None where much is not seen.
         """
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
@@ -382,17 +379,16 @@ class Problem:
         return found
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
-        """Return one standard deviation of each free parameter in user units, widened by the
-        over-dispersion.
+        """Return each free parameter's standard deviation in user units.
+
+        It is widened by the over-dispersion.
         """
         jacobian = self.white(fit.slopes)
         inverse = np.linalg.inv(jacobian @ jacobian.T / max(1.0, dispersion) + np.eye(len(fit.x)))
         return fit.space.sigma(fit.x, np.sqrt(np.diag(inverse)))
 
     def fold_predictions(self, fit: Fit) -> Floats:
-        """Return predictions (folds, K, F) with the parameters refitted on each fold's training
-        frames.
-        """
+        """Return predictions (folds, K, F) with parameters refitted to each fold's training."""
         if not len(fit.x):
             return np.tile(fit.predicted, (len(self.folds), 1, 1))
         points = []
@@ -407,8 +403,9 @@ class Problem:
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 
     def held_out_mm(self, predictions: Floats) -> float:
-        """Return the RMS distance in mm of each fold's own prediction (folds, K, F) on its test
-        frames.
+        """Return the RMS distance (mm) of each fold's prediction (folds, K, F), on its tests.
+
+        These are its test frames.
         """
         folds = zip(predictions, self.folds)
         squares = [
@@ -432,9 +429,7 @@ class Problem:
 def newton_step(
     space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float
 ) -> Floats:
-    """Return x after one damped Gauss-Newton step within the bounds; jacobian (P, n), residual
-    (n,).
-    """
+    """Return x after a damped Gauss-Newton step in bounds; jacobian (P, n), residual (n,)."""
     return normal_step(space, x, *normal(x, jacobian, residual), damping)
 
 
@@ -446,8 +441,9 @@ def normal(x: Floats, jacobian: Floats, residual: Floats) -> tuple[Floats, Float
 def normal_step(
     space: Space, x: Floats, gradient: Floats, hessian: Floats, damping: float
 ) -> Floats:
-    """Return x after one damped step within the bounds, from gradient (P,) and Hessian (P, P) of
-    half the objective.
+    """Return x after one damped step within the bounds.
+
+    From gradient (P,) and Hessian (P, P) of half the objective.
     """
     low, high = space.low, space.high
     free = ~(((x <= low + 1e-9) & (gradient > 0)) | ((x >= high - 1e-9) & (gradient < 0)))

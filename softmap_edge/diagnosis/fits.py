@@ -1,5 +1,6 @@
-"""Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each
-member does.
+"""Fits of sets of effects on one problem, each made once.
+
+With parameters, cross-validation, and what each member does.
 
 A set is fitted from the best of a few starts of its newest member, with the others where a smaller
 set left them. Units: mm. Pinned by tests/diagnosis/test_fits.py.
@@ -38,8 +39,9 @@ class Fits:
         self._shifts: dict[tuple[Key, str], Floats] = {}
 
     def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
-        """Return the fit of a set of effects; those in `split` have a number for each channel in
-        place of one.
+        """Return the fit of a set of effects.
+
+        Those in `split` have a number for each channel in place of one.
         """
         key = frozenset(effects), frozenset(split) & frozenset(effects)
         if key not in self._fits:
@@ -48,8 +50,9 @@ class Fits:
         return self._fits[key]
 
     def _forget(self) -> None:
-        """Drop the slopes of the oldest fits if those of all take much memory; a fit finds them
-        again when asked.
+        """Drop the slopes of the oldest fits if those of all take much memory.
+
+        A fit finds them again when asked.
         """
         held = [fit for fit in reversed(self._fits.values()) if "slopes" in fit.__dict__]
         size = np.cumsum([fit.slopes.nbytes for fit in held])
@@ -62,18 +65,14 @@ class Fits:
         return self.get([e for e in fit.effects if e != effect], fit.space.split)
 
     def _split(self, key: Key) -> Fit:
-        """Fit a set with numbers for each channel, from where the numbers for all of them are
-        best.
-        """
+        """Fit a set with numbers for each channel, from the best numbers for all of them."""
         effects, split = key
         shared = self.get(effects, split - {max(split)})
         space = self.problem.space(shared.effects, split=split)
         return self.problem.fit(shared.effects, [carried(shared, space)], split=split)
 
     def _grown(self, key: frozenset[str]) -> Fit:
-        """Fit a set from the nearest smaller one that is known, else from that without its last
-        member.
-        """
+        """Fit a set from the nearest smaller one known, else from that without its last member."""
         none: frozenset[str] = frozenset()
         known = [
             self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits
@@ -126,9 +125,7 @@ class Fits:
         return self._shifts[key]
 
     def share(self, fit: Fit, member: str) -> float:
-        """Return which share of the explained misfit a member carries, on held-out blocks or on the
-        objective.
-        """
+        """Return the share of explained misfit of a member, on held-out blocks or the objective."""
         rest = self.without(fit, member)
         plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
         pairs = (
@@ -139,8 +136,9 @@ class Fits:
 
 
 def carried(fit: Fit, space: Space) -> Floats:
-    """Return the coordinates (P,) of a fit in a space that has a number for each channel where the
-    fit has one.
+    """Return a fit's coordinates (P,) in a space with a number for each channel.
+
+    The fit has one number for all of them.
     """
     known = dict(zip(fit.space.free_labels, fit.x))
     return np.array(
@@ -156,8 +154,7 @@ def _key(fit: Fit) -> Key:
 
 
 def starts(problem: Problem, effect: str) -> list[Floats]:
-    """Return scaled starting points of one effect: as declared, with other signs, along log scales,
-    in time.
+    """Return scaled starts of an effect: as declared, other signs, log scales, in time.
 
     Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at
     home, where the slope on one side says nothing about the other.
@@ -219,9 +216,7 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
 
 
 def _integer_points(space: Space) -> list[Floats]:
-    """Return every combination of the whole numbers of an effect, but that where all are at their
-    null.
-    """
+    """Return all combinations of an effect's integers, except that with all at their null."""
     values = space.values(space.start)
     rows = [
         [float(k) for k in range(round(low), round(high) + 1)] if is_integer else [value]

@@ -1,5 +1,6 @@
-"""What a fit gives of an effect: its numbers, those of the prior fitted with it, and its size at
-other commands.
+"""What a fit gives of an effect.
+
+Its numbers, those of the prior fitted with it, and its size at other commands.
 
 Units: those of the parameters, mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -64,8 +65,7 @@ def parameters(
 
 
 def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
-    """Return the changes of the prior's own numbers that were fitted along with an effect, and what
-    it errs by then.
+    """Return changes of the prior's numbers fitted with an effect, and the resulting error.
 
     The second is the error (F,) mm of each feature on blocks that trained nothing: with other
     numbers it is another model, and the noise that a rod's next diagnosis counts with.

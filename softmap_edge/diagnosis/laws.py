@@ -45,8 +45,9 @@ GENERIC_RIDGE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A law that may stand for a family: its effects and fit (none of a generic law), held-out
-    loss, free numbers.
+    """A law that may stand for a family.
+
+    Its effects and fit (none of a generic law), held-out loss, free numbers.
     """
 
     name: str
@@ -98,16 +99,12 @@ class Answer:
 
     @property
     def rough(self) -> bool:
-        """Whether the law is only the candidate that does most, so that the representative explains
-        more.
-        """
+        """Whether a law is only the best candidate, so that the representative explains more."""
         return self.law is not None and not any(self.law is law for law in self.reaching)
 
     @property
     def loss(self) -> Floats:
-        """The held-out loss (folds,) of the law that stands for the family, else the least that the
-        family can do.
-        """
+        """The held-out loss (folds,) of the family's law, else the least the family can do."""
         if self.resolved and self.law is not None:
             return self.law.loss
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
@@ -131,9 +128,7 @@ class Answer:
 def answered(
     state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool
 ) -> Answer:
-    """Ask a family for its law, for `pairs` of its members too where nothing else is left to
-    explain.
-    """
+    """Find a family's law, by `pairs` of its members too if nothing else remains to explain."""
     representative = rough if rough.settled or not len(rough.theta) else linearised(state, rough)[0]
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
@@ -149,8 +144,9 @@ def answered(
 def law_of(
     state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()
 ) -> Law:
-    """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss
-    (folds,) without.
+    """Fit effects on top of what was found, with their loss on held-out folds.
+
+    `before` is the loss (folds,) without them.
 
     Those in `split` have a number for each channel or cable.
     """
@@ -174,8 +170,9 @@ def _of_cables(fit: Fit, effect: str) -> bool:
 
 
 def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
-    """Return the held-out loss (folds,) of a fit, no more than `before` in the folds where its
-    `effects` happen.
+    """Return a fit's held-out loss (folds,), at most `before` in folds of its events.
+
+    These are the folds where its `effects` happen.
 
     Other folds cannot show an event that happens once, in this fold: there a law is as good as
     none.
@@ -249,9 +246,7 @@ class _Asked:
         return found
 
     def generic(self) -> list[Law]:
-        """Fit generic laws of a static map, with one set of numbers and with one for each
-        channel.
-        """
+        """Fit generic laws of a static map, with one set of numbers and with one per channel."""
         laws = []
         for name in GENERIC:
             curves = [CURVES[curve] for curve in name.split(", ")]
@@ -337,8 +332,7 @@ class _Asked:
         )
 
     def _main(self, laws: list[Law], explained: float) -> Law | None:
-        """Return the member that explains most of what the family does: the form of its law may be
-        off.
+        """Return the member that explains most of the family; the form of its law may be off.
 
         A rod's own error is part of its noise: there, shares of a memory are too unsure for a
         candidate.
@@ -358,8 +352,9 @@ class _Asked:
         )
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
-        """Return the simplest of the laws and its equals with as few numbers: the best, then the
-        first to act.
+        """Return the simplest of the laws and its equals with as few numbers.
+
+        The best comes first, then the first to act.
         """
         if not candidates:
             return []
@@ -385,15 +380,17 @@ class _Asked:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
 
     def _any_map(self, law: Law) -> bool:
-        """Whether a law has an eccentric pulley that turns less than once, or in a pair: any smooth
-        map can be one.
+        """Whether an eccentric pulley turns less than once, or is in a pair.
+
+        Any smooth map can be such a law.
         """
         return WINDING in law.effects and (law.effects != (WINDING,) or not winds(law, self.body))
 
 
 def winds(law: Law, body: FeatureBody) -> bool:
-    """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is
-    known.
+    """Whether a law's eccentric pulley makes a full turn, or its radius is known.
+
+    The turn is within the commands.
     """
     assert law.fit is not None
     turns = np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half))

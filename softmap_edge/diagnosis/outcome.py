@@ -1,5 +1,4 @@
-"""What a search holds and returns: the families it took, their joint fit, and the representatives
-alongside.
+"""What a search holds: the families taken, their joint fit, representatives alongside.
 
 A resolved law joins the fit. A family without a law stays as its representative: what that explains
 is taken off what is seen before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
@@ -25,8 +24,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One family that was taken: its answer at level 2, and the families that this run cannot
-    distinguish from it.
+    """One family that was taken: its answer at level 2, and its alternatives.
+
+    These are the families that this run cannot distinguish from it.
     """
 
     answer: Answer
@@ -40,8 +40,9 @@ class Step:
 
 @dataclass(eq=False)
 class Outcome:
-    """What a search found: its steps in order, the joint fit with the representatives alongside,
-    and a hint at more.
+    """What a search found: its steps in order, the joint fit, and a hint at more.
+
+    Representatives stand alongside the fit.
     """
 
     body: FeatureBody
@@ -65,9 +66,7 @@ class Outcome:
 
     @property
     def left(self) -> float:
-        """Unexplained share of what stood above the noise, in loss or in mean square, whichever is
-        larger.
-        """
+        """Unexplained share of what was above the noise: the larger of loss and mean square."""
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
@@ -83,8 +82,9 @@ class Outcome:
 
 
 def held_out_loss(outcome: Outcome) -> Floats:
-    """Return the held-out loss (folds,) of what was found, with the families of imperfections where
-    they lower it.
+    """Return the held-out loss (folds,) of what was found.
+
+    Families of imperfections are included where they lower it.
 
     A family without a law counts with its columns, whether a candidate is in the fit or not.
     """
@@ -103,8 +103,9 @@ def held_out_loss(outcome: Outcome) -> Floats:
 
 
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
-    """Return state and fits with a family taken: its law joins the fit, or else its representative
-    stands alongside.
+    """Return state and fits with a family taken.
+
+    Its law joins the fit, or else its representative stands alongside.
     """
     if answer.law is not None and answer.law.fit is not None and not answer.rough:
         return State(state.body, answer.law.fit, state.representatives, state.background), fits
@@ -137,8 +138,9 @@ def name_candidates(outcome: Outcome) -> None:
 
 
 def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative]) -> Fits:
-    """Return fits of what is seen less what representatives explain about a state; `plain` are
-    those without any.
+    """Return fits of what is seen less what representatives explain about a state.
+
+    `plain` are those without any.
     """
     if not alongside:
         return plain

@@ -51,9 +51,7 @@ ABSENT = 0.9
 
 @dataclass(frozen=True)
 class Replay:
-    """How a reference run meets a run: by what its time is shifted, and how far the commands differ
-    (RMS).
-    """
+    """How a reference matches a run: its time shift, and the RMS difference of commands."""
 
     run: str | list[str]  # hash of the reference, or of each where several runs met different ones
     shift_s: float
@@ -145,8 +143,9 @@ def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
 
 
 def _absent(record: Record, reference: Record) -> tuple[str, ...]:
-    """Return which of the model's own effects only the run has: each makes the reference worse and
-    the run better.
+    """Return which of the model's own effects only the run has.
+
+    Each makes the reference worse and the run better.
     """
     absent: tuple[str, ...] = ()
     for name in record.model.chain_names:
@@ -191,8 +190,9 @@ def _check_points(record: Record, reference: Record) -> None:
 def _differ(
     t: Floats, at: Floats, record: Record, reference: Record, ours: Floats, theirs: Floats
 ) -> tuple[float, float]:
-    """Return how far the commands of the worst channel differ at the frames, RMS, and as a share of
-    the range.
+    """Return how far the commands of the worst channel differ at the frames, RMS.
+
+    Also as a share of the range.
     """
     if ours.shape[1] != theirs.shape[1]:
         raise SoftmapError(
@@ -225,8 +225,7 @@ def _differ(
 
 
 def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
-    """Return by what (s) to shift times of the run so that the commands of the reference agree
-    best.
+    """Return the shift (s) of a run's times at which the commands agree best with the reference.
 
     Time stamps as they are, if those agree; else the lag with the least mean square difference over
     the overlap.
@@ -272,8 +271,9 @@ def _gridded(t: Floats, u: Floats, step: float) -> Floats:
 
 
 def _read(at: Floats, t: Floats, values: Floats) -> Floats:
-    """Return `values` (K, F) seen at t (K,) at other times (n,): linear; NaN beyond the ends and
-    across gaps.
+    """Return `values` (K, F) seen at t (K,) at other times (n,), linear.
+
+    NaN beyond the ends and across gaps.
     """
     if len(t) < 2:
         return np.where((at == t[:1])[:, None], values, np.nan)

@@ -1,5 +1,4 @@
-"""What a search needs before it begins: which effects are candidates, and a run with its noise and
-form error.
+"""What a search needs first: candidate effects, and a run with its noise and form error.
 
 Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 """
@@ -36,8 +35,7 @@ SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 def candidates_of(
     record: Record, requested: Sequence[str] | None
 ) -> tuple[list[str], list[Untestable]]:
-    """Return all effects, or those `requested`, that can be looked for in a run, and why the others
-    cannot.
+    """Return all effects, or those `requested`, to look for in a run, and why not the others.
 
     Raises:
         SoftmapError: an unknown effect, or none that is left.
@@ -130,8 +128,9 @@ def candidates_of(
 def problem_of(
     record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True
 ) -> Problem:
-    """Measure the noise (if none is given), set up the form error and whiten along the candidates'
-    signatures.
+    """Measure the noise (if not given), set up the form error, whiten along candidates.
+
+    It is along their signatures.
 
     If a residual was taken out, the model may err by as much, unless `residual` is false.
 
@@ -171,9 +170,7 @@ def noise_of(record: Record, residual: Floats) -> Noise:
 
 
 def load_seen(record: Record) -> Floats | None:
-    """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run
-    does.
-    """
+    """Return the declared loads (K,) g at the frames; 0 if a run, None if all declare none."""
     if record.load is None:
         return None
     parts = record.parts
@@ -190,8 +187,9 @@ def load_seen(record: Record) -> Floats | None:
 
 
 def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
-    """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each
-    parameter alone.
+    """Return what an effect adds to `base` (K, F) mm at its start values.
+
+    All at once, and each parameter alone.
     """
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
     layout, own = record.layout(names), record.own_values()

@@ -1,5 +1,6 @@
-"""A run as a fit sees it: measured features, commands, what the run declares, and predictions for
-any chain.
+"""A run for a fit: measured features, commands, declared conditions, and predictions.
+
+It predicts for any chain.
 
 Several runs have the same face (`records.py`), so that nothing else in a diagnosis counts runs.
 Units: mm, s, g. Pinned by tests/diagnosis/test_fit.py.
@@ -43,8 +44,9 @@ ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side o
 
 
 class Record:
-    """One run: measured features (K, F) mm, the commands behind them, and predictions for any chain
-    of effects.
+    """One run: measured features (K, F) mm, their commands, and predictions.
+
+    It predicts for any chain of effects.
     """
 
     seen: Floats  # (K, F) mm
@@ -136,16 +138,18 @@ class Record:
             self.__dict__.pop(name, None)
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
-        """Return the numbers of about `most` frames, evenly spread, the first and the last of a run
-        among them.
+        """Return the numbers of about `most` frames, evenly spread.
+
+        The first and the last of a run are among them.
         """
         return np.unique(
             np.linspace(0, self.frames - 1, min(self.frames, max(2, most))).astype(np.intp)
         )
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising, the first among them: time is
-        counted from there.
+        """Return the same with some of its frames, `rows` rising, the first among them.
+
+        Time is counted from there.
 
         What the run declares and its parameters stay.
         """
@@ -173,9 +177,7 @@ class Record:
 
     @cached_property
     def leaning(self) -> Floats:
-        """How the model's own error depends on the orientation, (K, 4) with rows of length 1 on
-        average.
-        """
+        """How the model error depends on the orientation, (K, 4), row length 1 on average."""
         return self._leaning / max(
             float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300
         )
@@ -193,9 +195,7 @@ class Record:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that are not fitted, because nothing seen here determines them or they are
-        known.
-        """
+        """Parameters that are not fitted: nothing seen determines them, or they are known."""
         rolls = () if self.roll_seen else ROLLS
         return (*rolls, *self.across, *(() if self.spool is None else (RADIUS,)))
 
@@ -205,17 +205,14 @@ class Record:
         return spool_of(self.model, self.recorded_runs)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain of `names`; effects in `split` have a number for each
-        channel.
+        """Return the parameters of a chain of `names`, one for each channel for those in `split`.
 
         So have the model's own effects whose channels already differ.
         """
         return self._layout(names, 1, split)
 
     def _layout(self, names: Sequence[str], runs: int, split: Collection[str]) -> Layout:
-        """Return the parameters of a chain, those of the effects in PER_RUN once for each run; made
-        once.
-        """
+        """Return a chain's parameters, for PER_RUN effects once for each run; made once."""
         apart = self._differing.union(split).intersection(names)
         key = (tuple(names), runs, apart)
         if key not in self._layouts:
@@ -234,16 +231,12 @@ class Record:
         return differing(self.model.chain, np.asarray(self.model.chain_params))
 
     def full(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the full sets (B, N) of parameter sets of the layout of `names`; full sets
-        unchanged.
-        """
+        """Return complete sets (B, N) of sets of the layout of `names`; those pass unchanged."""
         return self.layout(names).full(params)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """The seconds since the first command between which an instant has enough of the run on
-        both sides.
-        """
+        """Return the seconds since the first command with enough of the run on both sides."""
         begin, end = (
             (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
         )
@@ -252,8 +245,9 @@ class Record:
     def _models(
         self, names: Sequence[str], params: Floats
     ) -> list[tuple[Model, NDArray[np.intp], Floats]]:
-        """Return the models that sets (B, P) ask for: each with its rows and their parameters of
-        the chain.
+        """Return the models of sets (B, P): each with its rows and their parameters.
+
+        These are parameters of the chain.
         """
         changes = self.model.changes(names)
         if not changes:
@@ -283,8 +277,9 @@ class Record:
         return self.model.inputs(self.run)
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, K, F) mm for parameter sets (B, L) of the layout of
-        `names`, or full (B, N).
+        """Return predicted features (B, K, F) mm for sets of the layout of `names`.
+
+        The parameter sets are (B, L), or full (B, N).
         """
         params = self.full(names, params)
         chunk = max(1, CHUNK // max(1, self.frames * self.features))
@@ -298,8 +293,9 @@ class Record:
         return out
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, K, M) of the features, `weights` (F, M), as
-        `predict` does these.
+        """Return what predicts linear forms (B, K, M) of the features, as `predict` does.
+
+        `weights` are (F, M).
 
         Tables give the forms at once, at a fraction of the price. What senses moves points, and
         knows no forms.
@@ -330,17 +326,13 @@ class Record:
         return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))
 
     def squares(self, difference: Floats) -> Floats:
-        """Return squared distances (K, places) mm² of feature differences (K, F); NaN where
-        unseen.
-        """
+        """Return squared distances (K, places) mm² of features (K, F); NaN where unseen."""
         places = difference.reshape(len(difference), -1, 3)[:, self.positions]
         return np.asarray(np.sum(places**2, axis=2))
 
     @property
     def error_is_noise(self) -> bool:
-        """Whether the model's own error counts as noise: that of a rod is not smooth in its
-        commands.
-        """
+        """Whether model error counts as noise: that of a rod is not smooth in its commands."""
         return bool(self.model.kind == "rod")
 
     @property
@@ -350,9 +342,7 @@ class Record:
 
     @cached_property
     def frame_mm(self) -> float:
-        """RMS error of the points from the uncertainty of the alignment's frame (`frame_sigma`),
-        mm.
-        """
+        """RMS error (mm) of points from the uncertain frame of alignment (`frame_sigma`)."""
         sigma = self.run.frame_sigma
         if sigma is None:
             return 0.0

@@ -37,8 +37,7 @@ class Records(Record):
     def __init__(
         self, model: Model, runs: Sequence[Run], reference: Run | Sequence[Run] | None = None
     ) -> None:
-        """Bind a model to several runs, each of which plays the commands of a `reference` if there
-        is any.
+        """Bind a model to runs, each with the commands of a `reference` if there is any.
 
         Raises:
             SoftmapError: the runs are not seen in the same way.
@@ -111,9 +110,7 @@ class Records(Record):
         return np.concatenate([begin + part.spread_rows(share) for begin, part, share in each])
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising, the first of each run among
-        them.
-        """
+        """Return the same with some frames, `rows` rising, the first of each run included."""
         few = copy(self)
         few.__dict__["_within"] = self._within
         few._forget()
@@ -162,16 +159,15 @@ class Records(Record):
         return [name for name in required if any(part.missing([name]) for part in self.parts)]
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain, with numbers of its own for each run where they belong
-        to a session.
+        """Return the parameters of a chain.
+
+        Those that belong to a session have their own numbers for each run.
         """
         return self._layout(names, len(self.parts), split)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """The seconds since the first command between which an instant has enough of every run on
-        both sides.
-        """
+        """Return the seconds since the first command with enough of every run on both sides."""
         begins, ends = zip(*(part._within for part in self.parts))
         return max(begins), min(ends)
 
@@ -183,16 +179,18 @@ class Records(Record):
         ]
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, ΣK, F) mm for sets (B, L) of the layout of `names`, or full
-        (B, N).
+        """Return predicted features (B, ΣK, F) mm for sets of the layout of `names`.
+
+        The sets are (B, L), or full (B, N).
         """
         return np.concatenate(
             [part.predict(names, own) for part, own in self._each(names, params)], axis=1
         )
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, ΣK, M) of the features, `weights` (F, M), as
-        `predict` does these.
+        """Return what predicts linear forms (B, ΣK, M) of features, as `predict` does.
+
+        `weights` are (F, M).
         """
         each = [part.forms(weights) for part in self.parts]
 

@@ -1,5 +1,6 @@
-"""The search in two levels: family after family, each with its law where one is resolved, then all
-together again.
+"""The search in two levels: family after family, then all together again.
+
+Each family has its law where one is resolved.
 
     rank families about what is known -> accept the best -> ask those near it for their laws -> take
     one -> again
@@ -114,8 +115,9 @@ def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visi
 def _next(
     ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float
 ) -> Step | None:
-    """Return the next family to take, or None; the outcome keeps a hint where the best was not
-    accepted.
+    """Return the next family to take, or None; a rejected best one is kept as a hint.
+
+    The outcome keeps it.
     """
     single = acceptance.one_pose(state.body)
     rows = _in_order(
@@ -165,9 +167,7 @@ def _next(
 
 
 def _split(answer: Answer, state: State, fits: Fits) -> Answer:
-    """Return an answer whose law has a number for each channel or cable, if that law leaves far
-    less.
-    """
+    """Return an answer with numbers by channel or cable, if that law leaves far less."""
     law, body = answer.law, state.body
     if (
         law is None
@@ -194,8 +194,9 @@ def _split(answer: Answer, state: State, fits: Fits) -> Answer:
 
 
 def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
-    """Return the families of a ranking, static ones linearised about themselves if they may do more
-    than they seem to.
+    """Return the families of a ranking with static ones linearised about themselves.
+
+    This is for those that may do more than they seem to.
 
     A large effect on commands is not linear in its columns. Another family, which is, would replace
     it.
@@ -214,16 +215,18 @@ def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:
-    """Return the best single law of each family in place of its representative: one pose fits any
-    free shape.
+    """Return the best single law of each family in place of its representative.
+
+    One pose fits any free shape.
     """
     laws = [(row.family, _best_law(row.family, ranking, state, fits)) for row in ranking.rows]
     return [_stand_in(family, law, fits) for family, law in laws if law is not None]
 
 
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
-    """Return rows with the least loss first; the free static shape is last, unless it does far more
-    than the others.
+    """Return rows with the least loss first, the free static shape last.
+
+    It keeps its place if it does far more than the others.
     """
     ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, row.left))
     gains = [float(ranking.before.sum()) - row.left for row in ordered]
@@ -257,8 +260,7 @@ def _tied(
 
 
 def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
-    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to
-    take this one.
+    """Whether a law with no more numbers leaves less: then simplicity does not decide.
 
     Nor is it among families without a law that depend on different things.
     """
@@ -269,8 +271,9 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
 
 
 def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family leaves more than noise, whatever its law, and one that depends on something
-    else does not.
+    """Whether a family leaves more than noise, whatever its law, and another does not.
+
+    The other depends on something else.
 
     One that does here what static columns can do does not exclude a static family.
     """
@@ -285,8 +288,9 @@ def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: St
 
 
 def _static_alone(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family that is not static does here only what a static map does, and a static
-    family is near.
+    """Whether a family that is not static does here only what a static map does.
+
+    A static family is near.
     """
     static = [a for a in others if a.family.kind == "static"]
     return one not in static and any(
@@ -306,8 +310,9 @@ def _ordinary_apart(one: Representative, other: Representative, state: State) ->
 
 
 def _ask_again(outcome: Outcome) -> bool:
-    """Ask families without a law once more, now that all others are in place; return whether one
-    has another answer.
+    """Ask families without a law once more, with all others in place.
+
+    Return whether one has another answer.
     """
     changed = False
     for i, step in enumerate(outcome.steps):
@@ -332,8 +337,9 @@ def _ask_again(outcome: Outcome) -> bool:
 
 
 def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
-    """Return exchanged or turned servos as a step where they explain as much as the best family
-    without a free number.
+    """Return exchanged or turned servos as a step if they explain as much as the best family.
+
+    They have no free number.
 
     They are asked for only where the model is off by a good part of the motion.
     """
@@ -369,9 +375,7 @@ def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law
 
 
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
-    """Return a family with its best single law in the place of its representative, where that
-    leaves less.
-    """
+    """Return a family with its best single law for its representative, if that leaves less."""
     best = _best_law(row.family, ranking, state, fits)
     if best is None or best.fit is None or best.left >= row.left:
         return row

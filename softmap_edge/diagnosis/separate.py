@@ -1,5 +1,4 @@
-"""What to record next: the experiment that separates two families, and the blocks that settle what
-is open.
+"""What to record next: what separates two families, and blocks that settle open points.
 
 Each family declares an experiment (`rust/families/`), which varies what only this family depends
 on. Of two families, the one of the more special input is varied: a declared condition before time,
@@ -30,8 +29,9 @@ SPECIAL = ("static", "memory", "time", "condition")
 
 
 def separating(one: str, other: str) -> tuple[str, float] | None:
-    """Return what to record so that two families are separated, and the minutes it takes; None
-    where none declares it.
+    """Return what to record so that two families are separated, and the minutes.
+
+    None where neither declares it.
 
     Args:
         one: name of a family.

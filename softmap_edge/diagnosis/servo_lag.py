@@ -1,5 +1,6 @@
-"""Effects of the servo, apart from those of the tendon: what lies between command and encoder,
-where a run has both.
+"""Effects of the servo apart from those of the tendon.
+
+They lie between command and encoder, where a run has both.
 
 Each channel is a model of its own whose shape is the command itself, so the same search that looks
 for what the robot lacks finds what the servo does: command → chain of command effects → encoder. A
@@ -34,8 +35,9 @@ VISIBLE = 0.006
 
 
 def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
-    """Return one servo as a model: a marker whose x is what the encoder reads, equal to the
-    effective command.
+    """Return a servo as a model: a marker whose x is the encoder's reading.
+
+    It is equal to the effective command.
 
     Args:
         step: resolution of the encoder, in the unit of the command.
@@ -58,8 +60,9 @@ def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
 
 
 def encoder_run(run: Run, channel: int, t_seen: Floats) -> Run:
-    """Return the commands of one servo (T, 1) with its encoder at times `t_seen` (K,) as the x of a
-    marker.
+    """Return a servo's commands (T, 1), its encoder as the x of a marker.
+
+    The encoder is at times `t_seen` (K,).
     """
     markers = np.zeros((len(t_seen), 1, 3))
     markers[:, 0, 0] = np.interp(t_seen, run.t, run.commands("present")[:, channel])

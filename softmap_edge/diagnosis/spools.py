@@ -35,9 +35,7 @@ CROSSED = 0.1
 
 @dataclass(frozen=True)
 class Spool:
-    """The radius of the spools in the unit of the commands, one standard deviation, and where it is
-    from.
-    """
+    """The radius of the spools in the commands' unit, its standard deviation and origin."""
 
     radius: float
     sigma: float | None
@@ -45,9 +43,7 @@ class Spool:
 
 
 def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
-    """Return the radius of the spools of a robot; None if neither its calibration nor every run
-    gives it.
-    """
+    """Return a robot's spool radius; None if neither calibration nor every run gives it."""
     calibration = model.calibration
     if calibration is not None and calibration.unit == model.command_unit:
         return _calibrated(calibration)
@@ -61,8 +57,9 @@ def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
 
 
 def _calibrated(calibration: Calibration) -> Spool | None:
-    """Return the radius that a calibration gives; None where channels have several servos or
-    different spools.
+    """Return the radius that a calibration gives.
+
+    None where channels have several servos or different spools.
     """
     slopes, own = np.abs(calibration.A), np.abs(np.diag(calibration.A))
     radii, sigma = own * TURN / (2.0 * np.pi), np.diag(calibration.sigma_A) * TURN / (2.0 * np.pi)

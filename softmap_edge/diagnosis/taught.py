@@ -40,8 +40,9 @@ AGAIN = (
 
 @dataclass(frozen=True)
 class TaughtRuns:
-    """Which of `count` runs taught the model (numbers from 1), whether it was learned with
-    --static, and with what.
+    """Which of `count` runs taught the model, and how.
+
+    Numbers from 1; whether it was learned with --static, and with what.
 
     A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows
     few of them, so static effects show even in the runs that taught it.
@@ -71,8 +72,9 @@ class TaughtRuns:
 
     @property
     def remaps(self) -> bool:
-        """Whether the static map is solved again with every law, at least at first: memory has bent
-        it.
+        """Whether the static map is solved again with each law, at least at first.
+
+        Memory has bent it.
 
         Without --static `learn` solved it with the memory that it found.
         """
@@ -104,9 +106,7 @@ class TaughtRuns:
         return f"{who} taught the model: {held}; {memory}"
 
     def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
-        """Return the candidates that cannot be found because the static map holds them, or is
-        solved again.
-        """
+        """Return the candidates that are hidden by the static map, or as it is solved again."""
         if not record.remapped and not (self.free and self.all):
             return []
         loaded = record.load is not None and float(np.ptp(record.load)) > 0
@@ -130,8 +130,7 @@ class TaughtRuns:
 
 
 def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Document:
-    """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a
-    law.
+    """Return changes to a diagnosis without names, if `learn` detected memory without law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error. In
     the runs that taught the model a family that was found with a fixed map does not count: `learn`

@@ -116,9 +116,7 @@ def moved_by(unit: str) -> str:
 
 
 def again(row: Document) -> list[str]:
-    """Return a sentence on the numbers of the model that were fitted again with an effect, if there
-    are any.
-    """
+    """Return a sentence on the model's numbers refitted with an effect, if there are any."""
     changed = (row.get("refitted") or {}).get("params") or {}
     return (
         [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"]
@@ -128,9 +126,7 @@ def again(row: Document) -> list[str]:
 
 
 def confirmed(row: Document) -> list[str]:
-    """Return a sentence on what the withheld blocks of the run say of an effect, if that is
-    known.
-    """
+    """Return a sentence on what the withheld blocks show of an effect, if that is known."""
     return (
         [str(read(Certificate, row["certificate"], "certificate"))]
         if row.get("certificate")
@@ -139,9 +135,7 @@ def confirmed(row: Document) -> list[str]:
 
 
 def parameter(value: Document) -> str:
-    """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma
-    allows.
-    """
+    """Return a fitted parameter as 'value ± sigma unit', with as many digits as sigma allows."""
     best, sigma, unit = (
         number(value.get("value")),
         value.get("sigma") or 0.0,
@@ -161,9 +155,7 @@ def parameter(value: Document) -> str:
 
 
 def servo_row(row: Document) -> tuple[str, str]:
-    """Return what an entry of `servo` says as (channel, effects and the held-out error before and
-    after).
-    """
+    """Return an entry of `servo` as (channel, effects and held-out error before and after)."""
     error, unit = row.get("error") or {}, str(row.get("unit") or "")
     found = [
         f"{label.split('[')[0]} {parameter(value)}"
@@ -234,8 +226,9 @@ def _alternative(row: Document) -> str:
 
 
 def untestable_rows(document: Document) -> list[tuple[str, str, str]]:
-    """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in
-    one row.
+    """Return what a diagnosis cannot test as (effects, why, experiment).
+
+    Effects of one reason are in one row.
     """
     rows: dict[tuple[str, str], list[str]] = {}
     for row in document.get("not_testable") or []:

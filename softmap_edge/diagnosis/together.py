@@ -1,5 +1,4 @@
-"""Laws of different families, fitted at once where the search family by family leaves a family
-open.
+"""Laws of different families, fitted at once where the stepwise search leaves one open.
 
 The laws replace what was found one by one only if they leave far less, or no more with more
 families resolved. Pinned by tests/diagnosis/test_two_levels.py.
@@ -66,8 +65,9 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
 
 
 def _left_with_imperfections(outcome: Outcome) -> float:
-    """Return the unexplained share if the families of ordinary imperfections explain what they
-    can.
+    """Return the unexplained share, if the ordinary families explain what they can.
+
+    Those are the families of ordinary imperfections.
     """
     background = [family for family in families() if family.name in acceptance.BACKGROUND]
     other = replace(
@@ -78,8 +78,9 @@ def _left_with_imperfections(outcome: Outcome) -> float:
 
 
 def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outcome | None:
-    """Return a few laws as an outcome if they and ordinary imperfections leave only noise, and each
-    is confirmed.
+    """Return a few laws as an outcome if they leave only noise.
+
+    They do so with ordinary imperfections, and each is confirmed.
 
     One of them must be of the first family, and no other may depend on time, because an event or a
     drift can do much of what other families do. Else families are asked one by one first.
@@ -107,9 +108,7 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
-    """Return what a `few` laws at once explain, if that replaces what was found family by
-    family.
-    """
+    """Return what a `few` laws at once explain, if that replaces the stepwise result."""
     steps = outcome.steps
     # one family alone is small against noise
     hinted = outcome.body.record.error_is_noise and outcome.hint is not None
@@ -175,8 +174,9 @@ def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
 
 
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
-    """Return an outcome with the alternatives to each of its laws, the families that it replaces
-    among them.
+    """Return an outcome with the alternatives to each of its laws.
+
+    The families that it replaces are among them.
     """
     laws = [
         law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None
@@ -211,8 +211,7 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
-    """Whether one outcome replaces another: it leaves far less, or it leaves no more and is
-    simpler.
+    """Whether an outcome replaces another: it leaves far less, or as little and is simpler.
 
     What static families explain alone needs no other kind: an event can do much of what a static
     map does.
@@ -238,8 +237,9 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
 
 def _changes(family: Family) -> bool:
-    """Whether a family depends on time, or on what changes with time in the run: a condition, or
-    the orientation.
+    """Whether a family depends on time, or on what changes with time in the run.
+
+    This is a condition, or the orientation.
     """
     return family.kind in ("time", "condition") or family.name == "load"
 
@@ -250,8 +250,9 @@ def _kind(family: Family) -> str:
 
 
 def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Outcome | None:
-    """Return a few laws as an outcome if each is confirmed as the law of its family, with the
-    others in place.
+    """Return a few laws as an outcome if each is confirmed with the others in place.
+
+    Each is confirmed as the law of its family.
 
     Where they do all `together`, a small misfit of one of them does not count. No family explains
     ordinary imperfections meanwhile: it would take the share of static laws.
@@ -291,8 +292,9 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
 
 
 def _reached(answer: Answer, name: str) -> Answer:
-    """Return an answer with an effect as its law, if that leaves least, or as little as a law with
-    more numbers.
+    """Return an answer with an effect as its law, if it is the best.
+
+    It leaves least, or as little as a law with more numbers.
 
     A generic law that leaves less keeps the answer as it is.
     """
@@ -313,9 +315,7 @@ def _reached(answer: Answer, name: str) -> Answer:
 
 
 def _without_map(body: FeatureBody, fits: Fits, names: Collection[str]) -> State:
-    """Return the state with the laws that are neither static nor drifts: those change a map,
-    together.
-    """
+    """Return the state without static laws and drifts, which together change a map."""
     kinds = {e: family.kind for e in names if (family := home(e)) is not None}
     return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
 
@@ -330,8 +330,9 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
 
 
 def _few_laws(outcome: Outcome) -> Iterator[Law]:
-    """Yield laws of different families that leave least: the best two, more if these add enough,
-    the best one.
+    """Yield laws of different families that leave least.
+
+    The best two, more if these add enough, and the best one.
     """
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
@@ -420,8 +421,9 @@ def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
 
 
 def _laws_on(state: State, fits: Fits, names: Collection[str], before: Floats) -> list[Law]:
-    """Fit each of the named candidates on top of what was found, but a pulley that may be any
-    smooth map.
+    """Fit each named candidate on top of what was found.
+
+    A pulley that may be any smooth map is left out.
     """
     laws = [law_of(state, fits, (name,), before) for name in fits.candidates if name in names]
     return [law for law in laws if WINDING not in law.effects or winds(law, state.body)]

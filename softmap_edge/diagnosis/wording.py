@@ -25,8 +25,9 @@ LEFT_R2 = 0.12  # from which a condition is named as a predictor of the unexplai
 
 @dataclass(frozen=True)
 class OwnMisfit:
-    """Effects that the model has already, which fit the run much better with other numbers: mm RMS,
-    after held out.
+    """Effects that the model has, which fit the run much better with other numbers.
+
+    Errors are in mm RMS; the error after the fit is held out.
     """
 
     names: tuple[str, ...]
@@ -140,9 +141,7 @@ def sentence_of(
 def _found(
     physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]
 ) -> str:
-    """Return the findings: faults, named effects by family, families whose law is open or
-    unknown.
-    """
+    """Return the findings: faults, named effects by family, families of open or unknown law."""
     parts = [f"the measurement is at fault ({_names(faults)})"] if faults else []
     named = {f.name for f in (*physics, *faults)}
     settled = [

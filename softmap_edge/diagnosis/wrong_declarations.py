@@ -1,5 +1,6 @@
-"""Whether a run declares gravity with a wrong sign, or a load of a wrong size: asked where gravity
-makes no sense.
+"""Whether a run declares gravity with a wrong sign, or a load of a wrong size.
+
+This is asked where gravity makes no sense.
 
 With another effect present a wrong sign does not stand out before a fit (`belongs.py` asks that): a
 weight or a play hides it, and the effect `gravity` then ends at the bounds of what it may be. So
@@ -71,8 +72,7 @@ def strange(document: Document, loaded: bool = False) -> bool:
 
 
 def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Say so where gravity of other signs leaves a smaller held-out error than the one that is
-    declared.
+    """Report if gravity of other signs leaves a smaller held-out error than declared.
 
     Args:
         record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search
@@ -99,8 +99,9 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
 
 
 def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Say so where another size of the declared loads leaves a smaller held-out error; arguments as
-    above.
+    """Report if another size of the declared loads leaves a smaller held-out error.
+
+    The arguments are those above.
     """
     runs = [part.run for part in record.parts]
     if record.replay is not None or not any(

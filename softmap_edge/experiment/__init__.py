@@ -1,3 +1,1 @@
-"""What to record next: blocks of commands, the choice between them, and the file that carries them
-to a robot.
-"""
+"""What to record next: blocks of commands, their choice, and the file that a robot plays."""

@@ -1,5 +1,6 @@
-"""The blocks of commands to choose an experiment from: what each moves, which one condition it
-changes, how it is made.
+"""The blocks of commands to choose an experiment from.
+
+What each moves, which one condition it changes, how it is made.
 
 A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or
 the load at the tip, or the warmth, never two of them, because the differences could not be
@@ -40,9 +41,7 @@ TILTS = (25.0, 205.0, 115.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """How a robot stands while nothing is changed: gravity (3,) in g, load g; and all orientations
-    seen so far.
-    """
+    """The conditions of a robot: gravity (3,) in g, load g, and all orientations seen so far."""
 
     gravity: Vector = HANGING
     load: float = 0.0
@@ -51,8 +50,9 @@ class Setting:
 
     @classmethod
     def after(cls, runs: Sequence[Run], usual: Floats) -> Setting:
-        """Return how a robot stands after some runs; hanging by `usual` gravity (3,) where they
-        declare none.
+        """Return how a robot stands after some runs.
+
+        It hangs by `usual` gravity (3,) where they declare none.
         """
         down = [np.atleast_2d(run.gravity) for run in runs if run.gravity is not None]
         last = runs[-1].load if runs else None
@@ -68,9 +68,7 @@ class Setting:
         )
 
     def leaning(self) -> Vector:
-        """Return a direction of gravity 35° from the usual one that was not seen yet, if there is
-        such.
-        """
+        """Return a direction of gravity 35° from the usual one that is new, if there is one."""
         down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
         x = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
         x = (x - (x @ down) * down) / np.linalg.norm(x - (x @ down) * down)
@@ -85,8 +83,9 @@ class Setting:
 
 @dataclass(frozen=True)
 class Block:
-    """Some moves that show something: `moves` puts them on a tape, in a setting. `changes` is the
-    one condition.
+    """Some moves that show something: `moves` puts them on a tape, in a setting.
+
+    `changes` is the one condition.
     """
 
     name: str
@@ -95,9 +94,7 @@ class Block:
     channels: int = 1  # that it takes
 
     def plan(self, limits: Limits, setting: Setting | None = None, seed: int = 0) -> Protocol:
-        """Return the block alone as a protocol, for a robot with these limits, standing as it
-        does.
-        """
+        """Return the block as a protocol, for a robot with these limits in its conditions."""
         return plan([self], limits, setting, seed)
 
 
@@ -108,8 +105,7 @@ def plan(
     seed: int = 0,
     name: str = "",
 ) -> Protocol:
-    """Return blocks one after another as a protocol; what a block changes is put back before the
-    next.
+    """Return blocks in sequence as a protocol; each change is reverted before the next.
 
     Args:
         blocks: at least one. limits: of the robot. setting: how it stands; hanging, without load,

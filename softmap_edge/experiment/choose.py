@@ -1,5 +1,6 @@
-"""Chooses the experiment that settles what a diagnosis left open: blocks are simulated before they
-are recorded.
+"""Chooses the experiment that settles what a diagnosis left open.
+
+Blocks are simulated before they are recorded.
 
 A question is a pair of alternatives, or an effect that the runs could not show. With A true and B
 believed, a block is worth
@@ -48,8 +49,9 @@ SCHEMA = "softmap.next/1"
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A block to record: what it settles, its separation (chi² that the wrong answer would leave),
-    and its commands.
+    """A block to record: what it settles, its separation, and its commands.
+
+    The separation is the expected chi² difference between the hypotheses.
 
     `separation` is that of the first question that it settles; None where nothing was simulated, as
     is `plan`. `answers` are (question, separation) of all that was asked.
@@ -145,8 +147,9 @@ def next_experiment(
 
 
 def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[Experiment]:
-    """Return which experiments to record together: the first, and while there is time what settles
-    something more.
+    """Return which experiments to record together.
+
+    The first, and while there is time those that settle something more.
     """
     candidates = [e for e in experiments if e.plan is not None]
     still = list(dict.fromkeys(q for e in candidates for q in e.settled()))
@@ -163,9 +166,7 @@ def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[
 
 
 def _between_families(questions: Sequence[OpenQuestion]) -> list[OpenQuestion]:
-    """Return the questions between two families of effects: these are settled before those between
-    laws.
-    """
+    """Return the questions between two families of effects: they precede those between laws."""
     return [question for question in questions if question.families is not None]
 
 

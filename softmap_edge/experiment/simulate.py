@@ -1,5 +1,6 @@
-"""What a diagnosis left open, and what each answer would look like in a block of commands that is
-not recorded yet.
+"""What a diagnosis left open, and the outcomes of each answer.
+
+They are predicted in a block of commands that is not recorded yet.
 
 `Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs;
 `answers` simulates a block and says what the wrong answer would leave of the right one (`choose.py`
@@ -45,8 +46,9 @@ OLD = 300  # frames of the old runs that are simulated
 
 @dataclass(frozen=True)
 class OpenQuestion:
-    """What is open: two sets of effects that explain the runs alike, or with `hidden` an effect
-    that they hide.
+    """An open question: two sets of effects that explain the runs alike.
+
+    With `hidden`, it is an effect that they hide.
     """
 
     one: tuple[str, ...]
@@ -66,9 +68,7 @@ class OpenQuestion:
 
 
 class Outcomes:
-    """What a diagnosis left open, and what each answer would look like in a block that is not
-    recorded yet.
-    """
+    """What a diagnosis left open, and each answer's prediction in a block not recorded yet."""
 
     def __init__(
         self, model: Model, diagnosis: Diagnosis, runs: list[Run], references: Sequence[Run] = ()
@@ -161,8 +161,9 @@ class Outcomes:
     # --- alternatives, refitted in full -----------------------------------------------------------
 
     def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
-        """Whether a block that `changes` a condition can separate a pair, by the library's
-        declarations.
+        """Whether a block that `changes` a condition can separate a pair, by its declarations.
+
+        These are in the library.
         """
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
@@ -174,8 +175,9 @@ class Outcomes:
         return by is None or by == changes
 
     def _shows(self, name: str, changes: str) -> bool:
-        """Whether a block that `changes` a condition can show an effect, which may need another
-        orientation.
+        """Whether a block that `changes` a condition can show an effect.
+
+        The effect may need another orientation.
         """
         by = set(self.registry[name].alike.values())
         return by != {"orientation"} or changes == "orientation"
@@ -183,9 +185,7 @@ class Outcomes:
     def _apart(
         self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]
     ) -> float:
-        """Return by how much more `tried` is wrong with the block than without it, where `true`
-        holds.
-        """
+        """Return how much more `tried` is wrong with the block than without, where `true` holds."""
         return self._left(problem, parts, true, tried) - self._before(true, tried)
 
     def _left(
@@ -267,8 +267,9 @@ class Outcomes:
         return (*self.found, name), self._middle((name,)) | self.params[self.found]
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
-        """Return parameters at typical strength: halfway from null to high, or the start on a log
-        scale.
+        """Return parameters of typical strength: halfway from null to high, or the log start.
+
+        The latter is for parameters on a log scale.
         """
         layout = self.bare.layout(tuple(effects))
         return dict(zip(layout.labels, map(float, layout.middle)))
@@ -285,9 +286,7 @@ class Outcomes:
 
 
 class _Linear:
-    """What an unseen effect leaves on top of what was found, whose parameters take one linearised
-    step.
-    """
+    """What an unseen effect adds to what was found, with one linearised step of parameters."""
 
     def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
@@ -392,8 +391,9 @@ def _check(
 
 
 def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
-    """Refuse other references than those that a diagnosis is relative to; those of its held-out run
-    may come along.
+    """Reject references other than those of a diagnosis.
+
+    Those of its held-out run may come along.
     """
     if recorded is None and given:
         raise SoftmapError(
@@ -415,9 +415,7 @@ def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
 
 
 def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
-    """Return the noise that a diagnosis states, the same for each coordinate, where its runs are
-    not given.
-    """
+    """Return a diagnosis' noise, the same for each coordinate, where its runs are missing."""
     stated = diagnosis.error.noise_floor
     mm = stated if stated is not None and 0 < stated < 1e3 else 0.3
     return Noise(
@@ -439,9 +437,7 @@ def _thinned(runs: Sequence[Run]) -> list[Run]:
 
 
 def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> Run:
-    """Return a protocol as a run in which nothing is seen yet, in the way in which `like` was
-    seen.
-    """
+    """Return a protocol as a run in which nothing is seen yet, seen as `like` was."""
     warm = made.temperature
     if warm is None and like is not None and like.temperature is not None:
         warm = np.full(made.t.size, setting.temperature)

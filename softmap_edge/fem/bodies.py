@@ -174,8 +174,9 @@ class Meshed:
         )
 
     def cells(self, ends: Sequence[float]) -> _core.Mesh:
-        """Read the file and return its cells. Raises FingerError, CoreError with one line for a bad
-        mesh.
+        """Read the file and return its cells.
+
+        Raises FingerError, CoreError with one line for a bad mesh.
         """
         from softmap_edge.fem.mesh_file import read_mesh
 
@@ -189,8 +190,9 @@ class Meshed:
         return self.place(read_mesh(Path(self.file)).points)
 
     def groups(self) -> dict[str, NDArray[np.bool_]]:
-        """Return which cells (E,) of the refined mesh each group of the file holds, by name. Raises
-        FingerError.
+        """Return which cells (E,) of the refined mesh each group of the file holds, by name.
+
+        Raises FingerError.
         """
         from softmap_edge.fem.mesh_file import read_mesh
 
@@ -232,8 +234,9 @@ Solid = Tapered | Block | Meshed
 
 
 def solid_from(document: Document, folder: Path) -> Solid:
-    """Return the solid of a file; `folder` is where names of other files start. Raises
-    FingerError.
+    """Return the solid of a file; `folder` is where names of other files start.
+
+    Raises FingerError.
     """
     given = [key for key in _KEYS if key in document]
     mesh = document.get("mesh")

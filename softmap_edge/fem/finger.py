@@ -184,6 +184,7 @@ class Finger:
     @classmethod
     def from_toml(cls, text: str, folder: Path = Path()) -> Finger:
         """Return the finger of a file's text; files that it names are looked for from `folder`.
+
         Raises FingerError.
         """
         if len(text) > _MOST_TEXT:

@@ -1,5 +1,6 @@
-"""Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells. Data only; nothing
-in it is ever run.
+"""Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells.
+
+Data only; nothing in it is ever run.
 
 meshio parses in a child process with limits on memory and time (foreign_mesh.py); any failure
 becomes a one-line error. The core checks the mesh itself (rust/fem/tetrahedra.rs).
@@ -98,8 +99,9 @@ def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int
 
 
 def read_guides(path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Return the guides of a tendon from a JSON list of [x, y, z], in the mesh file's frame. Raises
-    FingerError.
+    """Return the guides of a tendon from a JSON list of [x, y, z], in the mesh file's frame.
+
+    Raises FingerError.
     """
     _check(path, _MOST_TEXT, "guides; give a JSON list of [x, y, z]")
     try:

@@ -75,6 +75,7 @@ class Tendon:
 
     def check(self, field: str, solid: Solid, spreads: tuple[float, float]) -> None:
         """Check the tendon in its solid; `spreads` are mm of channel around guides and anchor.
+
         Raises FingerError.
         """
         if bool(self.points) == bool(self.route):
@@ -175,8 +176,9 @@ class Region:
             )
 
     def check_meets(self, field: str, low: Sequence[float], high: Sequence[float]) -> None:
-        """Refuse a region that lies outside a solid from corner `low` to `high` mm. Raises
-        FingerError.
+        """Refuse a region that lies outside a solid from corner `low` to `high` mm.
+
+        Raises FingerError.
         """
         for axis, least, most in zip("xyz", low, high):
             limits = getattr(self, axis)
@@ -213,8 +215,9 @@ class Region:
 def check_commands(
     pairs: Sequence[Sequence[int]], ranges: Pairs, unit: str, tendons: int, height: float | None
 ) -> None:
-    """Check which tendons each command moves and how far: mm of shortening, or N of tension. Raises
-    FingerError.
+    """Check which tendons each command moves and how far: mm of shortening, or N of tension.
+
+    Raises FingerError.
     """
     if len(pairs) > 16:
         raise FingerError(f"command: {len(pairs)} given, allowed are at most 16")
@@ -258,8 +261,9 @@ def check_commands(
 
 
 def tendon_from(table: Document, solid: Solid, folder: Path) -> Tendon:
-    """Return the tendon of a table; a file of guides is read in the frame of the mesh file. Raises
-    FingerError.
+    """Return the tendon of a table; a file of guides is read in the frame of the mesh file.
+
+    Raises FingerError.
     """
     if "points_file" in table:
         check_keys("tendon", table, ("points_file",))

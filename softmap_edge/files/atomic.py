@@ -17,8 +17,9 @@ MOST_TEXT = 64 << 20  # bytes of a document
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
-    """Write text (UTF-8; what has no such form as `?`) or bytes to `path`, replacing it only when
-    complete.
+    """Write text or bytes to `path`, replacing it only when complete.
+
+    Text is UTF-8; characters without such a form become `?`.
     """
     with replacement_of(Path(path)) as partial:
         partial.write_bytes(
@@ -28,8 +29,9 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 
 @contextmanager
 def replacement_of(file: Path) -> Iterator[Path]:
-    """Yield a new file next to `file` to write into; it replaces `file` once complete, and is
-    deleted on failure.
+    """Yield a new file next to `file` to write into.
+
+    It replaces `file` once complete, and is deleted on failure.
     """
     try:
         descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
@@ -48,9 +50,7 @@ def replacement_of(file: Path) -> Iterator[Path]:
 
 
 def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) -> str:
-    """Return the text of a document; raise `error` for what is no file of text, or one that is too
-    large.
-    """
+    """Return a document's text; raise `error` if it is no text file or too large."""
     file = Path(path)
     if file.exists() and not file.is_file():
         raise error(f"{path}: no file; give a document")

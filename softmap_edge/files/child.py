@@ -1,5 +1,4 @@
-"""Run a foreign parser on an untrusted file in a child process with limits on its memory and its
-time.
+"""Run a foreign parser on an untrusted file in a child process with limits on memory and time.
 
     arrays = in_child(parse, path, megabytes=1000, seconds=60)
 
@@ -36,9 +35,7 @@ _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised another library's exception, crashed, or met a limit; the message names
-    it.
-    """
+    """The child raised a foreign exception, crashed or met a limit; the message names it."""
 
 
 class ChildMemory(ChildFault):
@@ -186,9 +183,7 @@ def _isolate(pipe: int) -> None:
 def _result(
     function: Callable[..., object], args: tuple[object, ...], megabytes: int
 ) -> list[memoryview]:
-    """Return the answer in parts: a line of JSON, and the arrays whose types and shapes it
-    lists.
-    """
+    """Return the answer in parts: a line of JSON, and arrays of the types and shapes it lists."""
     arrays: list[memoryview] = []
     try:
         with warnings.catch_warnings():
@@ -217,9 +212,7 @@ def _write(pipe: int, part: memoryview) -> None:
 
 
 def _packed(value: object, arrays: list[memoryview]) -> Any:
-    """Return a value as JSON holds it; the bytes of arrays go to `arrays`, each filled up to
-    `_ALIGNED`.
-    """
+    """Return a value as JSON holds it; the bytes of arrays go to `arrays`, padded to `_ALIGNED`."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject or value.dtype.names:
             raise ValueError(f"an array of {value.dtype}")
@@ -236,17 +229,13 @@ def _packed(value: object, arrays: list[memoryview]) -> Any:
 
 # --- in the parent again -------------------------------------------------------------------
 class _Reader:
-    """Reads the value of a document; its arrays follow one another in `content`, in the order of
-    the document.
-    """
+    """Reads the value of a document; its arrays lie in `content` in the order of the document."""
 
     def __init__(self, content: memoryview) -> None:
         self.content, self.at = content, 0
 
     def value(self, document: object) -> Any:
-        """Return the value that a part of the document stands for; ValueError where it does not fit
-        the content.
-        """
+        """Return the value of a part of the document; ValueError if it does not fit the content."""
         if not isinstance(document, dict):
             return document
         if "array" in document:

@@ -1,5 +1,4 @@
-"""Walk through the records of an MCAP file; check its framing, its checksums and the statistics at
-its end.
+"""Walk through the records of an MCAP file; check its framing, checksums and final statistics.
 
 An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer
 and the magic bytes. CRC-32 checksums of the data section and of the summary are there unless they
@@ -41,8 +40,9 @@ class Damage(str):
 
 @dataclass(frozen=True)
 class Record:
-    """A record: its kind, where it begins and ends in the file, and its bytes, empty for kinds that
-    are not `READ`.
+    """A record: its kind, where it begins and ends in the file, and its bytes.
+
+    They are empty for kinds that are not `READ`.
     """
 
     kind: int
@@ -76,9 +76,7 @@ class Closing:
 
 @dataclass(frozen=True)
 class Chunk:
-    """The header of a chunk: its times (ns), its size and checksum unpacked, its compression, its
-    packed bytes.
-    """
+    """A chunk's header: times (ns), unpacked size and checksum, compression, packed bytes."""
 
     first: int
     last: int
@@ -105,8 +103,9 @@ def read_chunk(body: bytes) -> Chunk:
 
 
 def split(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and bytes of each record in `data`. Raises ValueError where the last one is not
-    complete.
+    """Yield kind and bytes of each record in `data`.
+
+    Raises ValueError where the last one is not complete.
     """
     at, size = 0, len(data)
     while at < size:
@@ -122,9 +121,7 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 # --- the end of a file -----------------------------------------------------------------------
 def read_closing(file: BinaryIO, size: int) -> Closing | None:
-    """Return the statements at the end of a file, checksums checked; None if the file was not
-    closed.
-    """
+    """Return the statements at a file's end, checksums checked; None if the file was not closed."""
     tail = _FOOTER.size + len(MAGIC)
     if size < len(MAGIC) + tail:
         return None
@@ -244,8 +241,9 @@ class Walk:
         return Record(kind, at, end)
 
     def _ends_in_zeros(self, record: Record) -> bool:
-        """Return whether a record ends in zeros that go on after it, or with a cut file, and has no
-        checksum.
+        """Return whether a record ends in zeros and has no checksum.
+
+        The zeros go on after it, or the file is cut there.
         """
         if record.kind not in (SCHEMA, CHANNEL, MESSAGE, CHUNK) or not record.body.endswith(b"\0"):
             return False
@@ -256,9 +254,7 @@ class Walk:
         return _piece(self._file, record.end, 1) in (b"", b"\0")  # no record is of kind 0
 
     def _next_chunk(self, at: int, end: int) -> int:
-        """Return where the next chunk begins whose lengths agree, from `at` on; `end` where there
-        is none.
-        """
+        """Return where the next chunk begins whose lengths agree, from `at` on, or `end`."""
         while at < end:
             block = _piece(self._file, at, _BLOCK + 256)
             found = _chunk_in(np.frombuffer(block, np.uint8), at, self._size)
@@ -271,8 +267,9 @@ class Walk:
 def _chunk_in(
     block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, size: int
 ) -> int | None:
-    """Return the place in the file of the first chunk in a block that begins at `offset` of a file
-    of `size` bytes.
+    """Return the place of the first chunk in a block that begins at `offset`.
+
+    The file has `size` bytes.
     """
     head = _HEAD.size + _CHUNK_HEAD.size
     count = len(block) - head - 8

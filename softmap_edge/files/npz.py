@@ -1,6 +1,4 @@
-"""Array archives (`.npz`) that are the same bytes for the same content and never run code when
-read.
-"""
+"""Array archives (`.npz`) that are the same bytes for the same content and never run code."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same
-    bytes.
+    """Write `arrays` to `path`, replacing it only when complete; equal content gives equal bytes.
 
     Tables of whole numbers go column after column: what `packed` made is smooth down a column and a
     fifth smaller so.
@@ -56,8 +53,9 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 def read_npz(
     path: Path, error: type[SoftmapError] = SoftmapError, limit: int = MAX_BYTES
 ) -> dict[str, NDArray[np.generic]]:
-    """Read every array of `path`; raise `error` with one line when it is damaged, too large or
-    holds objects.
+    """Read every array of `path`.
+
+    Raise `error` with one line when it is damaged, too large or holds objects.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise error(f"{path}: no file that can be read at will; give an .npz file")
@@ -110,8 +108,9 @@ def archive_names(path: Path) -> set[str]:
 
 
 def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> None:
-    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for
-    each of its entries.
+    """Reject an archive whose table of contents is too large.
+
+    This is before `zipfile` takes memory for each of its entries.
     """
     with path.open("rb") as file:
         size = file.seek(0, 2)
@@ -137,9 +136,7 @@ def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> Non
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """The header of an array in NumPy's format: its shape, whether columns run first (Fortran), and
-    its type.
-    """
+    """An array's header in NumPy's format: shape, whether columns run first (Fortran), and type."""
 
     shape: tuple[int, ...]
     fortran: bool
@@ -194,8 +191,9 @@ def packed(
 
 
 def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
-    """Return `arrays` with what `packed` made as numbers again; ValueError where steps do not fit
-    their array.
+    """Return `arrays` with the inverse of `packed`.
+
+    ValueError where steps do not fit their array.
     """
     steps = {f"{name}{_STEP}" for name in arrays}
     plain = {name: array for name, array in arrays.items() if name not in steps}
@@ -239,8 +237,9 @@ def _read_array(
 
 
 def _code_points(array: NDArray[np.generic]) -> NDArray[np.uint32]:
-    """Return the characters of a text array as numbers: numpy reads damaged ones, Python ends in a
-    SystemError.
+    """Return the characters of a text array as numbers.
+
+    NumPy reads damaged ones, but Python raises SystemError.
     """
     native = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("="), copy=False)
     return native.reshape(-1).view(np.uint32)

@@ -1,6 +1,4 @@
-"""How reports write numbers: lengths, shares, bars of text, what is too large for a line, and lines
-that are folded.
-"""
+"""How reports write numbers: lengths, shares, bars of text, excessive numbers and folded lines."""
 
 from __future__ import annotations
 
@@ -17,8 +15,9 @@ EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
 def bar(value: float, scale: float, width: int = BAR) -> str:
-    """Return a bar of eighth blocks, `width` characters long at `value == scale`; empty for what is
-    not finite.
+    """Return a bar of eighth blocks, `width` characters long at `value == scale`.
+
+    It is empty for values that are not finite.
     """
     if not math.isfinite(value) or not math.isfinite(scale) or scale <= 0 or value <= 0:
         return ""
@@ -38,8 +37,9 @@ def mm(value: object) -> str:
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:
-    """Return the share of the error above `floor` (0 without one) that is gone, or None when there
-    is none.
+    """Return the share of the error above `floor` (0 without one) that is gone, if any.
+
+    None when there is no error above it.
     """
     base = floor or 0.0
     removable = before - base
@@ -60,8 +60,9 @@ def number(value: object) -> float | None:
 
 
 def tamed(text: object) -> str:
-    """Return a sentence with its numbers of seven digits and more written as powers of ten
-    ('+1.2e+31 % in mm').
+    """Return a sentence with large numbers written as powers of ten.
+
+    Those of seven digits and more, as in '+1.2e+31 % in mm'.
     """
 
     def short(found: re.Match[str]) -> str:

@@ -1,5 +1,6 @@
-"""Text that a terminal or a page only displays: control characters, bidirectional marks and
-surrogates are escaped.
+"""Text that a terminal or a page only displays.
+
+Control characters, bidirectional marks and surrogates are escaped.
 
 Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor,
 recolour the terminal, forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so
@@ -14,9 +15,7 @@ from unicodedata import category
 
 
 def printable(text: str) -> str:
-    """Return `text` with an escape for each character that does not print, save spaces, tabs and
-    line ends.
-    """
+    """Return `text` with non-printing characters escaped, except spaces, tabs and line ends."""
     if text.isprintable():
         return text
     return "".join(
@@ -41,8 +40,9 @@ def _escape(character: str) -> str:
 
 
 class PrintableStream:
-    """A text stream that writes only printable characters to `raw` and passes all other calls on to
-    it.
+    """A text stream that writes only printable characters to `raw`.
+
+    It passes all other calls on to it.
     """
 
     def __init__(self, raw: TextIO) -> None:

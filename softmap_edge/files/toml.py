@@ -125,8 +125,9 @@ def shown(value: object) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a text as a TOML string of one line; what has no UTF-8 form is written as `?`, as
-    `write_whole` does.
+    """Return a text as a TOML string of one line.
+
+    Characters without a UTF-8 form are written as `?`, as `write_atomically` does.
     """
     plain = (
         text.encode("utf-8", "replace").decode("utf-8").replace("\\", "\\\\").replace('"', '\\"')

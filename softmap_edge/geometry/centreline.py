@@ -1,5 +1,6 @@
-"""Find the line through the middle of a body from its points alone: no mesh, any orientation,
-straight or bent at rest.
+"""Find the line through the middle of a body from its points alone.
+
+This needs no mesh; the body may be in any orientation, straight or bent at rest.
 
 Order along the body: distances over a graph of near neighbours, from the base. Line: the polynomial
 curve from which the points' distances are nearest to a smooth radius ρ(s), by Gauss-Newton; the z
@@ -42,8 +43,7 @@ ONE_PLACE = 1e-6  # mm; rounding moves points by less
 
 @dataclass(frozen=True, eq=False)
 class Centreline:
-    """Where N points lie along a body at rest, and the map from any shape of them to the line's
-    stations.
+    """Where N points lie along a body at rest, and the map from their shape to the line's stations.
 
     `along` (N,) mm from the base, `angle` (N,) rad about the line (None: the points are the line),
     `arc` (J + 1,) mm of the stations, base first; `weights` (J + 1, N) and `fixed` (J + 1,) of the
@@ -72,9 +72,7 @@ class Centreline:
         )
 
     def body(self) -> BodyCoordinates | None:
-        """Return the sections of the body; None for points so few that each is a feature of its
-        own.
-        """
+        """Return the sections of the body; None if its points are so few that each is a feature."""
         if len(self.along) <= MARKERS:
             return None
         for count in range(SECTIONS, 0, -1):
@@ -173,8 +171,9 @@ def _cloud(rest: Floats, base: Floats) -> Centreline:
 
 
 def _posture(line: Floats) -> tuple[float, float]:
-    """Return the lean (degrees) of the chord from end to end against z, and how far (mm) the line
-    leaves it.
+    """Return how a body lies and bends.
+
+    The lean (degrees) of the chord from end to end against z, and how far (mm) the line leaves it.
     """
     chord = line[-1] - line[0]
     unit = chord / max(float(np.linalg.norm(chord)), 1e-300)
@@ -185,8 +184,9 @@ def _posture(line: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A dense line with tangents, where points (N, 3) mm project to it: `along` (N,) from the base,
-    and `offset` (N, 3).
+    """A dense line with tangents, and where points (N, 3) mm project to it.
+
+    `along` (N,) is the distance from the base, `offset` (N, 3) the vector from the line.
     """
 
     tangent: Floats  # (N, 3) at each point's foot
@@ -206,9 +206,7 @@ class _Curve:
 
     @classmethod
     def best(cls, rest: Floats, base: Floats) -> _Curve:
-        """Return the simplest curve that does nearly as well as the best: the z axis, or one of
-        degree 1 to 4.
-        """
+        """Return the simplest curve nearly as good as the best: the z axis, or degree 1 to 4."""
         some = rest if len(rest) <= GRAPH else rest[farthest(rest, GRAPH)]
         order = _order(some, base)
         length = float(np.ptp(order))
@@ -245,9 +243,7 @@ class _Curve:
 
 
 def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
-    """Return the curve (degree + 1, 3) of that degree from which points in that order have the most
-    even distances.
-    """
+    """Return the curve (degree + 1, 3) from which ordered points have the most even distances."""
     fit: Floats = np.asarray(
         np.linalg.lstsq(legendre.legvander(_unit(order), degree), points, rcond=None)[0], float
     )
@@ -277,8 +273,9 @@ def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
 
 
 def _unevenness(fit: Floats, points: Floats) -> float:
-    """RMS deviation (mm) of the points' distances from a smooth radius, and a little of the
-    distance itself.
+    """RMS deviation (mm) of the points' distances from a smooth radius.
+
+    A little of the distance itself is added.
     """
     foot, x = _feet(fit, points)
     distance = np.linalg.norm(points - foot, axis=1)
@@ -296,8 +293,9 @@ def _unit(s: Floats) -> Floats:
 
 
 def _places(x: Floats, arc: Floats) -> Floats:
-    """Return the places (mm) along a line with that arc of x in -1…1, straight on beyond its
-    ends.
+    """Return places (mm) along a line for arc parameters x in -1…1.
+
+    It goes on straight beyond its ends.
     """
     first, last = (
         (arc[1] - arc[0]) / (SAMPLES[1] - SAMPLES[0]),
@@ -311,8 +309,9 @@ def _places(x: Floats, arc: Floats) -> Floats:
 
 
 def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest places (N, 3) of a curve to points (N, 3), and where they are, x (N,);
-    straight on at the ends.
+    """Return the nearest places (N, 3) of a curve to points (N, 3), and their x (N,).
+
+    The curve goes on straight beyond its ends.
     """
     line = legendre.legval(SAMPLES, fit).T
     square = np.sum(points**2, axis=1)[:, None] - 2.0 * points @ line.T + np.sum(line**2, axis=1)
@@ -328,8 +327,9 @@ def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def carried(tangents: Floats) -> Floats:
-    """Return frames (n, J, 3, 3), columns normal, binormal, tangent, carried without twist along
-    unit tangents (n, J, 3).
+    """Return frames (n, J, 3, 3) carried without twist along unit tangents (n, J, 3).
+
+    Their columns are normal, binormal and tangent.
 
     The first normal is x where the tangent is z; for another tangent it is turned with it.
     """
@@ -354,8 +354,9 @@ def _turn(start: Floats, end: Floats) -> Floats:
 
 
 def _order(points: Floats, base: Floats) -> Floats:
-    """Return the distance (N,) mm of each point from those next to the base, over a graph of near
-    neighbours.
+    """Return each point's distance (N,) mm from those next to the base.
+
+    It is measured over a graph of near neighbours.
     """
     apart = distances(points, points)
     near = np.argsort(apart, axis=1)[:, : NEIGHBOURS + 1]
@@ -386,9 +387,7 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def farthest(points: Floats, count: int) -> NDArray[np.intp]:
-    """Return the indices of `count` points (N, D) that lie apart: always the one farthest from
-    those taken, sorted.
-    """
+    """Return the sorted indices of `count` points (N, D), each the farthest from those before."""
     taken = [int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
     far = np.sum((points - points[taken[0]]) ** 2, axis=1)
     while len(taken) < min(count, len(points)) and far.max() > 0.0:

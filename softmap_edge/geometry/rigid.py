@@ -1,5 +1,4 @@
-"""Rigid transforms between two sets of corresponding points: least squares, robust fits, and what
-is not known of them.
+"""Rigid transforms between corresponding points: least squares, robust fits, and uncertainty.
 
     (R, t) = argmin Σ wₙ |R sₙ + t − qₙ|²      Kabsch 1976: SVD of Σ w (s − s̄)(q − q̄)ᵀ,
                                                determinant put to +1
@@ -35,8 +34,9 @@ NARROW = 0.2  # of the width of all points: outliers may not take the rest with 
 
 @dataclass(frozen=True, eq=False)
 class RigidPose:
-    """p = rotation · s + shift, for one set of points or for a batch (B, ...): rotation (3, 3),
-    shift (3,) mm.
+    """A rigid motion p = rotation · s + shift, for one set of points or for a batch (B, ...).
+
+    `rotation` is (3, 3), `shift` (3,) mm.
     """
 
     rotation: Floats
@@ -70,8 +70,9 @@ def rotation(vector: Floats) -> Floats:
 
 
 def rotation_vector(matrix: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) rad of rotations (..., 3, 3), by the quaternion: right
-    up to a half turn.
+    """Return the rotation vectors (..., 3) rad of rotations (..., 3, 3).
+
+    By the quaternion, which is exact up to a half turn.
     """
     m = np.asarray(matrix, float)
     k = np.empty((*m.shape[:-2], 4, 4))
@@ -94,8 +95,9 @@ def rotation_vector(matrix: Floats) -> Floats:
 
 
 def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
-    """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm with
-    weights (..., N).
+    """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm.
+
+    The weights are (..., N).
     """
     share = (weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-300))[..., None]
     from_, to = (share * source).sum(axis=-2), (share * target).sum(axis=-2)
@@ -110,8 +112,7 @@ def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
 
 
 def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[RigidPose, Mask]:
-    """Return the pose of N corresponding points that leaves outliers aside, and which points it is
-    made from.
+    """Return the pose of N corresponding points without outliers, and which points it is from.
 
     Args:
         source, target: (N, 3) mm. sigma: (N,) mm, expected standard deviation of a coordinate.
@@ -142,8 +143,7 @@ def _width(points: Floats) -> float:
 def refined(
     source: Floats, target: Floats, sigma: Floats, seen: Mask, start: RigidPose
 ) -> tuple[RigidPose, Floats]:
-    """Return a pose for each set of points, found from a pose near it, and Tukey's weights (B, N)
-    of its points.
+    """Return each set's pose, refined from one near it, and its points' Tukey weights (B, N).
 
     Args:
         source: (B, N, 3) mm. target: (N, 3) or (B, N, 3) mm. sigma: (N,) or (B, N) mm. seen: (B,
@@ -173,17 +173,16 @@ def refined(
 
 
 def jacobian(points: Floats) -> Floats:
-    """Return (N, 3, 6): what a small turn (rad) and shift (mm) about the origin do to points (N, 3)
-    mm.
-    """
+    """Return (N, 3, 6): the effect of a small turn (rad) and shift (mm) on points (N, 3) mm."""
     return np.concatenate(
         [-_cross(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=-1
     )
 
 
 def gain(points: Floats, weight: Floats) -> Floats:
-    """Return (6, N, 3): how the weighted pose answers a small displacement of each target point (N,
-    3) mm.
+    """Return (6, N, 3): the change of the weighted pose with target points (N, 3) mm.
+
+    The displacements are small.
     """
     j = jacobian(points)
     information = np.einsum("n,nci,ncj->ij", weight, j, j)

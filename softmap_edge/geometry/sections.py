@@ -1,5 +1,4 @@
-"""What a fit sees of a shape: centroid and first moments of each section of a template, or markers
-as they are.
+"""Features of a shape for fits: centroid and first moments of each section, or the markers.
 
 A frame's features are V 3-vectors, linear in the points: `features = weights @ points`, so that
 noise maps exactly. Section s with points p_i at rest angle φ_i about the body's axis gives a
@@ -40,8 +39,9 @@ STALK = 0.25  # of the template's extent: a marker farther from it is not on the
 
 @dataclass(frozen=True)
 class FeatureMap:
-    """Linear map from points to features: `weights` (V, N), `positions` (V,) bool, `section` (V,)
-    int.
+    """Linear map from points to features.
+
+    `weights` (V, N), `positions` (V,) bool, `section` (V,) int.
     """
 
     weights: Floats
@@ -53,9 +53,7 @@ class FeatureMap:
         return np.asarray(self.weights @ points)
 
     def matrix(self) -> Floats:
-        """Return the map as one matrix (3N, 3V) on flattened coordinates, as `Table.project` takes
-        it.
-        """
+        """Return the map as one matrix (3N, 3V) on flattened coordinates, for `Table.project`."""
         return np.ascontiguousarray(np.kron(self.weights.T, np.eye(3)))
 
 
@@ -79,16 +77,12 @@ class BodyCoordinates:
 
 
 def upright(rest: Floats) -> BodyCoordinates:
-    """Return how the vertices (N, 3) mm of a finger that stands along z lie: slices of equal
-    height.
-    """
+    """Return how vertices (N, 3) mm of a finger along z lie along it: slices of equal height."""
     return BodyCoordinates(sections_of(rest), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0]))
 
 
 def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
-    """Return the section (N,) of each rest vertex (N, 3) mm: `count` slices of equal height along
-    z.
-    """
+    """Return the section (N,) of rest vertices (N, 3) mm: `count` equal slices along z."""
     return slices(rest[:, 2], count)
 
 
@@ -99,8 +93,7 @@ def slices(along: Floats, count: int) -> NDArray[np.int64]:
 
 
 def section_features(body: BodyCoordinates) -> FeatureMap:
-    """Return the centroids and, off the centreline, the first moments of each section of a
-    template.
+    """Return the centroids and, off the centreline, first moments of each section of a template.
 
     Raises:
         SoftmapError: a section holds no vertex.
@@ -130,8 +123,7 @@ def marker_features(count: int) -> FeatureMap:
 
 
 def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
-    """Return how many times too large points are, and the unit that explains it; None where they
-    may be mm.
+    """Return how many times too large points are, and the unit that explains it; None if in mm.
 
     Args:
         points: (K, N, 3), NaN where one was not seen. rest: (N, 3) mm, the same points as they
@@ -191,8 +183,9 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
 
 
 def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool_]) -> Floats:
-    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm of which the vertices `seen`
-    (K, N) are known.
+    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm.
+
+    Only the vertices `seen` (K, N) are known.
 
     Per frame and section, least squares of the residual on (1, cos φ, sin φ); a section with fewer
     than six seen vertices, or with all of them on one side, is NaN. Bodies without a side have
@@ -222,8 +215,9 @@ def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:
-    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm, or the highest
-    if none move.
+    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm.
+
+    These are the highest if none move.
     """
     movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
     movement = movement if movement.max() > 1e-6 else vertices[0, :, 2]

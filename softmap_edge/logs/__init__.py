@@ -1,3 +1,4 @@
-"""Any log with a mapping file → run: tables, frames, checks of what was declared, and a proposed
-mapping.
+"""Any log with a mapping file → run: tables, frames, checks, and a proposed mapping.
+
+The checks compare the data with what was declared.
 """

@@ -1,5 +1,6 @@
-"""Estimate the noise of places and the chance that a new measurement repeats the one before to the
-last digit.
+"""Estimate the noise of places, and the chance of an exact repetition.
+
+A new measurement then repeats the one before to the last digit.
 
 Noise shows in differences of fourth order, which change sign from row to row; a smooth motion
 hardly shows in them. If the noise is below the last digit of the file, as of a resting finger with
@@ -36,8 +37,9 @@ def is_improbable(columns: Array) -> bool:
 
 
 def noise_of(column: Array) -> float:
-    """Return the deviation of the noise of numbers (rows,); 0 where they are smooth or mostly the
-    same.
+    """Return the standard deviation of the noise of numbers (rows,).
+
+    It is 0 where they are smooth or mostly the same.
     """
     change = np.diff(column, ORDER)
     change = change[np.isfinite(change)]
@@ -50,8 +52,6 @@ def noise_of(column: Array) -> float:
 
 
 def digit_of(column: Array) -> float:
-    """Return the step of the last digit of numbers (rows,): the least distance between two that
-    differ.
-    """
+    """Return the step of the last digit of numbers (rows,): the least distance of two values."""
     step = np.diff(np.unique(column[np.isfinite(column)]))
     return float(step.min()) if len(step) else 0.0

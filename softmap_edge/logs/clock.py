@@ -1,5 +1,6 @@
-"""Compute the times of a log's rows in s: leave out empty and repeated rows, and handle times that
-do not increase.
+"""Compute the times of a log's rows in s.
+
+Leave out empty and repeated rows, and handle times that do not increase.
 
 A clock that runs backwards is classified:
 
@@ -186,8 +187,7 @@ def _report_dropped(
 
 # --- roll-overs and steps ------------------------------------------------------------------
 def find_jump(t: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock that one cause explains: a roll-over, or one step; None if none
-    does.
+    """Return the falls of a clock with one cause: a roll-over or a step; None if none has.
 
     Args:
         t: (rows,) s.
@@ -242,8 +242,9 @@ def counting_on(t: Array, jump: Jump) -> Array:
 
 
 def find_steps(t: Array, values: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock that one cause explains, as `find_jump`, or several steps of a
-    clock that was set.
+    """Return the falls of a clock with one cause, as `find_jump`, or steps of a clock set.
+
+    These are several steps of a clock that was set.
 
     Args:
         t: (rows,) s. values: (rows, columns) without those of time. clock: as in `find_jump`.

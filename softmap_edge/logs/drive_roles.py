@@ -23,8 +23,7 @@ _AXIS = re.compile(r"[xyz]")
 
 
 def drives_of(roles: list[Pair]) -> tuple[list[Pair], list[Pair], list[tuple[Sheet, LeftOut]]]:
-    """Return the groups that may be commands, those that may be encoders, each the most likely
-    first, and the rest.
+    """Return the groups that may be commands or encoders, the most likely first, and the rest.
 
     Args:
         roles: the groups of columns of all logs, with their logs.
@@ -68,8 +67,9 @@ def _in_space(columns: list[str]) -> bool:
 
 
 def _no_drive(sheet: Sheet, role: Role) -> str | None:
-    """Return why columns that a name alone suggests are neither commands nor encoders; None if they
-    may be.
+    """Return why columns that a name suggests are not commands or encoders; None if possible.
+
+    The name alone suggests them.
     """
     rows = sheet.rows_of(role.columns)
     if not role.sure and role.kind == "present" and not moves((sheet, role)):

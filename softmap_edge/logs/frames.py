@@ -1,5 +1,6 @@
-"""What was seen, from a log to the frames of a run: base frame, dropouts, repeated frames, swaps,
-labels, rates.
+"""From what a log saw to the frames of a run.
+
+Base frame, dropouts, repeated frames, swaps, labels, rates.
 """
 
 from __future__ import annotations
@@ -36,8 +37,7 @@ def seen(
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
-    """Return the times of the frames; `fields` gets markers in the base frame, their visibility,
-    and labels.
+    """Return the frames' times; `fields` gets markers in base frame, visibility, labels.
 
     Args:
         tables: the logs. mapping: what their columns are.
@@ -140,8 +140,9 @@ def _without_lost(
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
-    """Return the table with NaN for columns that show another marker, or with the places in their
-    own columns.
+    """Return the table without the places of wrong markers.
+
+    Columns that show another marker get NaN, or the places go to their own columns.
     """
     if markers.not_seen is None:
         return table
@@ -162,8 +163,9 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
 
 
 def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: list[str]) -> Array:
-    """Return points (K, M, 3) with exchanged markers exchanged back if the mapping says so; else
-    report them.
+    """Return points (K, M, 3) with swapped markers swapped back, or report them.
+
+    The mapping decides which.
     """
     markers = log.markers
     assert markers is not None
@@ -205,8 +207,9 @@ def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) 
 def _outputs(
     table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]
 ) -> Array:
-    """Return the times of rows with an output; add the outputs, carried as markers, and their
-    labels to `fields`.
+    """Return the times of rows with an output; add outputs and labels to `fields`.
+
+    The outputs are carried as markers.
     """
     given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
     if not given.any():
@@ -289,8 +292,9 @@ def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: l
 def choose_frames(
     t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]
 ) -> Array:
-    """Drop frames outside the commands and the interval of the mapping, thin to its rate, cut into
-    blocks.
+    """Drop frames outside the mapping's interval, thin to its rate, cut into blocks.
+
+    Frames outside the commands are dropped too.
 
     Args:
         t: (T,) s, of the commands. t_seen: (K,) s, of the frames.

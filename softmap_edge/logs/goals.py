@@ -1,5 +1,6 @@
-"""Recognise triples of columns that describe a place which was not seen: desired by a controller,
-or computed.
+"""Recognise triples of columns that describe a place that was computed, not seen.
+
+A controller computes or desires it.
 
 A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a
 computed one, but a log may name what it measured so as well. Values decide then: such a triple
@@ -30,8 +31,9 @@ _APART = 0.7  # of the motion of a marker: more, and a triple does not follow it
 
 
 def is_drive(stem: str) -> bool:
-    """Whether what the names of a triple share marks a goal, or a device of the drive, and no place
-    that was seen.
+    """Whether the shared part of a triple's names marks a goal or a drive device.
+
+    It then is no place that was seen.
     """
     return _DEVICE.search(stem) is not None or is_goal(stem)
 
@@ -43,8 +45,9 @@ def is_goal(stem: str) -> bool:
 
 
 def is_computed(stem: str, others: Collection[str]) -> bool:
-    """Whether what the names of a triple share may mark a desired or computed place: `ref`, `sim`,
-    `tip_est`, `xd`.
+    """Whether the shared part of names may mark a computed place: `ref`, `sim`, `tip_est`, `xd`.
+
+    The place may also be a desired one.
 
     Args:
         stem: what its names share.
@@ -62,8 +65,9 @@ def _words(stem: str) -> list[str]:
 
 
 def follows(points: Array, place: Array) -> bool:
-    """Whether points (rows, 3) move with a place (rows, 3) and near it; their unit may be m where
-    that is mm.
+    """Whether points (rows, 3) move with a place (rows, 3) and near it.
+
+    Their unit may be m where that is mm.
 
     Args:
         points: what is desired or computed.

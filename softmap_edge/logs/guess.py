@@ -156,8 +156,9 @@ def _nothing_found(sheets: list[Sheet]) -> RunError:
 
 
 def _one_line(comment: str) -> str:
-    """Names of files and columns may hold anything; a comment must not end within one and go on as
-    keys.
+    """Return a name as one line: a comment must not end within it and go on as keys.
+
+    Names of files and columns may hold anything.
     """
     return "".join(c if c.isprintable() else " " for c in comment)
 
@@ -276,9 +277,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
 
 
 def _places(sheet: Sheet, places: list[list[str]]) -> Array:
-    """Return markers (rows, M, 3) of columns, NaN where one was not seen; 0 as the third coordinate
-    in a plane.
-    """
+    """Return markers (rows, M, 3) of columns, NaN if not seen; z is 0 in a plane."""
     flat = [name for one in places for name in one]
     points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
     points[not_seen(points).mask] = np.nan
@@ -347,9 +346,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
 
 
 def _drive_units(found: Found) -> None:
-    """The units of commands and encoders; where only one is sure and both move alike, it is that of
-    both.
-    """
+    """The units of commands and encoders; if one is sure and both move alike, it is both's."""
     assert found.command is not None
     drives = [("commands", found.command)] + (
         [] if found.present is None else [("encoders", found.present)]

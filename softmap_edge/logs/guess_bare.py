@@ -64,9 +64,7 @@ def _quaternion_part(sheet: Sheet, name: str, free: list[str]) -> bool:
 
 
 def _is_place(rows: Array) -> bool:
-    """Whether three columns (rows, 3) are a place: they move smoothly, at a distance that changes
-    little.
-    """
+    """Whether columns (rows, 3) are a place: smooth, with little change in distance."""
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known) < 10:
         return False

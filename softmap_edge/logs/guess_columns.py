@@ -1,5 +1,4 @@
-"""What the columns of a log look like, by their names and numbers: commands, encoders, markers,
-labels, units.
+"""What columns look like by names and numbers: commands, encoders, markers, labels, units.
 
 Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or
 `servo_4_mm` are commands; `phi2` or `present_1` are encoders. Every answer carries the reason that
@@ -155,8 +154,9 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
 
 
 def _sheets_of(group: list[Part]) -> list[Sheet]:
-    """Return the sheets of one log: one, or one for each topic of a recording or each length of
-    arrays.
+    """Return the sheets of a log: one, or one for each topic or length of arrays.
+
+    Topics are those of a recording.
     """
     first = group[0]
     if first.kind in RECORDINGS:
@@ -273,9 +273,7 @@ def _unique(names: list[str]) -> list[str]:
 
 # --- names ---------------------------------------------------------------------------------
 def last_of(sheet: Sheet, name: str) -> str:
-    """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it
-    is.
-    """
+    """Return the last word of an array's path: `u[0]` of `log.signal.u[0]`; others unchanged."""
     found = re.fullmatch(r".*?([^.\[\]]+(\[[^\]]*\])*(\.[xyz])?)", name)
     return found[1] if found and sheet.indexed and sheet.topic is None else name
 
@@ -290,8 +288,9 @@ def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | N
 
 # --- points --------------------------------------------------------------------------------
 def points_of(sheet: Sheet) -> Triples:
-    """Return the triples of columns that are x, y, z of a place, in the file's order, and those
-    that are not.
+    """Return the triples of columns that are x, y, z of a place, and those that are not.
+
+    They are in the file's order.
     """
     keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
     names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
@@ -309,15 +308,14 @@ def points_of(sheet: Sheet) -> Triples:
 
 
 def _turns(sheet: Sheet, name: str) -> bool:
-    """Return whether a place has a rotation: it then belongs to a rigid body of a motion
-    capture.
-    """
+    """Return whether a place has a rotation: then it is of a motion capture's rigid body."""
     return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
 
 
 def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
-    """Return the places among arrays: of three columns without another meaning, or of 3 M by a name
-    such as markers.
+    """Return the places among arrays.
+
+    They have three columns without another meaning, or 3 M by a name such as markers.
     """
     if not sheet.indexed or sheet.topic is not None:
         return []
@@ -413,8 +411,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
 
 
 def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str, list[str]]]:
-    """Return the groups, those cut in parts whose columns never hold a number in one row: of
-    several publishers.
+    """Return the groups, cut in parts by publisher.
+
+    Columns of several publishers never hold a number in one row.
     """
     found: list[tuple[str, list[str]]] = []
     for stem, names in groups.items():
@@ -432,9 +431,7 @@ def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str,
 
 
 def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
-    """Whether two columns side by side differ only in their last word: `motor_links`,
-    `motor_rechts`.
-    """
+    """Whether adjacent columns differ only in their last word: `motor_links`, `motor_rechts`."""
     place = sheet.names.index(other.columns[0]) - sheet.names.index(one.columns[-1])
     stems = [re.sub(r"[^_]*$", "", role.columns[0].lower()) for role in (one, other)]
     alone = len(other.columns) == 1 and not any(
@@ -444,8 +441,9 @@ def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
 
 
 def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[str, str, bool]:
-    """Return the unit of commands or encoders (T, C), why, and whether that is sure; `joint` are
-    joint states.
+    """Return the unit of commands or encoders (T, C), why, and if it is sure.
+
+    `joint` are joint states.
     """
     if stated is not None:
         return stated, f"their name says {stated}", True

@@ -1,5 +1,4 @@
-"""Propose how to read a column of time that falls in some rows, and state what is doubtful about
-it.
+"""Propose how to read a time column that falls in some rows; state what is doubtful.
 
 A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. Steps of a clock that
 was set are taken out by `jumps = "mend"`. Other falls are left out by `repeated = "drop"` where
@@ -107,8 +106,9 @@ def _without_steps(t: Array, rows: NDArray[np.int64]) -> Array:
 
 
 def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
-    """Return the unit of a counter that rolls over, and why: the one in which its usual step is a
-    robot's; else None.
+    """Return the unit of a counter that rolls over, and why; else None.
+
+    It is the unit in which its usual step is that of a robot.
 
     Args:
         values: (rows,) counts, finite.

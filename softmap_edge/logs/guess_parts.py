@@ -72,9 +72,7 @@ def _order(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[int] | No
 
 
 def _overlap(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[str]:
-    """Return the sentence on logs with the same names that overlap in time; none of a single
-    log.
-    """
+    """Return the sentence on equally named logs that overlap in time; none for a single log."""
     if len(group) < 2 or not group[0].header or not times[0].columns:
         return []
     names = " and ".join(sheet.path.name for sheet in group)
@@ -100,9 +98,7 @@ def _one(group: Sequence[Sheet], others: Sequence[str]) -> Sheet:
 
 
 def _pattern(names: Sequence[str], others: Sequence[str]) -> str | None:
-    """Return a pattern that fits some names of files and none of the others; None if there is
-    none.
-    """
+    """Return a pattern that fits some file names and none of the others; None if there is none."""
     by_number = {without_numbers(glob.escape(name), "*") for name in names}
     start = os.path.commonprefix(list(names))
     end = os.path.commonprefix([name[len(start) :][::-1] for name in names])[::-1]

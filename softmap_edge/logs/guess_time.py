@@ -1,5 +1,4 @@
-"""Find the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or
-nothing.
+"""Find the time of a log: a column, seconds and nanoseconds, date and time, or nothing.
 
 A column whose cells are dates or times always counts. Otherwise a column counts if it rises
 throughout and has the name of a time, or is the first. A clock that falls counts if one roll-over
@@ -102,9 +101,7 @@ def _known(sheet: Sheet, name: str) -> Array:
 
 
 def cell(sheet: Sheet, name: str) -> str:
-    """Return a column as written in a mapping: by number without a header or if the name occurs
-    twice.
-    """
+    """Return a column as in a mapping: by number without a header or if its name repeats."""
     k = sheet.names.index(name)
     if (
         not sheet.header
@@ -165,9 +162,7 @@ def _coarse(sheet: Sheet, name: str) -> bool:
 
 
 def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
-    """A column of text called as time is, what it holds, and whether most of its cells are numbers
-    or times.
-    """
+    """A text column named like a time, its content, and if most cells are numbers or times."""
     for name, texts in sheet.texts.items():
         filled = [text for text in texts if text]
         if filled and sheet.header and TIME_NAME.search(_bare(last_of(sheet, name))):
@@ -210,9 +205,7 @@ def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
 
 
 def _ticks_evenly(values: Array) -> bool:
-    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever
-    name.
-    """
+    """Whether numbers rise by nearly equal steps, as a clock does under whatever name."""
     step = np.diff(values[np.isfinite(values)])
     usual = float(np.median(step))
     return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
@@ -369,9 +362,7 @@ def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str
 
 
 def _completes(full: Array, fraction: Array, seconds: float) -> bool:
-    """Whether two columns of integers are seconds that do not fall, and a fraction below one
-    second.
-    """
+    """Whether two integer columns are seconds that do not fall and a fraction of a second."""
     if len(full) != len(fraction) or len(full) < 2 or not (np.rint(full) == full).all():
         return False
     if (

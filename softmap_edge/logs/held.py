@@ -31,8 +31,9 @@ _EVEN = 0.8  # of the gaps between new values lie within a row of a multiple of 
 
 @dataclass(frozen=True)
 class Held:
-    """What was held: the typical time between new values in s (0 when nothing was), the share of
-    repeated rows.
+    """What was held: the typical time between new values, and the share of repeated rows.
+
+    The time is in s, 0 when nothing was held.
     """
 
     hold_s: float = 0.0
@@ -43,8 +44,9 @@ class Held:
         return self.text()
 
     def text(self, beat: str | None = None) -> str:
-        """Return what was held, with the time between new values; `beat` stands for it in a log
-        without time.
+        """Return what was held, with the time between new values.
+
+        `beat` stands for it in a log without time.
         """
         how = "each channel in turn " if self.in_turn else ""
         beat = beat or f"every {self.hold_s * 1e3:.0f} ms"
@@ -80,9 +82,7 @@ def unhold(t: Array, rows: Array) -> tuple[Array, Held]:
 
 
 def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, float]:
-    """The rows between which to draw lines, and the typical hold in s; None where nothing is
-    held.
-    """
+    """The rows to draw lines between, and the typical hold in s; None if nothing is held."""
     if len(fresh) < 3 or len(fresh) > _FRESH * len(t):
         return None, 0.0
     gaps = np.diff(fresh)
@@ -95,8 +95,9 @@ def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None
 
 
 def _on_a_beat(gaps: NDArray[np.int64]) -> bool:
-    """Whether new values come at the beat of a clock, and not as a slow move passes the steps of an
-    encoder.
+    """Whether new values follow a clock.
+
+    Otherwise they come as a slow move passes the steps of an encoder.
     """
     typical = int(np.median(gaps))
     slack = 0 if typical < 4 else 1  # of a beat of 3 rows every gap is within one
@@ -128,8 +129,9 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
 
 
 def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
-    """Return whether many new pictures, at rows `first`, differ from those before by more than the
-    digits.
+    """Return whether many new pictures differ from those before by more than the digits.
+
+    They are at rows `first`.
     """
     digit = np.array([digit_of(column) for column in flat.T])
     moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0))) > DIGITS * digit
@@ -139,8 +141,9 @@ def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
 def _catches_up(
     flat: Array, first: NDArray[np.int64], ends: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return of each row whether its picture, from `first` to `ends`, is followed by a longer move
-    than usual.
+    """Return for each row whether a longer move than usual follows its picture.
+
+    The picture is shown from `first` to `ends`.
     """
     moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0)))
     usual = np.quantile(moved, 0.9, axis=0) if len(moved) else np.zeros(flat.shape[1])

@@ -1,5 +1,6 @@
-"""Find markers that stand still to the last digit while the robot moves: a tracker that repeats the
-last place.
+"""Find markers that stand still to the last digit while the robot moves.
+
+A tracker then repeats the last place.
 
 A marker that repeats its place is compared with the other markers. Its place is predicted from each
 of them by least squares over the frames in which it is fresh. If its noise makes a repeat
@@ -62,9 +63,7 @@ def held_places(points: Array, u: Array | None) -> list[Held]:
 
 
 def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
-    """Yield the first repetition of each stretch of `least` or more (K,), and the frame after its
-    last one.
-    """
+    """Yield each stretch of `least` or more (K,): its first repetition, the frame after it."""
     edges = np.flatnonzero(np.diff(np.r_[False, again, False].astype(int)))
     for first, end in edges.reshape(-1, 2):
         if end - first >= least:
@@ -113,8 +112,9 @@ def _others(known: Mask, again: Mask, m: int) -> list[int]:
 
 
 def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Array | None, float]:
-    """Return places (K, D) by a linear fit to the columns (K, n) in fresh frames, and its RMS
-    error; NaN elsewhere.
+    """Return places (K, D) by a linear fit to the columns (K, n), and its RMS error.
+
+    The fit is in fresh frames; NaN elsewhere in the places.
     """
     fit = there & fresh
     if fit.sum() < ROWS * (columns.shape[1] + 1):
@@ -129,9 +129,7 @@ def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Ar
 
 
 def _digit(places: Array) -> float:
-    """Return the step of the last digit of places (n, D): the least distance between two different
-    numbers.
-    """
+    """Return the last digit's step of places (n, D): the least distance of two numbers."""
     steps = [np.diff(np.unique(column)) for column in places.T]
     found = [float(step.min()) for step in steps if len(step)]
     return max(found, default=0.0)
@@ -162,8 +160,9 @@ def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]
 
 
 def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
-    """Whether the recording has noise: outside the stretches no picture repeats, nor while the
-    commands stand still.
+    """Whether the recording has noise.
+
+    Outside the stretches no picture repeats, nor while the commands stand still.
     """
     outside = np.ones(len(frozen), bool)
     for a, b in stretches:
@@ -180,8 +179,9 @@ def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
 def _jumped(
     places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Array
 ) -> Iterator[tuple[int, int]]:
-    """Yield the stretches after which a marker (K, D) jumps to where the commands have brought it
-    meanwhile.
+    """Yield stretches after which a marker (K, D) jumps to its commanded place.
+
+    The commands have brought it there meanwhile.
     """
     squares = np.column_stack(
         [u, *(u[:, i] * u[:, j] for i in range(u.shape[1]) for j in range(i + 1))]

@@ -52,9 +52,7 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, with a sentence for each change made, each suspicious finding, and each damage of its
-    logs.
-    """
+    """A run, with sentences on each change made, suspicious finding and damage of its logs."""
 
     run: Run
     notes: tuple[str, ...]
@@ -151,8 +149,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
 
 
 def _spool(mapping: Mapping) -> dict[str, Array]:
-    """Return the radius (mm) of the spools that turned angles into commands, for the run to keep;
-    {} without one.
+    """Return the radius (mm) of the spools that turned angles into commands.
+
+    The run keeps it; {} without one.
     """
     commands = [log.rows["command"] for log in mapping.logs if "command" in log.rows]
     radii = {
@@ -165,9 +164,7 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
 
 
 def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[np.generic]]:
-    """Return the field that marks the search for places that stand for "not seen" as done, or as
-    switched off.
-    """
+    """Return the field on the search for places that stand for "not seen": done, or off."""
     if "markers" not in fields:
         return {}
     kept = any(
@@ -179,8 +176,9 @@ def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[n
 
 
 def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
-    """Return the field of a run whose log has no time; raise RunError where times would have to be
-    joined.
+    """Return the field of a run whose log has no time.
+
+    Raise RunError where times would have to be joined.
     """
     if not any(log.clock.timeless for log in mapping.logs):
         return {}
@@ -212,8 +210,9 @@ def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
 
 
 def _unused_time(names: Sequence[str]) -> list[str]:
-    """Return the doubt that a log which is declared to have no time has columns that are called as
-    time is.
+    """Return the doubt that a log has columns named like time.
+
+    It is declared to have no time.
     """
     times = [name for name in names if is_time_name(name)]
     if not times:
@@ -294,8 +293,9 @@ def _command_rows(
 
 
 def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
-    """The rows that have a value in some column, and in them every value: absent ones lie on the
-    line between.
+    """The rows with a value in some column, with every value in them.
+
+    Absent ones lie on the line between their neighbours.
     """
     some = np.asarray(np.isfinite(values).any(axis=1))
     empty = np.asarray(~np.isfinite(values).any(axis=0))
@@ -366,9 +366,7 @@ def _resample_commands(
 
 
 def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -> Array:
-    """Return the times of the frames on the clock of the commands, corrected as the mapping
-    states.
-    """
+    """Return frame times on the clock of the commands, corrected as the mapping states."""
     if mapping.fast_ppm == 0.0 and mapping.clock_step is None:
         return t_seen
     start, step = float(t[0]), mapping.clock_step
@@ -382,9 +380,7 @@ def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -
 
 
 def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
-    """Take the markers' places at rest from a stretch of the log in which the robot is known to be
-    straight.
-    """
+    """Take the markers' rest places from a stretch of the log when the robot is straight."""
     if mapping.marker_rest_s is None:
         return
     low, high = mapping.marker_rest_s

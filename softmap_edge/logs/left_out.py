@@ -1,5 +1,6 @@
-"""Choose the log that holds the markers, and name the columns that a proposed mapping leaves out,
-with the reason.
+"""Choose the log that holds the markers, and name the columns that are left out.
+
+They are left out of a proposed mapping; each has a reason.
 """
 
 from __future__ import annotations

@@ -63,8 +63,7 @@ def dataset_files(folder: Path) -> list[Path]:
 
 
 def info_near(path: Path) -> Info | None:
-    """Return the info of the dataset that a Parquet file belongs to: two folders above
-    data/chunk-000/.
+    """Return the info of a Parquet file's dataset: two folders above data/chunk-000/.
 
     Raises:
         RunError: it is there, and cannot be read.
@@ -108,9 +107,7 @@ def read_info(path: Path) -> Info:
 
 
 def _names(feature: object) -> list[str]:
-    """Return the names of the elements of a feature: a list, or a list in a table (`{"motors":
-    […]}`).
-    """
+    """Return the names of a feature's elements: a list, or one in a table (`{"motors": […]}`)."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         lists = [value for value in names.values() if isinstance(value, list)]
@@ -122,9 +119,7 @@ def _names(feature: object) -> list[str]:
 
 # --- calibration ---------------------------------------------------------------------------
 def explained(document: object) -> str | None:
-    """Return an explanation of a calibration of LeRobot and how to use it; None for another
-    document.
-    """
+    """Return an explanation of a LeRobot calibration and its use; None for other documents."""
     if not isinstance(document, dict) or not 0 < len(document) <= _MOST:
         return None
     motors = {

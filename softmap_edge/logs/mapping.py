@@ -1,5 +1,4 @@
-"""The mapping file of an import: which column is what, in which unit, frame and rate; read and
-checked.
+"""The mapping file of an import, checked: which column is what, in which unit, frame, rate.
 
 Every key is known: a misspelt one is named with those that exist. docs/reference/mapping.md lists
 them; examples/trunk.toml shows the form.
@@ -135,9 +134,7 @@ class Mapping:
     clock_step: tuple[float, float] | None = None
 
     def to_base(self, points: Array) -> Array:
-        """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes
-        turned.
-        """
+        """Return points (..., 3) mm of the log's frame in the base frame: shift, then axes turn."""
         shifted = points - self.origin_mm
         return np.stack([sign * shifted[..., axis] for axis, sign in self.axes], axis=-1)
 

@@ -1,5 +1,4 @@
-"""The part of a mapping that names outputs other than places (force, angle, level), and the names
-of columns.
+"""The part of a mapping for outputs other than places (force, angle, level); column names.
 
 Pinned by tests/run/test_output.py.
 """
@@ -21,8 +20,9 @@ Column = str | int
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of outputs other than places (force, angle, level): value · scale + offset, in
-    `unit`.
+    """Columns of outputs other than places (force, angle, level).
+
+    A value is value · scale + offset, in `unit`.
     """
 
     columns: tuple[Column, ...]

@@ -67,9 +67,7 @@ class Lost:
     coordinates: tuple[Coordinate, ...] = ()
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
-        """Return a sentence for each place that stands for "not seen", and one for places that are
-        held.
-        """
+        """Return sentences on places that stand for "not seen", and one on held places."""
         count = len(self.mask)
         lines = []
         for place in dict.fromkeys(one.place for one in self.constants):
@@ -137,8 +135,9 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
 
 
 def declared(points: Array, numbers: Sequence[float]) -> Lost:
-    """Return the points (K, M, D) whose numbers all equal one of those that a mapping declares as
-    not seen.
+    """Return the points (K, M, D) that a mapping declares as not seen.
+
+    Their numbers all equal one of those that it declares.
     """
     mask, found = np.zeros(points.shape[:2], bool), []
     for number in numbers:
@@ -187,9 +186,7 @@ def _constants(places: Array, u: Array | None, only_marked: bool) -> Iterator[ND
 
 
 def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the distinct places of (n, D) in order, which of them each row is, and how often each
-    is there.
-    """
+    """Return the distinct places of (n, D) in order, each row's index, and their counts."""
     order = np.lexsort(own.T[::-1])
     new = np.r_[True, (own[order[1:]] != own[order[:-1]]).any(axis=1)]
     which = np.empty(len(own), np.intp)
@@ -198,9 +195,7 @@ def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
-    """Return which distinct places (n, D) are three equal numbers, if they are few; the commonest
-    of them.
-    """
+    """Return the few distinct places (n, D) of three equal numbers, and the commonest of them."""
     marked = (distinct == distinct[:, :1]).all(axis=1) & (distinct.shape[1] > 1)
     if marked.sum() > MARKS:
         rare = np.flatnonzero(marked)[np.argsort(-count[marked], kind="stable")[MARKS:]]
@@ -209,8 +204,9 @@ def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
 
 
 def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
-    """Return which places (n, D) occur more than once: those farthest from the middle, and those
-    that occur most.
+    """Return which places (n, D) occur more than once.
+
+    Those farthest from the middle, and those that occur most.
     """
     several = np.flatnonzero(count > 1)
     away = np.linalg.norm(places[several] - np.median(places, axis=0), axis=1)
@@ -223,8 +219,9 @@ def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The places (n, D) of a marker, the distinct ones, which each row is and how often each is
-    there; the commands.
+    """The places (n, D) of a marker, and the commands.
+
+    The distinct places, which each row is and how often each is there.
     """
 
     own: Array
@@ -235,8 +232,9 @@ class _Seen:
 
 
 def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) -> bool:
-    """Return whether distinct place `k` is no place, compared with the distinct places `rest`;
-    `lost` are no places.
+    """Return whether distinct place `k` is no place.
+
+    It is compared with the distinct places `rest`; `lost` are no places.
     """
     at, u = seen.which == k, seen.drive
     driven = u is not None and at.sum() > 2 and bool(np.ptp(u[at], axis=0).max() > DRIVEN)
@@ -267,8 +265,9 @@ def _alone(here: Array, places: Array) -> bool:
 
 
 def _jumps(own: Array, at: Mask, others: Mask) -> bool:
-    """Whether a marker (n, D) comes to the place `at` and leaves it only by steps longer than all
-    its other steps.
+    """Whether a marker (n, D) reaches and leaves `at` only by its longest steps.
+
+    They are longer than all its other steps.
     """
     step = np.linalg.norm(np.diff(own, axis=0), axis=1)
     usual = step[others[1:] & others[:-1]]
@@ -279,8 +278,9 @@ def _jumps(own: Array, at: Mask, others: Mask) -> bool:
 
 
 def _rests(own: Array, u: Array, at: Mask, others: Mask) -> bool:
-    """Whether the frames `at` may be a robot at rest: under one command, near which no frame has a
-    place far away.
+    """Whether the frames `at` may be a robot at rest.
+
+    It is under one command, near which no frame has a place far away.
     """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST or not others.any():

@@ -8,8 +8,7 @@ _DIGITS = re.compile(r"\d+")
 
 
 def without_numbers(name: str, mark: str = "#") -> str:
-    """Return a name with a mark in place of each number, so that names that differ in numbers only
-    are equal.
+    """Return a name with marks for numbers: names that differ in numbers only are then equal.
 
     Args:
         name: a name of a column or of a file.

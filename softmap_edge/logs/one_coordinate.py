@@ -1,5 +1,6 @@
-"""Find places with one coordinate that stands for "not seen", such as the depth 0 or 65535 of a
-depth camera.
+"""Find places with one coordinate that stands for "not seen", as depth 0 or 65535.
+
+Depth cameras give such values.
 
 Such a number is the same to the last digit in several frames, and lies farther from all other
 numbers of the coordinate than these reach. The marker jumps to it and away, or it is not the place
@@ -30,8 +31,9 @@ NAMES = "xyz"
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A number that stands for "not seen": coordinate `axis` of marker `marker` is `number` in
-    `frames` (n,).
+    """A number for "not seen": coordinate `axis` of marker `marker` is `number`.
+
+    It is so in `frames` (n,).
     """
 
     marker: int
@@ -69,9 +71,7 @@ def _candidates(part: Array) -> list[float]:
 def _of_markers(
     part: Array, number: float, u: Array | None
 ) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield the markers of one coordinate (K, M) for which a number stands for "not seen", and
-    their frames.
-    """
+    """Yield markers of a coordinate (K, M) with a number for "not seen", and the frames."""
     for m in np.flatnonzero((part == number).any(axis=0)):
         at, known = part[:, m] == number, np.isfinite(part[:, m])
         others = part[known & ~at, m]
@@ -87,17 +87,16 @@ def _of_markers(
 
 
 def _jumps(numbers: Array, at: Mask) -> bool:
-    """Return whether a coordinate (n,) comes to its number and leaves it by steps longer than all
-    others.
-    """
+    """Return whether a coordinate (n,) reaches and leaves its number by its longest steps."""
     step = np.abs(np.diff(numbers))
     usual, into = step[~at[1:] & ~at[:-1]], step[at[1:] != at[:-1]]
     return bool(len(usual) and len(into) and into.min() > STEPS * usual.max())
 
 
 def _rests(u: Array, at: Mask, others: Mask) -> bool:
-    """Return whether the robot may rest there: under one command, and it is elsewhere under other
-    commands only.
+    """Return whether the robot may rest there.
+
+    It is there under one command, and elsewhere under other commands only.
     """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST:

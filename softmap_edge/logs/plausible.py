@@ -1,5 +1,4 @@
-"""Says when numbers do not look like what a mapping declares: wrong units, a frame that is not the
-base frame.
+"""Reports numbers that do not look like what a mapping declares: units, or base frame.
 
 Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a
 robot of 3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range
@@ -91,9 +90,7 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
 
 
 def doubts_of_both(fields: dict[str, Any]) -> list[str]:
-    """Say whether commands and encoders are in two units: their ranges are 57.3 or 1000 times
-    apart.
-    """
+    """Report commands and encoders in two units: ranges 57.3 or 1000 times apart."""
     command, present = fields.get("command"), fields.get("present")
     if command is None or present is None or command.shape[1] != present.shape[1]:
         return []
@@ -112,8 +109,7 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
 
 
 def doubts_of_frozen(t: Array, fields: dict[str, Any]) -> list[str]:
-    """Name readings of drives that repeat to the last digit while a command crosses much of its
-    range.
+    """Report drive readings that repeat exactly while a command crosses much of its range.
 
     Args:
         t: (T,) s, of the rows. fields: the fields of the run, with an entry for each row.
@@ -144,8 +140,9 @@ def doubts_of_frozen(t: Array, fields: dict[str, Any]) -> list[str]:
 
 
 def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
-    """Return the longest stretch (first row, row after the last) in which a column (T,) stands
-    still and should not.
+    """Return the longest stretch in which a column (T,) stands still and should not.
+
+    It is (first row, row after the last).
     """
     edges = np.flatnonzero(np.r_[True, np.diff(column) != 0, True])
     span = np.ptp(commands, axis=0)
@@ -158,9 +155,7 @@ def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
 
 
 def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[str]:
-    """Say whether points (K, M, 3) of a key `name`, converted to mm from `unit`, are no robot's
-    size.
-    """
+    """Report points (K, M, 3) of a key `name`, in mm from `unit`, without a robot's size."""
     sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
     sample = sample[np.isfinite(sample).all(axis=1)]
     if len(sample) < 2:
@@ -225,8 +220,9 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
 
 
 def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
-    """Whether markers (M, 3) sit close together, up the z axis of a clamp whose place is given: a
-    plate at the tip.
+    """Whether markers (M, 3) are those of a plate at the tip.
+
+    They are close together, up the z axis of a clamp whose place is given.
     """
     rest = rest[np.isfinite(rest).all(axis=1)]
     middle = rest.mean(axis=0)
@@ -262,8 +258,9 @@ def _middle(points: Array) -> Array:
 
 
 def rest_axis(rest: Array, base: Array | None) -> Array | None:
-    """Return the unit vector (3,) along which a robot lies, from markers (M, 3) listed base first;
-    None if unknown.
+    """Return the unit vector (3,) along which a robot lies; None if unknown.
+
+    It follows from markers (M, 3) listed base first.
 
     From the base (3,) to the middle of the markers where a base is known, else from the first to
     the last of an elongated set, else from the origin to a single marker.
@@ -285,9 +282,7 @@ def rest_axis(rest: Array, base: Array | None) -> Array | None:
 
 
 def axes_for(axis: int, sign: int) -> list[str]:
-    """Return `frame.axes` that makes the log's axis `axis`, turned by `sign`, the robot's z;
-    right-handed.
-    """
+    """Return right-handed `frame.axes` with the robot's z along `sign` times log axis `axis`."""
     z, x = np.zeros(3), np.zeros(3)
     z[axis] = sign
     x[0 if axis else 1] = 1.0

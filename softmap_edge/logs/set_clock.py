@@ -1,5 +1,6 @@
-"""Find where a clock was set, back or forward: time falls or leaps, and the values go on as if no
-time had passed.
+"""Find where a clock was set back or forward.
+
+Time falls or leaps, and the values go on as if no time had passed.
 
 Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps
 as well, but the robot rests before or after it, or is elsewhere. Pinned by
@@ -73,8 +74,9 @@ def set_back(t: Array, values: Array) -> Jump | None:
 
 
 def set_forward(t: Array, values: Array) -> Jump | None:
-    """Return the leaps of a clock that was set: the values move, and go on as if no time had
-    passed; else None.
+    """Return the leaps of a clock that was set; else None.
+
+    The values move, and go on as if no time had passed.
 
     Args:
         t: (rows,) s. values: (rows, columns) without those of time.
@@ -104,16 +106,18 @@ def _soon_reached(t: Array, row: int, usual: float) -> bool:
 
 
 def returns(step: Array, row: int, size: float) -> bool:
-    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a
-    stamp of 0.
+    """Whether the step next to a fall of `size` reverses it.
+
+    It then is one stray time, such as a stamp of 0.
     """
     near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
     return bool(near) and max(near) > 0.5 * size
 
 
 def goes_on(values: Array, row: int) -> bool | None:
-    """Return whether values (rows, columns) go on from the row before to `row`; None if nothing
-    moves there.
+    """Return whether values (rows, columns) go on from the row before to `row`.
+
+    None if nothing moves there.
     """
     first, last = max(row - NEAR, 0), min(row + NEAR, len(values))
     before, after = values[first:row], values[row:last]
@@ -139,9 +143,7 @@ def _span(values: Array) -> Array:
 
 
 def _moves(side: Array, usual: Array) -> NDArray[np.bool_]:
-    """Return which columns (rows, columns) move steadily: their halves differ by more than
-    noise.
-    """
+    """Return which columns (rows, columns) move steadily: halves differ beyond noise."""
     half = len(side) // 2
     if half < 2:
         return np.zeros(side.shape[1], np.bool_)

@@ -1,5 +1,6 @@
-"""Find frames in which a list of markers gets shorter, so that columns show the neighbour of their
-marker.
+"""Find frames with a shorter list of markers, so that columns show their neighbours.
+
+A column then shows the neighbour of its marker.
 
 Trackers without labels write the markers that they see one after the other. If one is lost, all
 later columns move up and the last column is empty, or repeats the one before. In other lists the
@@ -38,8 +39,9 @@ _LISTED = 5
 
 @dataclass(frozen=True)
 class Shifted:
-    """Which marker each column shows: `shows` (K, M), the column's own number where it is right,
-    else `NOWHERE`.
+    """Which marker each column shows: `shows` (K, M).
+
+    The column's own number where it is right, else `NOWHERE`.
     """
 
     shows: Whole
@@ -115,8 +117,9 @@ def find_shifted(points: Array) -> Shifted | None:
 
 
 def _first_of(points: Array) -> Whole:
-    """Return the first column (K, M) with the same place to the last digit; its own number where no
-    other has it.
+    """Return the first column (K, M) with the same place to the last digit.
+
+    Its own number where no other has it.
     """
     count = points.shape[1]
     first = np.tile(np.arange(count), (len(points), 1))
@@ -131,8 +134,9 @@ def _first_of(points: Array) -> Whole:
 
 
 def _apart(one: Array, other: Array, same: NDArray[np.bool_]) -> bool:
-    """Return whether two markers (K, D) are elsewhere too far from each other to round to one
-    place.
+    """Return whether two markers (K, D) are too far apart in other frames to share a place.
+
+    The place is rounded.
     """
     away = np.linalg.norm(one - other, axis=1)[~same]
     away = away[np.isfinite(away)]
@@ -178,8 +182,9 @@ def _follow(
 
 
 def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]) -> Whole:
-    """Return one column for each place (M, D): of those that repeat it, the one whose marker was
-    nearest to it.
+    """Return one column for each place (M, D).
+
+    Of those that repeat it, the one whose marker was nearest to it.
     """
     column = np.arange(len(last))
     if (first == column).all():
@@ -216,8 +221,9 @@ def _write(shows: Whole, first: Whole, columns: Whole, markers: Whole, clear: li
 
 
 def _matched(away: Array, last: Array, own: Whole) -> Whole:
-    """Return which marker each place shows, in rising order, by its distances (n, M) from the last
-    places of all.
+    """Return which marker each place shows, in rising order.
+
+    By its distances (n, M) from the last places of all.
     """
     nearest = away.argmin(axis=1)
     best = nearest if (np.diff(nearest) > 0).all() else _in_order(away)

@@ -1,5 +1,6 @@
-"""Find the files behind the paths of `softmap import` (files, folders, packed files), and assign
-them to logs.
+"""Find the files of `softmap import` paths, and assign them to logs.
+
+Paths are files, folders and packed files.
 
 A folder stands for its files, a packed file for its contents. Several recordings that fit one log
 are its parts. Logs whose mappings differ only in `file` are one log in parts. Pinned by
@@ -155,8 +156,9 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
 
 
 def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) -> None:
-    """Raise RunError if files are no parts of one log: a column is missing in one of them, or units
-    differ.
+    """Raise RunError if files are no parts of one log.
+
+    A column is then missing in one of them, or units differ.
     """
     asked = [column for column in columns_named(log) if isinstance(column, str)]
     known = {column for column in asked if any(column in columns.names for _, columns in opened)}
@@ -206,8 +208,9 @@ def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
 
 
 def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
-    """Return files in groups: the parts of one recording together, by their folder or by names that
-    differ in numbers.
+    """Return files in groups: the parts of one recording together.
+
+    By their folder, or by names that differ in numbers.
 
     A dataset of several files is one group as well; every other file is alone.
     """
@@ -283,9 +286,7 @@ def _chosen(parts: list[Part]) -> Chosen:
 
 
 def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
-    """Return the logs that differ in more than their file, and the patterns of the files of
-    each.
-    """
+    """Return logs that differ in more than their file, and the patterns of their files."""
     found: dict[str, tuple[Log, list[str]]] = {}
     for log in logs:
         key = (

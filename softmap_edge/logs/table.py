@@ -257,8 +257,7 @@ def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: st
 
 
 def header_hint(columns: object) -> str:
-    """Return the line from which names were taken and the ways out if it is the wrong one; "" of
-    other formats.
+    """Return the line of the names and the remedies if it is wrong; "" of other formats.
 
     Args:
         columns: the log, or what else has its `head_line`.
@@ -301,8 +300,9 @@ def _within_reason(
 
 
 def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list[str]]:
-    """Leave out rows that hold a time but no other column of the mapping: those of another
-    publisher or device.
+    """Leave out rows with a time but no other column of the mapping.
+
+    Those are of another publisher or device.
 
     Messages always; rows of other logs where time does not rise with them.
     """

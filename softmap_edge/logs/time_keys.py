@@ -1,6 +1,4 @@
-"""The `time` of a mapping: its columns, their units, and the treatment of times that do not
-increase.
-"""
+"""A mapping's `time`: columns, units, and treatment of times that do not increase."""
 
 from __future__ import annotations
 

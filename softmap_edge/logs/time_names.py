@@ -1,5 +1,6 @@
-"""Recognise the names of columns of time, and the unit that is a word of them: `millis`, `timeMs`,
-`t_usec`.
+"""Recognise names of time columns, and their units: `millis`, `timeMs`, `t_usec`.
+
+The unit is a word of the name.
 """
 
 from __future__ import annotations
@@ -64,8 +65,9 @@ def time_unit(name: str) -> str | None:
 
 
 def is_time_unit(name: str) -> bool:
-    """Whether a name is nothing but a unit of time below a second, as `millis` of Arduino, or
-    `elapsed` with it.
+    """Whether a name is only a unit of time below a second, as `millis` of Arduino.
+
+    `elapsed` may come with it.
     """
     words = [word.lower() for word in _WORD.findall(name)]
     return (

@@ -77,8 +77,7 @@ class TimeText:
     period: float = 0.0
 
     def parse(self, cells: Sequence[str]) -> Array:
-        """Return the seconds (rows, 2) of times in both orders of day and month; an empty cell is
-        NaN.
+        """Return the seconds (rows, 2) of times in both day-month orders; NaN if empty.
 
         Raises:
             TimeTextError: a cell is no time of this form; `args[1]` is its row.
@@ -103,8 +102,9 @@ class TimeText:
         return next((found for form in _FORMS[self.form] if (found := form.fullmatch(cell))), None)
 
     def settle(self, both: Array) -> tuple[Array, str | None]:
-        """Return the seconds (rows,) of both orders' (rows, 2) in the right one, and a note on how
-        it was chosen.
+        """Return the seconds (rows,) in the right order, and a note on the choice.
+
+        Both orders' seconds are (rows, 2).
 
         Raises:
             TimeTextError: the rows do not decide between day/month and month/day.
@@ -152,8 +152,7 @@ def form_of(cell: str) -> str | None:
 
 
 def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | None:
-    """Return how the times of a column are written, from its first cells; None where they are no
-    times.
+    """Return how a column's times are written, by its first cells; None if they are none.
 
     Args:
         cells: the first cells; empty ones do not count, and one in ten may be something else.
@@ -174,8 +173,9 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
 
 
 def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
-    """Return times (rows,) of a day counted on where they fall by more than half a `period` (s),
-    and a note.
+    """Return times (rows,) of a day counted on past midnight, and a note.
+
+    They are counted on where they fall by more than half a `period` (s).
     """
     known = np.flatnonzero(np.isfinite(seconds))
     falls = np.diff(seconds[known]) < -0.5 * period
@@ -190,8 +190,9 @@ def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
 
 
 def common_order(parts: Sequence[Array]) -> str | None:
-    """Return the order of day and month of the parts of one log, `dmy` or `mdy`; None if it makes
-    no difference.
+    """Return the day-month order of a log's parts, `dmy` or `mdy`; None if both agree.
+
+    It then makes no difference.
 
     Args:
         parts: the seconds (rows, 2) of the dates of each part, in both orders.
@@ -223,8 +224,9 @@ def common_order(parts: Sequence[Array]) -> str | None:
 def around_the_clock(
     spans: Sequence[tuple[float, float]], period: float
 ) -> tuple[list[int], list[int]]:
-    """Return the order of parts whose times begin again after a period, and the turns to add to
-    each of them.
+    """Return the order of parts whose times restart after a period, and the turns to add.
+
+    Each part has its turns.
 
     Of all orders on the circle of the clock, that with the shortest longest pause is taken.
 
@@ -275,9 +277,7 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
 def _seconds(
     found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]
 ) -> tuple[float, float]:
-    """Seconds of one time in both orders of day and month; NaN where the calendar has no such
-    day.
-    """
+    """Seconds of one time in both day-month orders; NaN if no such day exists."""
     part = found.groupdict()
     of_day = _of_day(part)
     if part.get("y") is None:

@@ -1,5 +1,6 @@
-"""Find the triples of columns that are x, y, z of a place, and name all other triples, with the
-reason.
+"""Find the triples of columns that are x, y, z of a place, and why others are none.
+
+All other triples are named.
 
 A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`.
 Forces, angles and rates are triples too. Three things decide, in this order:
@@ -92,9 +93,7 @@ class Triples:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A triple of columns, its name without axis and digits, and whether its name marks it as a
-    place.
-    """
+    """A triple of columns, its name without axis and digits, and whether it names a place."""
 
     columns: list[str]
     stem: str
@@ -138,9 +137,7 @@ def find_triples(
 def _seen_only(
     accepted: list[list[_Candidate]], goals: list[list[str]], rows: Rows
 ) -> tuple[list[list[_Candidate]], list[LeftOut]]:
-    """Return the families of places that were seen, and the triples that repeat the motion of one
-    of them.
-    """
+    """Return the families of seen places, and the triples that repeat one's motion."""
     stems = [one.stem for family in accepted for one in family]
     doubtful = [family for family in accepted if is_computed(family[0].stem, stems)]
     seen = [family for family in accepted if family not in doubtful]
@@ -213,9 +210,7 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
 
 
 def _never_changes(family: list[_Candidate]) -> bool:
-    """Whether triples never change, such as the place of a camera; markers on the clamp may
-    rest.
-    """
+    """Whether triples never change, as a camera's place; markers on the clamp may rest."""
     return all(one.steady == _OFFSET and not is_base(one.stem) for one in family)
 
 
@@ -258,8 +253,9 @@ def _together(family: list[_Candidate]) -> _Set:
 
 
 def _misfit(family: _Set, known: _Set) -> str | None:
-    """Return why triples without an informative name are no places alongside the `known` places;
-    None if they are.
+    """Return why triples without an informative name are no places; None if they are.
+
+    They are compared with the `known` places.
     """
     if family.largest <= np.pi:
         return (
@@ -296,9 +292,7 @@ def _candidate(
 
 
 def _steady(points: Array, length: Array) -> str | None:
-    """Return what points (n, 3) are that do not change, or whose distance (n,) from the origin does
-    not.
-    """
+    """Return what points (n, 3) are if they, or their distance (n,) to the origin, are constant."""
     if len(points) < 3:
         return None
     if not np.ptp(points, axis=0).any():
@@ -311,9 +305,7 @@ def _steady(points: Array, length: Array) -> str | None:
 
 
 def _by_name(stem: str) -> tuple[str | None, bool]:
-    """Return the other quantity that a name indicates (None: no other), and whether it marks a
-    place.
-    """
+    """Return the other quantity of a name (None: no other), and whether it marks a place."""
     words = [word.lower() for word in _WORD.findall(stem)]
     text = "_".join(words)
     place = any(_PLACE.search(word) or word in _SHORT_PLACE for word in words) or not words
@@ -331,8 +323,9 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
 
 
 def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
-    """Find x, y of markers in a plane, for a log without places in space; one of them at least has
-    a place's name.
+    """Find x, y of markers in a plane, for a log without places in space.
+
+    One of them at least has a place's name.
 
     Args:
         names, bare, rows: as of `find_triples`.
@@ -394,8 +387,9 @@ def _letters(name: str) -> list[int]:
 
 
 def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples whose names differ in x, y, z; where names repeat, the first of each, then the
-    second of each.
+    """Yield triples whose names differ in x, y, z.
+
+    Where names repeat, the first of each, then the second of each.
     """
     where: dict[str, list[int]] = {}
     for k, name in enumerate(bare):
@@ -415,8 +409,9 @@ def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], s
 
 
 def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name marks a
-    place.
+    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, by name.
+
+    Their name must mark a place.
     """
     groups: dict[str, list[tuple[int, int]]] = {}
     for k, name in enumerate(bare):

@@ -1,5 +1,6 @@
-"""Count commands and encoders of a log on over their roll-overs, as the mapping asks; report those
-it does not name.
+"""Count commands and encoders of a log on over roll-overs, as the mapping asks.
+
+Report those it does not name.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ _NEAR = 5  # rows on either side of a gap that show the speed
 def counted_on(
     name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]
 ) -> Floats:
-    """Return the raw values (rows, columns) of a quantity, counted on over the roll-overs that the
-    mapping declares.
+    """Return raw values (rows, columns) of a quantity, counted on over roll-overs.
+
+    The mapping declares these.
 
     Args:
         name: of the quantity.
@@ -59,8 +61,9 @@ def counted_on(
 
 
 def _over_gaps(name: str, column: str, t: Floats, values: Floats, turn: float) -> list[str]:
-    """Return a doubt on gaps in which a channel (T,) may have turned by more than half a turn,
-    counted as less.
+    """Return a doubt on gaps in which a channel (T,) may have turned beyond half a turn.
+
+    Such a turn is counted as less.
     """
     known = np.flatnonzero(np.isfinite(values))
     step, moved = np.diff(t[known]), np.abs(np.diff(values[known]))

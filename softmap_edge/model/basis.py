@@ -1,5 +1,6 @@
-"""The terms of a static map: monomials of the commands, of the pulls of cables, or tensor products
-of splines.
+"""Terms of a static map of the commands or of the pulls of cables.
+
+They are monomials, or tensor products of splines.
 
 Learning fits them (`rod/regression.py`), a bundle holds their weights, and coverage counts in them.
 Pinned by tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
@@ -71,9 +72,7 @@ class Basis:
         return np.array([RIDGE[degree - 1] for degree in degrees])
 
     def in_core(self, weights: Floats, channels: int) -> Floats:
-        """Return weights (1 + F, outputs) of the terms, intercept first, as the rod of the core
-        takes them.
-        """
+        """Return weights (1 + F, outputs) of the terms, intercept first, as the core has them."""
         if not self.intervals:
             return weights
         return np.concatenate([weights[:1], _smooth(channels, self.intervals)[0] @ weights[1:]])
@@ -91,8 +90,9 @@ class Basis:
 
 @cache
 def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
-    """Return directions (S, F) of tensor splines by their roughness, without the constant, and
-    their penalties (F,).
+    """Return directions (S, F) of tensor splines by their roughness, and their penalties (F,).
+
+    The constant is left out.
     """
     each = intervals + SPLINE_DEGREE
     second = np.diff(np.eye(each), 2, axis=0)
@@ -112,8 +112,9 @@ SQUARES = Basis(2)
 
 
 def commanded_range(u: Floats) -> tuple[Floats, Floats]:
-    """Return the centre and the half width (C,) of the range of commands (n, C); 1 where one never
-    moves.
+    """Return the centre and the half width (C,) of the range of commands (n, C).
+
+    The half width is 1 where a command never moves.
     """
     low, high = u.min(axis=0), u.max(axis=0)
     return (low + high) / 2.0, np.where(high > low, (high - low) / 2.0, 1.0)

@@ -1,5 +1,6 @@
-"""The bundle: the folder that carries a model from one machine to another. Nothing in it is run
-unasked.
+"""The bundle: the folder that carries a model from one machine to another.
+
+Nothing in it is run unasked.
 
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a
                 learned model
@@ -86,8 +87,9 @@ Trust = Callable[[Path, str], bool]
 
 
 def save_bundle(model: Model, path: str | Path) -> Path:
-    """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the
-    folder.
+    """Write `model` as a bundle folder at `path`; the same model gives the same bytes.
+
+    Return the folder.
 
     A bundle that stands there is replaced. Raises BundleError when something else does, or a bundle
     with further files.
@@ -159,8 +161,9 @@ def save_bundle(model: Model, path: str | Path) -> Path:
 
 
 def _loaded() -> Mapping[str, OwnEffect]:
-    """Return the own effects of this process by name; their module is loaded for models with
-    effects only.
+    """Return the user's effects of this process by name.
+
+    Their module is loaded only for models with effects.
     """
     from softmap_edge.model.user_effect import loaded
 
@@ -193,9 +196,7 @@ def _schema(model: Model, files: list[str], own: bool) -> int:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise BundleError when `folder` holds something that is not a bundle, or more: that is never
-    overwritten.
-    """
+    """Raise BundleError if `folder` is no bundle or holds other files: it is never overwritten."""
     if not folder.exists() or folder.is_dir() and not any(folder.iterdir()):
         return
     try:

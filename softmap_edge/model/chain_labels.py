@@ -1,5 +1,6 @@
-"""Parameters of a chain by label: a shared parameter has one label for all channels, and a number
-for each.
+"""Parameters of a chain by label.
+
+A shared parameter has one label for all channels, and a number for each.
 
 `chain.labels` (P,) name every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and
 `dead_zone.slack[0-]` of the cables that a channel pulls to either side. The numbers of one group of
@@ -28,9 +29,7 @@ def readings(label: str, group: str) -> tuple[str, ...]:
 
 
 def grouped(chain: _core.Chain) -> dict[str, list[int]]:
-    """Return the numbers of each group, as indices into the labels of a chain, by the label of the
-    group.
-    """
+    """Return the numbers of each group by its label, as indices into the labels of a chain."""
     groups: dict[str, list[int]] = {}
     for i, label in enumerate(chain.group_labels):
         groups.setdefault(label, []).append(i)
@@ -38,9 +37,7 @@ def grouped(chain: _core.Chain) -> dict[str, list[int]]:
 
 
 def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
-    """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one
-    for each.
-    """
+    """Return parameters (P,) by label: one entry for each group of equal numbers, else for each."""
     found: dict[str, float] = {}
     for label, members in grouped(chain).items():
         if np.all(params[members] == params[members[0]]):
@@ -51,9 +48,7 @@ def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
 
 
 def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> Floats:
-    """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has
-    none of them.
-    """
+    """Return parameters (P,) of a chain from a mapping by label; missing ones are `absent` (P,)."""
     names = (readings(label, group) for label, group in zip(chain.labels, chain.group_labels))
     found = (
         next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent)
@@ -62,17 +57,16 @@ def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> F
 
 
 def spread(chain: _core.Chain, params: Floats) -> Floats:
-    """Return parameters (P,) of a chain from all of them, or from one for each group (G,); others
-    are unchanged.
+    """Return parameters (P,) of a chain from all of them, or from one for each group (G,).
+
+    Parameters that are already complete are returned unchanged.
     """
     groups = np.unique(chain.tie)
     return params[chain.tie] if params.shape == groups.shape else params
 
 
 def differing(chain: _core.Chain, params: Floats) -> frozenset[str]:
-    """Return the effects of a chain with a group whose numbers in `params` (P,) differ between
-    channels.
-    """
+    """Return the effects of a chain with a group whose `params` (P,) differ between channels."""
     members = grouped(chain).items()
     return frozenset(
         group.split(".")[0] for group, some in members if np.any(params[some] != params[some[0]])

@@ -36,8 +36,9 @@ LARGER = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Commands that taught a model: `middle` and `half` (C,), `root` (F, F), `most` (1,); h = |φ
-    root|² ≤ most.
+    """The commands of the training data: `middle`, `half` (C,), `root` (F, F) and `most` (1,).
+
+    A command lies within them if its leverage h = |φ root|² is at most `most`.
     """
 
     middle: Floats
@@ -48,9 +49,7 @@ class Coverage:
 
     @classmethod
     def of(cls, acting: Floats, basis: Basis = SQUARES) -> Coverage:
-        """Return the coverage of the effective commands (n, C) that taught a model, in the terms of
-        a basis.
-        """
+        """Return the coverage of effective commands (n, C) of the training data, by a basis."""
         middle, half = basis.span(acting)
         features = _features((acting - middle) / half, basis)
         strength, directions = np.linalg.eigh(features.T @ features / len(features))
@@ -60,8 +59,9 @@ class Coverage:
         )
 
     def excess(self, acting: Floats) -> Floats:
-        """Return the leverage (n,) of effective commands (n, C), relative to the largest that
-        taught the model.
+        """Return the leverage (n,) of effective commands (n, C).
+
+        It is relative to the largest leverage in the training data.
         """
         features = _features((acting - self.middle) / self.half, self.basis)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
@@ -134,9 +134,7 @@ def apart(commands: Floats) -> list[tuple[int, int]]:
 
 
 def _never_together(u: Floats, v: Floats) -> bool:
-    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside the covered
-    range.
-    """
+    """Return whether all four corners of two channels (n,), within −1 … 1, lie out of range."""
     corners = (1.0 - 2.0 * FAR) * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
     moved, asked = (
         np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T)

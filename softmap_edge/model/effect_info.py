@@ -1,5 +1,4 @@
-"""Declarations of the effects: the compiled ones and a user's own, by name in the order of their
-stages.
+"""Declarations of compiled and of a user's own effects, by name in the order of their stages.
 
 Pinned by tests/model/test_look.py and tests/model/test_own_effect.py.
 """
@@ -14,8 +13,7 @@ from softmap_edge import _core
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: no change at `null`; a fit starts at `start` and searches from
-    `low` to `high`.
+    """A parameter of an effect: no change at `null`, range `low` to `high`, fits begin at `start`.
 
     `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers
     are equal unless they are split. Where the data require it, a fit goes beyond `high`: to

@@ -1,5 +1,4 @@
-"""The elastic-tendon rod as Python holds it: its layout, its numbers, which of them are free, and
-its load fields.
+"""The elastic-tendon rod in Python: layout, numbers, which of them are free, and load fields.
 
 The rod itself is rust/rod/elastic.rs: segments of constant curvature, tendons that stretch and may
 go slack. Its numbers stand in one vector, named by the core: slack · angle, radius, pretension of
@@ -69,8 +68,9 @@ class RodLayout:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a group of numbers: by a factor (1 is none) or by an angle or length (0 is none),
-    within bounds.
+    """A change of a group of numbers within bounds.
+
+    It is a factor (1 is none), or an angle or a length that is added (0 is none).
     """
 
     label: str
@@ -84,8 +84,9 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ElasticParameters:
-    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its
-    load fields.
+    """A rod with its numbers (P,) and the nominal `flexibility` (mm per N) of its tendons.
+
+    The flexibility serves its load fields.
 
     `free` has, for each number, the group in which a fit changed it; -1 where it was known and
     stayed fixed.
@@ -115,8 +116,9 @@ class ElasticParameters:
         return self.layout.compiled(self.numbers)
 
     def fields(self) -> dict[str, _core.ElasticField]:
-        """Return its fields by name (`_core.FIELDS`): mm per N of tip force, mm per g for a nominal
-        weight of 1 N.
+        """Return its fields by name (`_core.FIELDS`), for a nominal weight of 1 N.
+
+        Unit: mm per N of tip force, mm per g.
         """
         rod = self.compiled()
         channels = self.layout.channels
@@ -267,8 +269,9 @@ class ElasticParameters:
 
 @dataclass(frozen=True)
 class Kind:
-    """How one kind of number is fitted: as a factor of its start, or added to it; between `low` and
-    `high`.
+    """How one kind of number is fitted, between `low` and `high`.
+
+    It is a factor of its start, or added to it.
 
     `doubt` is how far off a plausible guess may be: a fit that leaves more uncertainty than that
     has learned nothing. `scatter` is how far other starts lie from the first. Factors count in
@@ -364,8 +367,7 @@ class Coordinates:
         return np.asarray((by_number * scale) @ self.spread)
 
     def fitted_numbers(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
-        """Return value, one standard deviation and unit of each free number, as a robot's file has
-        them.
+        """Return value, standard deviation and unit of each free number, as in a robot's file.
 
         A free number that moves several different ones is given as their factor, or as their change
         in deg or mm.

@@ -1,5 +1,4 @@
-"""Effects that a learned model holds with its static map: they were in the robot while it was
-learned.
+"""Effects that a learned model holds with its static map: the robot had them while it was learned.
 
 `softmap learn` writes one record for each effect that it adds to the chain. The records stand in
 the manifest of a bundle, under `made_from.learned_in`, and are checked like any untrusted file on
@@ -40,9 +39,7 @@ class LearnedNumber:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect, or a family without a law (`name` is empty), and its held-out error in mm
-    RMS.
-    """
+    """Another effect, or a family without a law (empty `name`); its held-out error in mm RMS."""
 
     name: str
     family: str
@@ -133,9 +130,7 @@ def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
 
 
 def _checked(kind: type, document: object) -> Document:
-    """Return the values of a table whose keys are the fields of `kind`, each of its declared
-    type.
-    """
+    """Return the values of a table whose keys are fields of `kind`, each of its declared type."""
     declared = {field.name: str(field.type) for field in fields(kind)}
     if not isinstance(document, Mapping) or set(document) != set(declared):
         raise SoftmapError(

@@ -1,5 +1,4 @@
-"""The manifest of a bundle: its declared contents, every field checked before anything else is
-read.
+"""The manifest of a bundle: its contents, every field checked before anything else is read.
 
 Pinned by tests/model/test_bundle.py.
 """

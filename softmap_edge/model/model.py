@@ -1,5 +1,6 @@
-"""The model: the map from commands to shapes. Comparison, diagnosis and control use only this
-interface.
+"""The model: the map from commands to shapes.
+
+Comparison, diagnosis and control use only this interface.
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
@@ -139,8 +140,9 @@ class Model:
 
     @property
     def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it sideways by the length of the body
-        (`Structure`).
+        """The tip weight (g) that would move the tip by the body's length (`Structure`).
+
+        The move is sideways.
         """
         return self.structure.weight_per_length
 
@@ -155,17 +157,16 @@ class Model:
 
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
-        """Effects that were in the robot while the model was learned (`softmap learn`); none for a
-        simulator.
+        """Effects that the robot had while the model was learned (`softmap learn`).
+
+        There are none for a simulator.
         """
         from softmap_edge.model.learned_in import read_learned_in
 
         return read_learned_in(self.made_from.get("learned_in"))
 
     def taught_by(self, run: Run) -> bool:
-        """Return whether the model was learned from this run, or from a part of the recording that
-        it holds as well.
-        """
+        """Return whether the model was learned from this run, or from a part of its recording."""
         from softmap_edge.run.pieces import spans
 
         known = [
@@ -193,16 +194,18 @@ class Model:
 
     @cached_property
     def tip_shape(self) -> Shape:
-        """The tip (3,) mm of what acts: the middle of the `tip_indices`, as the model hangs,
-        unloaded (`predictors.tip`).
+        """The tip (3,) mm for an effective command, unloaded, as the model hangs.
+
+        It is the middle of the `tip_indices` (`predictors.tip`).
         """
         return tip(
             self.structure, self.chain, self.chain_params, self.gravity_reference, 0.0, float("nan")
         )
 
     def tip(self, acting: Floats) -> Floats:
-        """Return the tip (n, 3) mm in the base frame where `acting` (n, C) mm acts; nothing is
-        sensed.
+        """Return the tip (n, 3) mm in the base frame for effective commands `acting` (n, C) mm.
+
+        No effect of sensing is applied.
         """
         return np.asarray(self.tip_shape.evaluate(np.asarray(acting, float)))
 
@@ -224,8 +227,7 @@ class Model:
         return [required for required in (*chain.fields, *chain.numbers) if required not in there]
 
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
-        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by
-        label).
+        """Return a model whose chain is exactly `names` with `params` in chain order or by label.
 
         A parameter that channels share may be given once (`backlash.gap`) or for each channel
         (`backlash.gap[1]`). In chain order either all of them are given once, or all for each
@@ -277,8 +279,9 @@ class Model:
         return self.with_effects([], {})
 
     def with_residual(self, arrays: Arrays | None) -> Model:
-        """Return the model with the residual that a shape family's `arrays` hold, in place of its
-        own, or with none.
+        """Return the model with another residual, or with none.
+
+        `arrays` are those of the residual's shape family; it takes the place of the model's own.
 
         Raises:
             SoftmapError: it is of other commands or points.
@@ -294,8 +297,9 @@ class Model:
         )
 
     def changes(self, names: Sequence[str]) -> list[Change]:
-        """Return what is fitted along with the effects `names`, labelled as theirs: changes of the
-        prior's numbers.
+        """Return the changes of the prior's numbers that are fitted along with the effects `names`.
+
+        Their labels are those of the effects.
 
         The numbers of a rod were fitted under the law that it had; where an effect changes it, they
         are open again.
@@ -319,15 +323,11 @@ class Model:
 
     @property
     def has_earlier_numbers(self) -> bool:
-        """Whether the prior's numbers were changed along with an effect and are known as they were
-        before.
-        """
+        """Whether the prior's numbers changed along with an effect, and earlier ones are known."""
         return set(BEFORE) <= set(self.arrays.get("prior", {}))
 
     def _before_laws(self) -> Model:
-        """Return the model with the numbers of its rod, and its error, as they were before any of
-        them was changed.
-        """
+        """Return the model with its rod's numbers, and its error, from before any was changed."""
         if not self.has_earlier_numbers or self._elastic is None:
             return self
         numbers, error = (np.asarray(self.arrays["prior"][name], float) for name in BEFORE)
@@ -359,8 +359,9 @@ class Model:
     # --- from runs ------------------------------------------------------------------------------
 
     def commands(self, run: Run) -> Floats:
-        """Return the run's commands (T, C) as this model takes them: the present position if there
-        is one.
+        """Return the run's commands (T, C) as this model takes them.
+
+        These are the present positions if the run has any.
         """
         u = (run := converted(self, run)).commands("goal" if self.input == "goal" else None)
         from softmap_edge.model.training_range import check_commands
@@ -369,9 +370,7 @@ class Model:
         return np.ascontiguousarray(u, float)
 
     def predict(self, run: Run) -> Floats:
-        """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has
-        markers.
-        """
+        """Return the points (K, N, 3) mm at the run's seen times, or markers if the run has any."""
         vertices = self.points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
         carry = self.view(run).carry
         return flat(
@@ -399,8 +398,9 @@ class Model:
     def predict_features(
         self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
-        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`,
-        batched in the core.
+        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`.
+
+        The core computes them in one batch.
 
         What `inputs` makes of the run may be given, here and below, where it is asked again and
         again.
@@ -415,8 +415,9 @@ class Model:
         )
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
-        """Return the predictor of linear forms of the features, `weights` (3V, M); None where
-        shapes are no tables.
+        """Return the predictor of linear forms of the features, `weights` (3V, M).
+
+        None where shapes are no tables.
 
         Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with
         it.
@@ -429,17 +430,16 @@ class Model:
     def predict_forms(
         self, forms: _core.Predictor, names: Sequence[str], params: Floats, inputs: _core.Inputs
     ) -> Floats:
-        """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of
-        a chain.
-        """
+        """Return forms (B, K, M) of a predictor from `through`, for B sets (B, P) of a chain."""
         found = forms.predict(_core.Chain(list(names), self.channels), params, inputs)
         return found.reshape(*found.shape[:2], -1)
 
     def acting(
         self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
-        """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for
-        sets (B, P).
+        """Return the effective commands (B, K, C) of a chain of `names` at the seen times.
+
+        There are B parameter sets (B, P).
         """
         chain = _core.Chain(list(names), self.channels)
         return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
@@ -463,8 +463,9 @@ class Model:
         run: Run,
         inputs: _core.Inputs | None = None,
     ) -> Floats:
-        """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides
-        of one set (P,).
+        """Return the slopes (C, K, V, 3) of the features over effective commands, for one set (P,).
+
+        They are differences over `step` (C,) to both sides.
         """
         chain, predictor = _core.Chain(list(names), self.channels), self.view(run).predictor
         return predictor.slopes(
@@ -472,8 +473,9 @@ class Model:
         )
 
     def features_at(self, effective: Floats, run: Run) -> Floats:
-        """Return the features (K, V, 3) mm of the prior at effective commands (K, C), in the
-        conditions of a run.
+        """Return the prior's features (K, V, 3) mm at effective commands (K, C).
+
+        They hold in the conditions of a run.
         """
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
         return np.asarray(
@@ -481,8 +483,9 @@ class Model:
         )
 
     def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
-        """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C), `step` (C,) to
-        both sides.
+        """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C).
+
+        They are differences over `step` (C,) to both sides.
         """
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
         return predictor.slopes(
@@ -513,38 +516,35 @@ class Model:
         return views.seen_features(self, run)
 
     def seen_points(self, run: Run) -> Floats:
-        """Return the run's points (K, N, 3) mm after checking that they are points of this
-        robot.
-        """
+        """Return the run's points (K, N, 3) mm, after checking that they are of this robot."""
         return views.seen_points(self, run)
 
     def points_in_mm(self, run: Run) -> Floats:
-        """Return the same after checking that they are as large as the robot, so that no effect
-        stands for a unit.
+        """Return the same after checking that the points are as large as the robot.
+
+        Otherwise an effect would stand for a wrong unit.
         """
         return views.points_in_mm(self, run)
 
     def run_feature_map(self, run: Run) -> FeatureMap:
-        """Return what makes features (V) of the run's points: sections of vertices, the markers
-        themselves.
-        """
+        """Return the map to features (V) of a run's points: body sections, or the markers."""
         return self.view(run).mapping
 
     def run_form_error(self, run: Run) -> Floats:
-        """Return the model's own held-out error (V, 3) mm for the features of this run, in its
-        orientations.
-        """
+        """Return the model error, held out, (V, 3) mm of the run's features in its orientations."""
         return views.form_error(self, run)
 
     def run_leaning(self, run: Run) -> Floats:
-        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of
-        the reference.
+        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z.
+
+        The latter are relative to the error in the reference orientation.
         """
         return views.leaning(self, run)
 
     def view(self, run: Run) -> views.View:
-        """Return how this model sees the run's points; kept, for a fit asks for every
-        prediction.
+        """Return how this model sees the run's points.
+
+        It is kept, as a fit needs it for every prediction.
         """
         key = views.key_of(self, run)
         if key not in self._views:

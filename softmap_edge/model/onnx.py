@@ -1,5 +1,6 @@
-"""Trained networks of a bundle: `prior.onnx` and `residual.onnx`, commands (n, C) to the points of
-a body (n, 3N) mm.
+"""Trained networks of a bundle, `prior.onnx` and `residual.onnx`.
+
+They map commands (n, C) to the points of a body (n, 3N) mm.
 
 The compiled core runs them (`rust/network/`), with exact slopes, and needs no onnxruntime. Training
 compares both where it exports a network, `softmap check BUNDLE` does it again; hashes of the bundle
@@ -54,8 +55,7 @@ def read_network(
     prior: Mapping[str, object],
     trusted: Callable[[Path, str], bool],
 ) -> tuple[Arrays, Document | None]:
-    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read
-    it.
+    """Read an ONNX file: its arrays, and a description if only onnxruntime can read it.
 
     One that training wrote stays a network (`onnx`); another becomes a table.
 
@@ -200,8 +200,9 @@ def table_from_onnxruntime(
 
 
 def _modes(values: Floats) -> tuple[Floats, Floats]:
-    """Return the squared sizes (K,) of the principal modes of `values` (n, M), rising, and the
-    modes (K, M).
+    """Return the squared sizes (K,) of the principal modes of `values` (n, M), and the modes.
+
+    The sizes rise; the modes are (K, M).
     """
     if len(values) >= values.shape[1]:
         size, modes = np.linalg.eigh(values.T @ values)
@@ -250,8 +251,7 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
 
 
 def tabulated(network: _core.Network, command_range: Floats) -> _core.Network | _core.Table:
-    """Return a network of few outputs as a table over its commands, or itself where these are too
-    many.
+    """Return a network of few outputs as a table over its commands, or itself for too many.
 
     command_range: (C, 2) mm; the table covers `BEYOND` more to each side.
     """

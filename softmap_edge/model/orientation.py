@@ -1,5 +1,4 @@
-"""The shapes of a model as they are in the orientations of a run: what clouds and frames are
-matched against.
+"""A model's shapes in the orientations of a run, to which clouds and frames are matched.
 
 A prior is made in one orientation. Where frames declare another, the model's fields bend it: its
 shapes on a grid of commands, in their leading modes, are then a table that is as quick as the
@@ -32,8 +31,7 @@ MODES = 32
 
 
 def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
-    """Return the frames (n,) of each orientation that a run declares, and the prior of a model in
-    it.
+    """Return the frames (n,) of each orientation that a run declares, and a model's prior in it.
 
     Args:
         model: its fields say how it hangs; its residual is in it, its effects are not.
@@ -48,8 +46,9 @@ def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
 
 
 def other_orientation(model: Model, run: Run) -> bool:
-    """Return whether some frames are in another orientation than the prior, and the model can
-    predict its influence.
+    """Return whether a model can predict the other orientations in which frames are.
+
+    They are other than that of the prior. False if there are none.
     """
     return any(gravity is not None for _, gravity in _orientations(model, run))
 
@@ -62,9 +61,7 @@ def gravity_seen(run: Run) -> Floats:
 
 
 def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
-    """Return the frames of each orientation, and its gravity (3,) g; None where it is that of the
-    prior.
-    """
+    """Return the frames and the gravity (3,) g of each orientation; None for that of the prior."""
     every = np.arange(run.frames)
     if (
         run.gravity is None

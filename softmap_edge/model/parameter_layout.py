@@ -1,5 +1,4 @@
-"""The parameters of a chain for a run: labels, units, nulls, starts and bounds, for one run or
-several.
+"""Parameters of a chain for one run or several: labels, units, nulls, starts and bounds.
 
 Parameters of a session rather than of the robot (PER_RUN: the pose of the base in the camera's
 frame, its drift, the offset of the clocks) have separate numbers for each run, labelled
@@ -38,9 +37,7 @@ PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Start and search range (P,) of fits of a chain on a robot, and the `limit` that they may
-    reach beyond `high`.
-    """
+    """Start and search range (P,) of fits of a chain, and their `limit` beyond `high`."""
 
     start: Floats
     low: Floats
@@ -50,8 +47,7 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Layout:
-    """The parameters of a chain for a record: arrays (L,), and where each run's own chain finds its
-    numbers.
+    """The parameters of a chain for a record: arrays (L,), and their places in each run's chain.
 
     A full set (N,) holds all numbers of the runs' chains, one for each channel.
     """
@@ -75,8 +71,9 @@ class Layout:
 
     @property
     def middle(self) -> Floats:
-        """Typical strength (P,): halfway from null to the far end, or the start where the scale is
-        logarithmic.
+        """Typical strength (P,), halfway from null to the far end.
+
+        It is the start where the scale is logarithmic.
         """
         far = np.where(self.high > self.null, self.high, self.low)
         return np.where(
@@ -115,8 +112,9 @@ class Layout:
 
 
 def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
-    """Return a parameter by its label, that of the first run, or that of all channels; else the
-    channels' value.
+    """Return a parameter by its label, that of the first run, or that of all channels.
+
+    If there is none, return the values of the channels.
     """
     for name in (label, *readings(label.split("@")[0], group)):
         if name in params:
@@ -140,8 +138,9 @@ def layout_of(
     seconds: tuple[float, float],
     split: Collection[str] = (),
 ) -> Layout:
-    """Return the parameters of a chain of `names`, those of the effects in PER_RUN once for each of
-    `runs`.
+    """Return the parameters of a chain of `names`.
+
+    The effects in PER_RUN have theirs once for each of `runs`.
 
     Args:
         names: the effects.
@@ -220,9 +219,7 @@ def _alone(chain: _core.Chain, i: int, split: Collection[str]) -> bool:
 
 
 def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.intp]]:
-    """Return the distinct `labels` in order, the first place of each, and the index of each label
-    among them.
-    """
+    """Return the distinct `labels` in order, their first places, and each label's index in them."""
     place = {label: k for k, label in enumerate(dict.fromkeys(labels))}
     first = {label: i for i, label in reversed([*enumerate(labels)])}
     return (
@@ -255,9 +252,7 @@ def ranges_of(model: Model, chain: _core.Chain) -> Ranges:
 
 
 def _half_range(model: Model) -> float:
-    """Return half the range of a model's commands, in their unit; REACH_MM if the model has
-    none.
-    """
+    """Return half the range of a model's commands, in their unit; REACH_MM if it has none."""
     reach = model.command_range
     half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
     return half if half > 0 else REACH_MM

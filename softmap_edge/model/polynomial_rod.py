@@ -1,5 +1,4 @@
-"""The polynomial rod as Python holds it: chords whose bending angles are a polynomial of the
-commands.
+"""The polynomial rod in Python: chords whose bending angles are a polynomial of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
@@ -31,8 +30,10 @@ LOCK = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """A fitted rod: `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad, `lengths`
-    (1 + G, K) mm.
+    """A fitted polynomial rod.
+
+    It has `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad and `lengths` (1 + G,
+    K) mm.
     """
 
     centre: Floats
@@ -75,8 +76,9 @@ class RodParameters:
         )
 
     def fields(self) -> dict[str, _core.RodField]:
-        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1
-        N.
+        """Return its load fields by name, for a nominal weight of 1 N.
+
+        Unit: mm per N of tip force, mm per g.
         """
         rod = self.compiled()
         return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}

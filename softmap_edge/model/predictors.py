@@ -1,5 +1,6 @@
-"""Compile the predictors of a structure: of all points, of a linear map of them, of where obstacles
-stop the body.
+"""Compile the predictors of a structure.
+
+They predict all points, a linear map of them, or the places where obstacles stop the body.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ def projected(structure: Structure, mapping: FeatureMap) -> _core.Predictor:
 
 
 def stations(structure: Structure) -> Contact | None:
-    """Return where an obstacle can stop the body: middles of its stations, how fields move them,
-    and their radii mm.
+    """Return the stations at which an obstacle can stop the body.
+
+    They are the middles of the stations, how fields move them, and their radii (mm).
     """
     if (
         not {name for name in _core.FIELDS if name.startswith("push")} <= set(structure.fields)
@@ -74,8 +76,9 @@ def tip(
     load: float,
     temperature: float,
 ) -> Shape:
-    """Return the tip (3,) mm as a shape of what acts, in the base frame, under the shape effects of
-    a chain.
+    """Return the tip (3,) mm in the base frame for an effective command.
+
+    The shape effects of a chain apply.
 
     A network stays one: its slopes are exact.
 
@@ -98,8 +101,9 @@ def tip(
 def _through(
     structure: Structure, mapping: FeatureMap, tables: bool = True
 ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None]:
-    """Return prior with residual, fields, cables and second order as seen through a linear map;
-    networks as `tables`.
+    """Return prior with residual, fields, cables and second order, seen through a linear map.
+
+    Networks are taken as `tables`.
     """
     matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
     seen = [

@@ -1,5 +1,4 @@
-"""What a finger may be asked (`safety.toml` in its bundle): in its own units, with where each limit
-comes from.
+"""Limits of a finger's commands (`safety.toml` in its bundle), in its units, each with its source.
 
 A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`).
 `derived` takes them from the model: the window is where the simulation (or the run that taught) has
@@ -83,8 +82,9 @@ class Safety:
     edited: bool = field(default=False, compare=False)
 
     def within(self, reach: Floats) -> Safety | None:
-        """Return the limits where the model's range `reach` (C, 2) is narrower; None where no
-        window is left.
+        """Return the limits where the model's range `reach` (C, 2) is narrower.
+
+        None where no window is left.
         """
         low, high = (_inward(side) for side in np.asarray(reach, float).T)
         low, high = np.maximum(low, self.low), np.minimum(high, self.high)
@@ -222,8 +222,7 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
 
 
 def held_to(given: Safety, model: Model) -> Safety:
-    """Return the limits of a file with the tension that the model allows where the file is silent
-    of one.
+    """Return the limits of a file, with the model's allowed tension where the file has none.
 
     Raises:
         BundleError: it allows more than FAR times the largest tension that the model itself was
@@ -325,9 +324,7 @@ def _looks(low: Floats, high: Floats) -> Floats:
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon, None where the model has no pull of its
-    tendons.
-    """
+    """Return the largest tension (N) of any tendon; None if the model has no tendon pull."""
     prior = model.arrays.get("prior", {})
     if "pull" not in prior or not any(key.startswith("axis") for key in prior):
         return None

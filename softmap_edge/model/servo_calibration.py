@@ -1,5 +1,4 @@
-"""Servo ticks ↔ the commands of a model: the affine calibration that a bundle carries, and runs
-converted with it.
+"""Servo ticks ↔ a model's commands: a bundle's affine calibration, and runs converted with it.
 
     u = A (ticks − home) + b  ticks = home + round(A⁻¹ (u − b))  (Data Alignment, the SoftMap paper)
 
@@ -43,8 +42,9 @@ SINGULAR = 1e6  # condition of A from which it has no inverse of use
 
 
 def tendon_mm(unit: str) -> float:
-    """Return the mm of tendon that an emulated robot winds by one unit of command; units other than
-    ticks are mm.
+    """Return the mm of tendon that an emulated robot winds by one unit of command.
+
+    Units other than ticks are mm.
     """
     return 1.0 / TICKS_PER_MM if unit == TICKS else 1.0
 
@@ -124,8 +124,9 @@ class Calibration:
         window: tuple[float, float] | None = None,
         unit: str = "mm",
     ) -> Calibration:
-        """Return an exact map that was not measured: of an emulated robot, or of a rig described by
-        its user.
+        """Return an exact map that was not measured.
+
+        It is that of an emulated robot, or of a rig described by its user.
 
         It has no uncertainty, no error and no frames; `source` stands in place of the run.
         """
@@ -161,16 +162,15 @@ class Calibration:
         return np.rint(self.home + away).astype(np.int64)
 
     def within(self, command: ArrayLike, low: ArrayLike, high: ArrayLike) -> Floats:
-        """Return what `command` (C,) becomes once each servo is held within `low` and `high` (C,)
-        ticks.
-        """
+        """Return the effective `command` (C,) with servos kept within `low`, `high` (C,) ticks."""
         away = np.linalg.solve(self.A, np.asarray(command, float) - self.b)
         ticks = np.clip(self.home + away, low, high)
         return np.asarray(self.A @ (ticks - self.home) + self.b)
 
     def turned(self, home: ArrayLike) -> Calibration:
-        """Return the map with its home moved by full turns of the servos, to within half a turn of
-        `home` (C,) ticks.
+        """Return the map with its home moved by full turns of the servos.
+
+        It is then within half a turn of `home` (C,) ticks.
 
         Servos start to count turns again after their power was off.
         """
@@ -178,15 +178,12 @@ class Calibration:
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def holding(self, reach: ArrayLike) -> tuple[float, float]:
-        """Return the window (low, high) of ticks about home that holds the full range `reach` (C,
-        2) of commands.
-        """
+        """Return the window (low, high) of ticks about home for the full range `reach` (C, 2)."""
         away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
         return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
-        """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window:
-        `reach` (C, 2), shrunk.
+        """Return `reach` (C, 2) shrunk so that all combinations of commands lie in the window.
 
         It is shrunk alike to all sides about what acts at home, until its corners are inside;
         `reach` without a window.
@@ -289,8 +286,9 @@ class Calibration:
 
 
 def converted(model: Model | None, run: Run) -> Run:
-    """Return the run with its ticks as commands, by the calibration of the model; unchanged if
-    either is missing.
+    """Return the run with its ticks as commands, by the model's calibration.
+
+    It is unchanged if ticks or calibration are missing.
 
     Args:
         model: with a `calibration`; without one, or if None, that of the loop that drove the robot
@@ -320,8 +318,9 @@ def converted(model: Model | None, run: Run) -> Run:
 
 
 def _driven_by(run: Run, unit: str) -> Calibration | None:
-    """Return the map by which the robot was driven, if a run in ticks holds it and it gives
-    commands in `unit`.
+    """Return the map by which the robot was driven, if a run in ticks holds it.
+
+    It must give commands in `unit`.
     """
     kept = text_in(run.extra, CALIBRATION)
     if kept is None or (run.ticks is None and run.present_ticks is None):
@@ -353,8 +352,9 @@ def _commanded(run: Run, calibration: Calibration) -> Run:
 
 
 def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
-    """Return runs in ticks with commands that count ticks from home, for a model that is learned
-    and needs no mm.
+    """Return runs in ticks with commands that count ticks from home.
+
+    They are for a model that is learned and needs no mm.
 
     Args:
         runs: of one robot. Home is 0 where their ranges hold it, else the middle of the ranges
@@ -380,8 +380,9 @@ def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
 
 
 def commanded_in_ticks(run: Run) -> Run:
-    """Return a run that holds ticks only with its ticks as commands, for a model that is learned
-    and needs no mm.
+    """Return a run that holds only ticks with its ticks as commands.
+
+    It is for a model that is learned and needs no mm.
     """
     if run.command is not None or run.ticks is None:
         return run
@@ -393,8 +394,9 @@ def commanded_in_ticks(run: Run) -> Run:
 
 
 def held_in_ticks(run: Run) -> Run:
-    """Return a run whose commands are ticks as one that holds `ticks`; commands that count from
-    home stay.
+    """Return a run whose commands are ticks as one that holds `ticks`.
+
+    Commands that count from home stay.
     """
     if run.command is None or run.command_unit != TICKS or HOME_TICKS in run.extra:
         return run

@@ -1,5 +1,4 @@
-"""Compiled shapes from the arrays of a bundle: the prior's family, its fields, how cables answer,
-what large loads add.
+"""Compiled shapes from a bundle's arrays: prior, fields, response of cables, and second order.
 
 The name of an array gives its role: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a
 family, or `onnx`; `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and
@@ -26,8 +25,10 @@ _TENSION = "tension_"  # what the field of a tendon is called, before its number
 def family_from(
     arrays: Mapping[str, NDArray[np.generic]],
 ) -> _core.Table | _core.Scattered | _core.Network:
-    """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over
-    scattered `nodes`; or the network of `onnx`, the bytes of its file.
+    """Return the compiled shape family of a bundle's arrays.
+
+    These are `coefficients`, `mean` and `modes` over `axis0…` or over scattered `nodes`; or the
+    network of `onnx`, the bytes of its file.
     """
     if "onnx" in arrays:
         return _core.Network(np.asarray(arrays["onnx"], np.uint8).tobytes())
@@ -52,8 +53,9 @@ def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
 
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
-    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and
-    `modes`.
+    """Return the compiled fields of a bundle.
+
+    They are stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`.
     """
     arrays = unpacked(arrays)
     shared = {
@@ -73,8 +75,9 @@ def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
 def cables_from(
     prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
 ) -> _core.Cables | None:
-    """Return the cables stored as `pull` alongside the prior, and as `stiffness`, `stretch` and
-    tension fields.
+    """Return the cables of a bundle.
+
+    They are stored as `pull` alongside the prior, and as `stiffness`, `stretch` and tension fields.
 
     None for a prior without them: its fields answer loads alone.
     """
@@ -95,8 +98,7 @@ def cables_from(
 
 
 def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
-    """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each
-    tension.
+    """Return the stretch (S, T·(F + T)) of each tendon for each of `_core.FIELDS` and each tension.
 
     Zero where a bundle has no such field.
     """
@@ -113,10 +115,11 @@ def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
 
 
 def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
-    """Return what loads and moduli do beyond their fields, stored as `second_…`: weights (S, P, m),
-    stretch (S, P, T) and growth (S, L + T) over its own axes, modes (m, M) made of the `modes` of
-    the fields; None for a bundle without it. Those of pairs with a modulus, `second_moduli_…`, may
-    be absent.
+    """Return the second-order response to loads and moduli, stored as `second_…`.
+
+    It has weights (S, P, m), stretch (S, P, T) and growth (S, L + T) over its own axes, and modes
+    (m, M) made of the `modes` of the fields. It is None for a bundle without it. Those of pairs
+    with a modulus, `second_moduli_…`, may be absent.
     """
     if "second_weights" not in fields:
         return None
@@ -141,9 +144,10 @@ def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | Non
 def pairs_of(
     loads: int, moduli: int, tensions: int
 ) -> dict[str, tuple[list[tuple[int, int]], list[int]]]:
-    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them,
-    and whose growth goes with them: pairs among loads and tensions, then of each modulus with all
-    of these and moduli from itself on.
+    """Return the pairs of causes as `_core.Second` takes them, and whose growth goes with them.
+
+    Causes are loads, then moduli, then tensions. The pairs are those among loads and tensions, then
+    those of each modulus with all of these and with moduli from itself on.
     """
     plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
     own = list(range(loads, loads + moduli))

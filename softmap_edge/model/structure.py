@@ -1,5 +1,4 @@
-"""The body of a model: its prior and fields, the points they move, and how these lie along the
-body.
+"""The body of a model: its prior and fields, the points they move, and their places along the body.
 
     effective command ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─> points
 
@@ -106,8 +105,7 @@ class Structure:
 
     @cached_property
     def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it sideways by the length of the body if the
-        answer were linear.
+        """The tip weight (g) that would move the tip sideways by the body's length, if linear.
 
         0 without fields. If the stiffness is not known, it is in the model's own scale of loads.
         """

@@ -1,5 +1,6 @@
-"""The template of a bundle, `template.npz`: points at rest, triangles, tip, form error, body and
-handles, checked.
+"""The template of a bundle, `template.npz`, checked.
+
+It holds points at rest, triangles, tip, form error, body and handles.
 
 Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and
 tests/model/test_mutated_files.py.
@@ -21,9 +22,11 @@ MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a wei
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip`, `form_error` mm of each
-    feature; of a body without a mesh how its points lie along it, and `handles` where not all
-    vertices are.
+    """The rest shape of a body and its features.
+
+    It has points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip` and `form_error` mm of
+    each feature; for a body without a mesh the places of its points along it; and `handles` where
+    not all vertices are handles.
     """
 
     rest: NDArray[np.float64]

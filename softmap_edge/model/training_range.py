@@ -25,8 +25,10 @@ UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its
 
 
 def command_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return a sentence for each channel that leaves the range of the model, for what was learned
-    over a smaller one, and for loads that it cannot apply.
+    """Return a sentence for each way in which commands leave the range of the model.
+
+    There is one for each channel that leaves it, for what was learned over a smaller range, and for
+    loads that the model cannot apply.
     """
     u, notes = model.commands(run), []
     # of a trained prior by `training_extrapolation`, once
@@ -85,8 +87,9 @@ def _uncovered(model: Model, run: Run) -> list[str]:
 
 
 def training_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return a sentence for the trained prior, and one for the residual, that a run takes beyond
-    what taught it.
+    """Return sentences where a run goes beyond the training data.
+
+    There is one for the trained prior, and one for the residual.
     """
     learned = {"prior": True, "residual": model.residual is not None}
     ranges = {part: _taught(model, part) for part, there in learned.items() if there}
@@ -132,15 +135,17 @@ def shape_mismatch(model: Model, mae: Floats) -> list[str]:
 
 
 def span(commands: Floats) -> list[list[float]]:
-    """Return [least, most] of each channel of commands (n, C), as `made_from` keeps it under
-    `command_range`.
+    """Return [least, most] of each channel of commands (n, C), for `made_from`.
+
+    It is kept there under `command_range`.
     """
     return [[float(channel.min()), float(channel.max())] for channel in commands.T]
 
 
 def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
-    """Return least and most (C,) of the commands that taught a part of a model; None where its file
-    has none.
+    """Return least and most (C,) of the commands in the training data of a part of a model.
+
+    None where its file has none.
     """
     part: Any = model.made_from.get(key)
     try:
@@ -180,8 +185,7 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
 
 
 def out_of_reach(model: Model, run: Run) -> list[str]:
-    """Return a sentence where the points of a run are farther from the base than the robot can
-    reach.
+    """Return a sentence where points of a run are farther from the base than the robot can reach.
 
     Args:
         model: the model.

@@ -1,5 +1,6 @@
-"""A user's own effect: one Python file that declares a law of the commands; it joins the library of
-this process.
+"""A user's own effect: a Python file that declares a law of the commands.
+
+It joins the library of this process.
 
 The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s,
 ctx)`, which returns what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it
@@ -56,8 +57,10 @@ _SWITCHES = {"per_channel": False, "shared": False, "integer": False}
 
 @dataclass(frozen=True)
 class Context:
-    """The world around a record: dt (T,) s since the sample before, gravity (T, 3) unit vectors in
-    the base frame, load (T,) g, temperature (T,) °C (NaN where the run has none).
+    """The conditions of a record.
+
+    They are dt (T,) s since the sample before, gravity (T, 3) unit vectors in the base frame, load
+    (T,) g and temperature (T,) °C (NaN where the run has none).
     """
 
     dt: Floats
@@ -68,9 +71,7 @@ class Context:
 
 @dataclass(frozen=True)
 class OwnEffect:
-    """A loaded effect: its name, the file that it came from, what stood in it and the hash of
-    that.
-    """
+    """A loaded effect: its name, the file that it came from, the file's text and its hash."""
 
     name: str
     file: Path
@@ -83,8 +84,7 @@ _RUNNING: set[int] = set()  # threads in which a law runs now
 
 
 def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
-    """Execute the file at `path`, a note of which goes to stderr, and add its effect to those of
-    this process.
+    """Execute the file at `path`, noted on stderr, and add its effect to those of this process.
 
     Args:
         path: the Python file; the very file loaded before is not executed again.
@@ -149,8 +149,9 @@ def hashes(names: Sequence[str]) -> dict[str, str]:
 
 
 def check_hashes(names: Sequence[str], fitted: object) -> None:
-    """Refuse to take numbers of effects that were fitted with other files (`hashes` of a document)
-    than are loaded.
+    """Reject numbers that were fitted with other files of effects than are loaded.
+
+    `hashes` are those of a document.
 
     Raises:
         EffectError: a file is not loaded, or another one.
@@ -358,8 +359,9 @@ def _pair(where: str, value: object) -> tuple[Any, float]:
 
 
 class _Law:
-    """Call a user's `rollout` for one record, and report in one line where it fails or returns
-    something else.
+    """Call a user's `rollout` for one record.
+
+    Report in one line where it fails or returns something else.
     """
 
     def __init__(self, declaration: Document, file: Path, rollout: Callable[..., object]) -> None:
@@ -376,9 +378,7 @@ class _Law:
         load: Floats,
         temperature: Floats,
     ) -> Floats:
-        """Return what acts (T, C) for params (P,) on u (T, C); the arguments may not be written
-        to.
-        """
+        """Return effective commands (T, C) for params (P,) on u (T, C); arguments are read-only."""
         context = Context(np.diff(t, prepend=t[:1]), gravity, load, temperature)
         for array in (params, u, t, context.dt, gravity, load, temperature):
             array.flags.writeable = False

@@ -1,5 +1,4 @@
-"""How the points of a run are seen by a model: as features of its own, or of markers carried on its
-template.
+"""How a run's points are seen by a model: as its features, or as markers attached to its template.
 
 A run of vertices or of the model's own markers gives the model's features; markers on a template
 are features of their own. Vertices laid onto clouds (`run register`) have `roll_seen = false`: what
@@ -85,15 +84,17 @@ def view_of(model: Model, run: Run) -> View:
 
 
 def laid(run: Run) -> bool:
-    """Return whether a run's vertices were laid onto clouds, which do not show the roll of a round
-    finger.
+    """Return whether a run's vertices were fitted to clouds.
+
+    Those do not show the roll of a round finger.
     """
     return run.vertices is not None and not bool(np.all(run.extra.get(ROLL_SEEN, True)))
 
 
 def roll_seen(model: Model, run: Run) -> bool:
-    """Return whether a run shows the roll of the body about its own axis, or the model has no
-    features of roll.
+    """Return whether a run shows the roll of the body about its own axis.
+
+    True also if the model has no features of roll.
     """
     return not laid(run) or bool(model.structure.positions.all())
 
@@ -142,8 +143,9 @@ def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
 
 
 def points_in_mm(model: Model, run: Run) -> Floats:
-    """Return the same after checking that they are as large as the robot, so that no effect stands
-    for a unit.
+    """Return the same after checking that the points are as large as the robot.
+
+    Otherwise an effect would stand for a wrong unit.
     """
     seen = seen_points(model, run)
     rest = model.rest if model.view(run).carry is None else np.asarray(run.marker_rest, float)
@@ -158,9 +160,7 @@ def points_in_mm(model: Model, run: Run) -> Floats:
 
 
 def form_error(model: Model, run: Run) -> Floats:
-    """Return a model's own held-out error (V, 3) mm for the features of a run, in its
-    orientations.
-    """
+    """Return the model error, held out, (V, 3) mm for a run's features in its orientations."""
     view = model.view(run)
     error = model.form_error[view.rows]
     if view.carry is not None:
@@ -169,8 +169,9 @@ def form_error(model: Model, run: Run) -> Floats:
 
 
 def leaning(model: Model, run: Run) -> Floats:
-    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the
-    reference.
+    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z.
+
+    The latter are relative to the error in the reference orientation.
 
     What a model errs for a lean is another number in another orientation, though the command be the
     same.
@@ -190,8 +191,7 @@ def members(section: NDArray[np.int64]) -> Floats:
 
 
 def without_roll(member: Floats, moved: Floats, points: Floats, weight: Floats) -> Floats:
-    """Return displacements without the turn of each section about the body's axis that explains
-    most of them.
+    """Return displacements without the best-fitting turn of each section about the body's axis.
 
     Args:
         member: (N, S) of `members`, two sections or more.

@@ -1,5 +1,4 @@
-"""Drive a real or emulated robot: servos, control loop, motions, teleoperation, checks before a
-start.
+"""Drive a real or emulated robot: servos, control loop, motions, teleoperation, checks.
 
 Nothing here imports the simulator, the diagnosis or the reports, so that it stays small on a board.
 """

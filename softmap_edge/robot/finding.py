@@ -1,5 +1,4 @@
-"""One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to
-do.
+"""One check of the doctor, as a line: its name, state, finding and remedy.
 
 Errors here state what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by
 tests/robot/test_doctor.py.
@@ -16,9 +15,7 @@ OK, WARNING, FAULT = "ok", "warning", "fault"
 
 @dataclass(frozen=True)
 class Line:
-    """One thing that was looked at: its name, `ok`, `warning` or `fault`, what was found, and what
-    to do (or empty).
-    """
+    """One check: its name, `ok`, `warning` or `fault`, the finding, and the remedy (or empty)."""
 
     name: str
     state: str

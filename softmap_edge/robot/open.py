@@ -1,5 +1,6 @@
-"""A bench with the finger on it, and its robot for a program of a user's own: what
-docs/do/own_program.md shows.
+"""A rig with the finger on it, and its robot, for a user's own program.
+
+docs/do/own_program.md shows one.
 
 Pinned by tests/robot/test_own_program.py, and by the tests of the commands that drive.
 """
@@ -26,8 +27,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the
-    `model`, which on a real bench has that calibration as its own; of an emulated one the `finger`.
+    """A robot that can be driven.
+
+    It has its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a real
+    rig has that calibration as its own; of an emulated one the `finger`.
     """
 
     rig: Rig

@@ -1,5 +1,4 @@
-"""Remedies in messages: take finding and remedy apart, and complete the commands that a message
-names.
+"""Remedies in messages: separate finding and remedy, and complete the named commands.
 
 A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to
 the text there. Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out;
@@ -38,8 +37,7 @@ def parted(said: object) -> tuple[str, str]:
 
 
 def _ends(text: str) -> int | None:
-    """Return where the finding ends: the first "; " outside brackets and backquotes, None without
-    one.
+    """Return where the finding ends: at the first "; " outside brackets and backquotes, or None.
 
     Brackets that never close (a file's name may hold one) bracket nothing.
     """
@@ -53,8 +51,9 @@ def _ends(text: str) -> int | None:
 
 
 def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
-    """Return a message whose commands name the files that the user gave; `--bundle DIR` stands for
-    one not given.
+    """Return a message whose commands name the user's files.
+
+    `--bundle DIR` stands for one not given.
 
     Args:
         text: the message; its commands stand in backquotes.

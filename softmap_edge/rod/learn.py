@@ -1,5 +1,6 @@
-"""Fit a rod to reference runs: the prior of a robot that has no simulator. Seconds; numpy and the
-core only.
+"""Fit a rod to reference runs: the prior of a robot that has no simulator.
+
+Seconds; numpy and the core only.
 
 Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`),
 it is the elastic one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a

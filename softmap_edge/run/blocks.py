@@ -1,5 +1,4 @@
-"""Labels of the blocks of a joined run: a new block at each gap, and where orientation or
-temperature changes.
+"""Labels of a joined run's blocks: a new one at each gap or change of orientation or temperature.
 
 A label is `2:slow`: the run, and its own label, if it has labels. `2:slow/3` is the third part of
 it, since a gap, a turn or a change of temperature lies between.
@@ -40,8 +39,9 @@ def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[np.ge
 
 
 def borders(run: Run) -> NDArray[np.bool_]:
-    """Return at which frames (K,) a new block begins: after a gap, or with another orientation or
-    temperature.
+    """Return at which frames (K,) a new block begins.
+
+    It begins after a gap, or with another orientation or temperature.
     """
     found = np.zeros(run.frames, bool)
     if run.frames < 2:

@@ -1,5 +1,4 @@
-"""What a run was doing at each seen frame (speed, direction, dwell, history, ...), and the cells
-these fall into.
+"""Conditions of a run at each seen frame (speed, direction, dwell, history, ...), and their cells.
 
     v(t)  = [u(t) - u(t - w)] / w  w = 3 median sample periods, 0.1 to 0.5 s  mm/s, (C,)
     speed = |v|;  moving where speed > 0.5 % of the largest command span per second
@@ -57,9 +56,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Cell:
-    """A class of frames: its name, its bounds where it has any, and which of the K frames are in
-    it.
-    """
+    """A class of frames: its name, its bounds if any, and which of the K frames are in it."""
 
     label: str
     low: float | None
@@ -168,8 +165,9 @@ def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
 
 
 def _at_seen(run: object, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
-    """A declared field at the seen frames: (K, 3) for a vector, (K,) (mean over channels) for a
-    number.
+    """Return a declared field at the seen frames.
+
+    (K, 3) for a vector, (K,) (mean over channels) for a number.
     """
     raw = getattr(run, name, None)
     if raw is None:
@@ -184,8 +182,9 @@ def _at_seen(run: object, name: str, t: Floats, seen: Floats, width: int) -> Flo
 
 
 def _edges(values: Floats, count: int) -> Floats:
-    """Bounds of up to `count` classes of about equal size; classes narrower than a tenth of the
-    largest value join.
+    """Bounds of up to `count` classes of about equal size.
+
+    Classes narrower than a tenth of the largest value join.
     """
     if len(values) == 0:
         return np.zeros(0)
@@ -272,8 +271,9 @@ def _directions(state: Conditions) -> list[Cell]:
 
 
 def _commands(state: Conditions, unit: str) -> list[Cell]:
-    """Cells of the largest channel: home, then its signed range in thirds (its sign alone beyond
-    three channels).
+    """Cells of the largest channel: home, then its signed range in thirds.
+
+    With more than three channels only its sign counts.
     """
     channels = state.command.shape[1]
     size = np.max(np.abs(state.command), axis=1, initial=0.0)
@@ -317,8 +317,9 @@ def _direction_name(g: Floats) -> str:
 
 
 def orientations(gravity: Floats | None) -> int:
-    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is
-    declared).
+    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees.
+
+    It is 1 if none is declared.
     """
     if gravity is None:
         return 1

@@ -1,6 +1,4 @@
-"""List the contents of a run: channels, units, rows, frames, blocks, time span, declared
-conditions, origin.
-"""
+"""List a run's contents: channels, units, rows, frames, blocks, time span, conditions, origin."""
 
 from __future__ import annotations
 
@@ -99,9 +97,7 @@ def _origin(run: Run) -> list[Document]:
 
 
 def command_ranges(run: Run) -> list[list[float]]:
-    """Return the lowest and highest command, or ticks, of each channel; [] of a run without
-    commands.
-    """
+    """Return each channel's lowest and highest command, or ticks; [] of a run without commands."""
     rows = run.command if run.command is not None else run.ticks
     return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 

@@ -1,5 +1,4 @@
-"""Cut a piece out of a run: a span of time or a block, with the hash of its recording and its
-times.
+"""Cut a piece out of a run: a span of time or a block, with its recording's hash and times.
 
 A piece keeps the frames of its span, and the rows from the last one before it (whose command still
 holds) to the first one after its last frame (commands are linear between rows). Prediction begins
@@ -97,9 +96,7 @@ def _places(run: Run, label: str) -> list[slice]:
 def _part(
     run: Run, frames: slice, lead_s: float, start: float = np.inf, end: float = -np.inf
 ) -> Run:
-    """Return some frames of a run, with the rows that belong to them and to the span from `start`
-    to `end`.
-    """
+    """Return some frames of a run, with their rows and those of the span from `start` to `end`."""
     t, seen = run.t, run.t_seen[frames]
     begins = min(start, float(seen[0]) if len(seen) else np.inf)
     ends = float(seen[-1]) if len(seen) else -np.inf

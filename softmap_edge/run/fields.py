@@ -169,9 +169,7 @@ def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
 
 
 def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
-    """Return the fields in which a file keeps the meaning of the markers, and that there is no
-    time.
-    """
+    """Return the fields that keep the markers' meaning in a file, and that it has no time."""
     found: dict[str, NDArray[np.generic]] = {"timeless": np.asarray(True)} if run.timeless else {}
     if run.output is None:
         return found
@@ -418,9 +416,7 @@ def _units(run: Run) -> None:
 
 
 def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None:
-    """Compare the spread of the markers with that of their places at rest: bending halves it at
-    most.
-    """
+    """Compare the spread of the markers with that at rest: bending at most halves it."""
     if len(rest) < 2 or not len(markers):
         return
     frames = markers[:: max(1, len(markers) // 50)]

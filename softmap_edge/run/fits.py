@@ -1,6 +1,4 @@
-"""Check whether runs can be joined: one robot, one unit, the same channels, points and declared
-conditions.
-"""
+"""Check if runs can be joined: one robot and unit, the same channels, points and conditions."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ def check_fit(runs: Sequence[Run]) -> None:
 
 
 def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the properties that must agree, as (name, value of the first run, value of the
-    other).
-    """
+    """Yield the properties that must agree, as (name, value of the first run, of the other)."""
     if one.robot is not None and other.robot is not None:
         yield "as its robot", one.robot, other.robot
     yield "as the kind of its commands", _kind(one), _kind(other)

@@ -41,8 +41,7 @@ def folds(
     labels: NDArray[np.generic] | None = None,
     most: int = MOST_FOLDS,
 ) -> Folds:
-    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from
-    all of it.
+    """Cut frames at `t` (n,) s into folds; each is predicted from frames over `gap_s` away from it.
 
     Without `labels` (n,) a fold is a block of time. With them it is complete labels, dealt out in
     turn to at most `most` folds.
@@ -72,8 +71,9 @@ def folds(
 
 
 def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Folds:
-    """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else
-    by blocks of time.
+    """Return (train, test) frame indices of a diagnosis.
+
+    Folds are by label if there are 16 labels or more, else by blocks of time.
 
     Args:
         t_seen: (K,) s. labels: (K,), one for each frame.
@@ -98,8 +98,7 @@ def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Fold
 
 
 def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tuple[int, int]:
-    """Count the folds of a diagnosis that have no gap next to them, because blocks are shorter than
-    the gap.
+    """Count the folds of a diagnosis without a gap, because blocks are shorter than the gap.
 
     Args:
         t_seen: times of the frames, shape (K,), s.
@@ -125,8 +124,9 @@ def labelled(labels: NDArray[np.generic] | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Withheld:
-    """Frames that a search uses, and frames of complete blocks that it does not; the others lie
-    within a gap.
+    """Frames that a search uses, and frames of complete blocks withheld from it.
+
+    The others lie within a gap.
     """
 
     chosen: Index  # (n,) rising, the first frame of each run among them

@@ -48,9 +48,7 @@ def words_in_unit(text: str, output: Output | None) -> str:
 
 
 def in_unit(document: Document) -> Document:
-    """Return a diagnosis document with its figures in the unit of its output; unchanged for
-    places.
-    """
+    """Return a diagnosis document with its figures in its output's unit; unchanged for places."""
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
@@ -70,9 +68,7 @@ def in_unit(document: Document) -> Document:
 
 
 def renamed_maps(maps: Document) -> Document:
-    """Return maps of the error with one entry for each output in place of the sections of a
-    body.
-    """
+    """Return maps of the error with one entry for each output in place of the body's sections."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
 
@@ -80,8 +76,9 @@ _PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no length
 
 
 def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:
-    """Return a part of a document with its lengths and sentences converted; fitted numbers keep
-    their unit.
+    """Return a part of a document with its lengths and sentences converted.
+
+    Fitted numbers keep their unit.
     """
     if key in ("params", "refitted", "made_from", "servo"):
         return value

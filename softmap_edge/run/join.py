@@ -1,5 +1,4 @@
-"""Join runs of one robot into one run: rows and frames one after the other, a border of blocks at
-each gap.
+"""Join runs of one robot into one: rows and frames in sequence, a border of blocks at each gap.
 
 Pieces of one recording keep its clock, and a piece that begins where the one before it ends
 continues it: cutting a run and joining its pieces gives the run again. Any other run begins `gap_s`
@@ -35,8 +34,9 @@ BY_ROW = ("command", "ticks", "present", "present_ticks", "current", "temperatur
 
 @dataclass(frozen=True)
 class _Placed:
-    """A run in the joined one: `shift_s` is added to its times; its first `skip` rows repeat the
-    run before.
+    """A run in the joined one.
+
+    `shift_s` is added to its times; its first `skip` rows repeat the run before.
     """
 
     run: Run
@@ -154,8 +154,9 @@ def _end(run: Run) -> float:
 
 
 def _on_its_clock(before: _Placed, run: Run) -> float | None:
-    """Return the shift (s) of a run on the clock of the recording before it; None if it is of
-    another recording.
+    """Return the shift (s) of a run on the clock of the recording before it.
+
+    None if it is of another recording.
     """
     last, first = run_pieces.pieces(before.run)[-1], run_pieces.pieces(run)[0]
     if last.origin != first.origin:
@@ -184,9 +185,7 @@ def _check_apart(runs: Sequence[Run]) -> None:
 
 
 def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
-    """Return the pieces of the joined run; a piece that continues the one before is a part of
-    it.
-    """
+    """Return the pieces of the joined run; one that continues the one before is a part of it."""
     found: list[run_pieces.Piece] = []
     rows = frames = 0
     for one in placed:
@@ -269,9 +268,7 @@ def _frames(runs: Sequence[Run]) -> Document:
 
 
 def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
-    """Return the fields of `extra`: joined where they go by row or by frame, else as they are in
-    all runs.
-    """
+    """Return the fields of `extra`: joined if they go by row or by frame, else as in all runs."""
     found = {}
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
         arrays = [one.run.extra.get(name) for one in placed]

@@ -1,5 +1,4 @@
-"""Report what is suspicious about runs that are joined: they follow one another in time, or hold
-the same data.
+"""Report suspicious runs among those joined: they follow one another in time, or share data.
 
 Noise makes each frame of a camera different, so frames that follow one another and are equal in two
 runs are the same frames. Frames that repeat within their own run, as those of a simulation at rest,
@@ -113,8 +112,9 @@ def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None
 
 
 def _stretches(numbers: Floats, length: int) -> dict[bytes, int]:
-    """Return the first rows of all stretches of so many rows (K, N) that occur once and are not at
-    rest, by content.
+    """Return the first rows of stretches of so many rows (K, N), by content.
+
+    Each stretch occurs once and is not at rest.
     """
     rows = np.ascontiguousarray(np.where(np.isfinite(numbers), numbers, 0.0) + 0.0)
     moves = np.any(np.diff(rows, axis=0) != 0, axis=1)

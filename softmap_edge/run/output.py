@@ -80,9 +80,7 @@ class Output:
         return mm / self.mm_per_unit
 
     def rescaled(self, markers: Floats, other: Output) -> Floats:
-        """Return markers (K, Q, 3) mm of this output as those of `other`, which has another
-        scale.
-        """
+        """Return markers (K, Q, 3) mm of this output in the scale of `other`."""
         points = np.array(markers, float)
         points[..., 0] *= other.mm_per_unit / self.mm_per_unit
         return points
@@ -142,9 +140,7 @@ def acts_on_outputs(effect: Mapping[str, object]) -> bool:
 
 
 def needs_time(effect: Document) -> bool:
-    """Return whether an effect of the registry is a delay, a rate or a time constant, which needs
-    times.
-    """
+    """Return whether an effect is a delay, a rate or a time constant, which needs times."""
     # an instant is a row as well
     units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)

@@ -1,5 +1,4 @@
-"""The recordings that a run was cut from or joined of: the pieces that a cut or a join keeps in the
-run's file.
+"""The recordings that a run was cut from or joined of, as pieces that the run's file keeps.
 
 A piece is the rows from `row` on and the frames from `frame` on, up to those of the next piece. Its
 times in the run are those of its recording plus `shift_s`. A run that was neither cut nor joined is
@@ -22,9 +21,7 @@ _HASH = 64  # characters of a SHA-256 in hex
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording: its `origin` (the hash of that recording) and where it begins in the
-    run.
-    """
+    """A part of a recording: its `origin` (the recording's hash) and where it begins in the run."""
 
     origin: str
     row: int
@@ -91,9 +88,7 @@ def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
 
 
 def within(parts: Sequence[Piece], rows: slice, frames: slice) -> list[Piece]:
-    """Return the pieces of which rows or frames lie within a part of their run, counted from its
-    beginning.
-    """
+    """Return the pieces with rows or frames within a part of their run, counted from its start."""
     found = []
     ends = [(part.row, part.frame) for part in parts[1:]] + [(rows.stop, frames.stop)]
     for part, (row_end, frame_end) in zip(parts, ends):
@@ -106,9 +101,7 @@ def within(parts: Sequence[Piece], rows: slice, frames: slice) -> list[Piece]:
 
 
 def spans(run: Run) -> list[tuple[Piece, float, float]]:
-    """Return each piece with the first and the last time of its rows, s on the clock of its
-    recording.
-    """
+    """Return each piece with its first and last time of rows, s on the clock of its recording."""
     parts = pieces(run)
     ends = [part.row for part in parts[1:]] + [len(run.t)]
     return [

@@ -1,5 +1,4 @@
-"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted
-or validated.
+"""Markers in a plane: the coordinate across it is not measured, predicted or validated.
 
 A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x",
 "y" or "z"), and 0 is that coordinate. A model's prediction for such a run has 0 there as well. So
@@ -35,8 +34,9 @@ SAMPLE = 20_000  # points that are tested
 
 
 def unmeasured(run: Run) -> int | None:
-    """Return the axis of the base frame (0, 1, 2) that the markers of a run do not measure; None if
-    they measure all.
+    """Return the axis of the base frame (0, 1, 2) that a run's markers do not measure.
+
+    None if they measure all.
 
     Raises:
         RunError: the field `plane` is not x, y or z.
@@ -53,8 +53,9 @@ def unmeasured(run: Run) -> int | None:
 
 
 def flat(points: Array, run: Run) -> Array:
-    """Return points (..., 3) mm with 0 as the coordinate that a run does not measure; unchanged if
-    it measures all.
+    """Return points (..., 3) mm with 0 as the coordinate that a run does not measure.
+
+    They are unchanged if it measures all.
     """
     axis = unmeasured(run)
     if axis is None:
@@ -104,9 +105,7 @@ class Plane:
 
 
 def plane_of(run: Run) -> Plane | None:
-    """Return the plane that holds all points of a run; None if they fill space or lie on one
-    line.
-    """
+    """Return the plane of all points of a run; None if they fill space or lie on one line."""
     seen = run.vertices if run.vertices is not None else run.markers
     if seen is None or run.output is not None or not seen.size:
         return None

@@ -1,5 +1,4 @@
-"""The command records that show what a finger lacks: a standard protocol, and a validation run of
-another kind.
+"""Commands that show what a model lacks: a standard protocol, and a different validation run.
 
 A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two
 offsets, diagonals, staircases with long dwells, fast triangles. Each comes in two mounting
@@ -75,8 +74,9 @@ class Protocol:
 
 @dataclass(frozen=True)
 class Limits:
-    """How far and how fast a robot is moved: home, low, high (C,) in its unit, slow and fast (C,)
-    in units a second.
+    """How far and how fast a robot moves.
+
+    Home, low, high (C,) are in its unit, slow and fast (C,) in units a second.
     """
 
     home: Floats
@@ -103,8 +103,9 @@ class Limits:
 
     @classmethod
     def of(cls, command_range: Floats, unit: str = "mm", fastest: float | None = None) -> Limits:
-        """Return three quarters of a model's `command_range` (C, 2) to both sides of home, at
-        speeds that go with it.
+        """Return limits at three quarters of a model's `command_range` (C, 2).
+
+        They lie to both sides of home, with matching speeds.
 
         Home is command 0, or what is nearest to it. `fastest` units a second bounds every speed.
 
@@ -140,8 +141,9 @@ class Limits:
         return np.asarray((self.home - self.low > least) & (self.high - self.home > least))
 
     def at(self, share: Floats) -> Floats:
-        """Return the command (..., C) at `share` of the way from home to high (above 0) or to low
-        (below 0).
+        """Return the command (..., C) at `share` of the way from home.
+
+        It leads to high (above 0) or to low (below 0).
         """
         up, down = self.high - self.home, self.home - self.low
         return np.asarray(self.home + np.where(share > 0, share * up, share * down))
@@ -181,9 +183,7 @@ def other_protocol(
 
 
 class Tape:
-    """Collects the corners of the command, the conditions and the instants to look, one move after
-    another.
-    """
+    """Collects the corners of the command, conditions and times of captures, move after move."""
 
     def __init__(
         self,
@@ -250,9 +250,7 @@ class Tape:
         self.corners.append((self.now, self.here.copy()))
 
     def to(self, target: Floats, speed: Floats, rate: float, label: str) -> None:
-        """Move straight to `target` (C,) mm; none of the channels moves faster than its `speed`
-        (C,) mm/s.
-        """
+        """Move straight to `target` (C,) mm, no channel faster than its `speed` (C,) mm/s."""
         samples = int(np.ceil(float(np.max(np.abs(target - self.here) / speed)) * RATE - 1e-9))
         if samples <= 0:
             return
@@ -384,8 +382,9 @@ def _other_blocks(tape: Tape, part: int) -> None:
 
 
 def circle(tape: Tape) -> Callable[[Floats], Floats]:
-    """Return a path of two turns, each channel a quarter behind the one before, that starts and
-    ends at home.
+    """Return a path of two turns that starts and ends at home.
+
+    Each channel is a quarter behind the one before.
     """
     shift = np.arange(tape.channels) * (np.pi / 2)
 
@@ -409,9 +408,7 @@ def spiral(tape: Tape) -> Callable[[Floats], Floats]:
 
 
 def wander(tape: Tape, size: float) -> Callable[[Floats], Floats]:
-    """Return a smooth random path that starts and ends at home and stays within ± `size` of the
-    reach.
-    """
+    """Return a smooth random path from home to home that stays within ± `size` of the reach."""
     waves = np.arange(1, 6)
     weight = tape.rng.normal(size=(waves.size, tape.channels)) / waves[:, None] ** 0.5
 

@@ -1,5 +1,6 @@
-"""The command at which a robot rests: 0, unless its range lies far from 0, as servo ticks not
-counted from home.
+"""The command at which a robot rests: 0, or for ranges far from 0 a place within them.
+
+Such are servo ticks not counted from home.
 """
 
 from __future__ import annotations
@@ -28,9 +29,7 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
 
 
 def far_from_home(reach: ArrayLike) -> NDArray[np.bool_]:
-    """Return which channels (C,) are not counted from home: their range, of shape (C, 2), lies far
-    from 0.
-    """
+    """Return which channels (C,) are not counted from home: their range (C, 2) lies far from 0."""
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     return np.asarray((np.maximum(low, -high) > FAR * (high - low)) & (high > low))
 

@@ -1,5 +1,4 @@
-"""Find commands and encoders that roll over: jumps of about one turn between rows that otherwise
-move slowly.
+"""Find commands and encoders that roll over: jumps of about one turn in otherwise slow motion.
 
 A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A step that was commanded
 has the same size, but the motion does not go on across it. Pinned by tests/run/test_rollover.py.
@@ -67,8 +66,9 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
 
 
 def _reach(size: Floats, jumps: NDArray[np.bool_]) -> Floats:
-    """Return the largest step that the motion around each jump allows, from the steps (T - 1,); -1
-    at rest.
+    """Return the largest step that motion around each jump allows; -1 at rest.
+
+    It follows from the steps (T - 1,).
     """
     steps = np.where(jumps, 0.0, size)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, _NEAR), 2 * _NEAR + 1)
@@ -103,8 +103,9 @@ def roll_overs_of(run: Run) -> list[str]:
 
 
 def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) -> str | None:
-    """Return the sentence on channels that roll over, which ends with the key of the mapping; None
-    without any.
+    """Return the sentence on channels that roll over, which ends with the mapping's key.
+
+    None if none does.
 
     Args:
         name: of the quantity in a mapping.

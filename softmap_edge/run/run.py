@@ -1,5 +1,4 @@
-"""The run: what was commanded and what was seen, every field checked (units mm, s, ticks, mA, °C,
-g).
+"""The run: what was commanded and seen, every field checked (units mm, s, ticks, mA, °C, g).
 
 `Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: code
 that receives one need not check again. T command rows, C channels, K frames seen, N vertices or M
@@ -68,8 +67,9 @@ OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
 
 def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
-    """Return the radius of the spools (mm) that a mapping declared, of `Run.extra`; None without a
-    plausible one.
+    """Return the radius of the spools (mm) that a mapping declared in `Run.extra`.
+
+    None if it is absent or not plausible.
     """
     value = np.asarray(extra.get(SPOOL_RADIUS, 0.0))
     plain = value.ndim == 0 and value.dtype.kind in "fiu"
@@ -77,9 +77,7 @@ def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
 
 
 def text_in(extra: Mapping[str, NDArray[np.generic]], name: str) -> str | None:
-    """Return the text of a field of `Run.extra`; None if there is none, or an array of another
-    program.
-    """
+    """Return the text of a `Run.extra` field; None if absent or another program's array."""
     field = extra.get(name)
     return (
         None
@@ -249,8 +247,9 @@ class Run:
         self.validate()
 
     def validate(self) -> None:
-        """Check every field: shape, finiteness, order of time, plausible units. A Run is checked
-        when it is made.
+        """Check every field: shape, finiteness, order of time, plausible units.
+
+        A Run is checked when it is made.
 
         Raises:
             RunError: the first fault, with what was expected.
@@ -259,9 +258,7 @@ class Run:
 
     # --- files ---------------------------------------------------------------------------
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the fields that are set, as they are stored (texts as 0-d arrays), unknown ones
-        last.
-        """
+        """Return the fields that are set as stored (texts as 0-d arrays), unknown ones last."""
         known = {name: getattr(self, name) for name in fields.AXES}
         stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
         stored |= {"command_unit": np.asarray(self.command_unit)}
@@ -303,9 +300,7 @@ class Run:
 
     @property
     def marker_names(self) -> list[str]:
-        """The names of the markers, from `marker_labels` where an import kept them, else their
-        numbers from 1.
-        """
+        """The markers' names, from `marker_labels` where an import kept them, else from 1."""
         if self.output is not None:
             return list(self.output.names)
         count = 0 if self.markers is None else self.markers.shape[1]
@@ -380,8 +375,9 @@ class Run:
 
     # --- parts ---------------------------------------------------------------------------
     def at(self, select: ArrayLike) -> Run:
-        """Return the run with some of its frames; the commands stay complete, so that memory is
-        still right.
+        """Return the run with some of its frames.
+
+        The commands stay complete, so that memory is still right.
 
         Args:
             select: (K,) bool, or indices of frames in increasing order.
@@ -418,8 +414,7 @@ class Run:
         return dataclasses.replace(self, **change)
 
     def slice_time(self, t0: float, t1: float) -> Run:
-        """Return rows and frames with t0 <= time < t1 (s), and the row before t0 whose command
-        still holds.
+        """Return rows and frames with t0 <= time < t1 (s), and the row whose command holds at t0.
 
         What the robot remembers of earlier rows is cut off with them; use `at` where memory
         matters.
@@ -492,8 +487,6 @@ class Run:
 
 
 def known(run: Run, points: Array) -> NDArray[np.bool_]:
-    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not reported as
-    hidden.
-    """
+    """Return which points (K, N, 3) of a run were seen, (K, N): finite and not reported hidden."""
     finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     return finite if run.visible is None else np.logical_and(finite, run.visible)

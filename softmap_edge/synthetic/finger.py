@@ -323,8 +323,9 @@ def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: F
 
 
 def different(u: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the different ones (n, C) of commands (K, C) mm, and which each is. Raises
-    SoftmapError beyond REACH.
+    """Return the different ones (n, C) of commands (K, C) mm, and which each is.
+
+    Raises SoftmapError beyond REACH.
     """
     largest = float(np.max(np.abs(u), initial=0.0))
     if largest > REACH:

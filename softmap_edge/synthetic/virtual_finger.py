@@ -1,5 +1,6 @@
-"""The virtual finger: a stand-in for hardware, to try a complete pipeline on. It is simulated and
-is never called real.
+"""The virtual finger: a stand-in for hardware, to try a complete pipeline on.
+
+It is simulated and is never called real.
 
     command ─whole ticks─> u ─friction, hidden effects─> tetrahedra, another material, turned
     tendons, a lean─> points

@@ -1,5 +1,6 @@
-"""Everything about training that the paper does not say, chosen here. None of these numbers is in
-the paper.
+"""Everything about training that the paper does not say, chosen here.
+
+None of these numbers is in the paper.
 
 What it says: widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets,
 mean squared error; LayerNorm, GELU and dropout of the residual, Chamfer + λ_l2 · mean |Δ|² + λ_lap

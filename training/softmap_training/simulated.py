@@ -61,8 +61,9 @@ class SimulatedSet:
 
     @classmethod
     def load(cls, path: str | Path) -> SimulatedSet:
-        """Open a store, or read the `.npz` of a sweep. Raises SimulationError when it is damaged or
-        unfinished.
+        """Open a store, or read the `.npz` of a sweep.
+
+        Raises SimulationError when it is damaged or unfinished.
         """
         file = Path(path)
         if file.suffix == ".npz":

@@ -105,8 +105,9 @@ class Store:
         self.marks[:] = self.done
 
     def read(self, chunk: int) -> NDArray[np.float32]:
-        """Return the vertices (n, N, 3) mm of a chunk. Raises SimulationError for what is damaged
-        or not there.
+        """Return the vertices (n, N, 3) mm of a chunk.
+
+        Raises SimulationError for what is damaged or not there.
         """
         try:
             found = np.asarray(self.vertices[self.rows(chunk)])
@@ -191,8 +192,9 @@ def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendo
 
 
 def open_store(path: Path, mode: str = "r") -> Store:
-    """Open a store, `mode` "r" or "r+". Raises SimulationError with one line when it is none,
-    damaged or too large.
+    """Open a store, `mode` "r" or "r+".
+
+    Raises SimulationError with one line when it is none, damaged or too large.
     """
     if not (path / "zarr.json").is_file():
         raise SimulationError(

@@ -52,8 +52,9 @@ def is_pcd(head: bytes) -> bool:
 
 
 def read_pcd(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PCD file; a guess of columns is added to `notes`. Raises
-    RegistrationError.
+    """Return the points (M, 3) of a PCD file; a guess of columns is added to `notes`.
+
+    Raises RegistrationError.
     """
     try:
         with path.open("rb") as file:

@@ -59,8 +59,9 @@ class _Element:
 
 
 def read_ply(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PLY file; a guess of columns is added to `notes`. Raises
-    RegistrationError.
+    """Return the points (M, 3) of a PLY file; a guess of columns is added to `notes`.
+
+    Raises RegistrationError.
     """
     try:
         with path.open("rb") as file:

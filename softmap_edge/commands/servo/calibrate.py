@@ -1,5 +1,6 @@
-"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. Hooked
-into servo.py.
+"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration.
+
+Hooked into servo.py.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""The verbs servo and replay: servos found, read, set up and released; the emulated ones; a
-recording decided again.
+"""The commands servo and replay.
+
+Servos are found, read, set up and released; emulated ones; a recording is decided again.
 """
 
 from __future__ import annotations
@@ -66,9 +67,7 @@ def _ports(port: str | None, baud: int | None) -> list[str]:
 
 
 def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
-    """Return the rig of `--rig`, and the options with its port and baud rate where they are
-    missing.
-    """
+    """Return the rig of `--rig`, and options with its port and baud rate if missing."""
     if args.rig is None:
         return None, args
     rig = read_rig(args.rig)
@@ -184,8 +183,9 @@ def _read(args: ReadOptions) -> int:
 def _registers(
     servo: setup.ServoState, asked: setup.Asked | None
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the register values of a servo, and a line for each that blocks a start or is
-    rewritten by it.
+    """Return a servo's register values, and a line for each bad or rewritten one.
+
+    A bad one blocks a start; a start rewrites others.
     """
     try:
         with opened(servo.port, servo.baud) as bus:
@@ -430,8 +430,9 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording
-    is not whole.
+    """Let the guard decide a recording again; 1 if it decides otherwise or is incomplete.
+
+    It is the recording that is incomplete.
     """
     check_file("--run", args.run, ".npz")
     check_no_run("--run", args.run, args.force)

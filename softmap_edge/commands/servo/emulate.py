@@ -1,5 +1,6 @@
-"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input. Hooked
-into servo.py.
+"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input.
+
+Hooked into servo.py.
 """
 
 from __future__ import annotations

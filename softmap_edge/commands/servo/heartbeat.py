@@ -53,8 +53,9 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def heartbeat(args: HeartbeatOptions) -> int:
-    """Beat until it is ended; keys, or lines `press` and `release` on standard input, press and
-    release the stop.
+    """Beat until it is ended; keys or lines press and release the stop.
+
+    The lines are `press` and `release` on standard input.
     """
     if args.new_key is not None:
         new_key(args.new_key)
@@ -109,8 +110,9 @@ def heartbeat(args: HeartbeatOptions) -> int:
 
 @contextmanager
 def _keys() -> Iterator[Iterator[str | None]]:
-    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more. Never
-    waits.
+    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more.
+
+    Never waits.
     """
     if (file := terminal()) is None:
         yield _lines()

@@ -1,5 +1,6 @@
-"""`softmap servo home`: home proved with its user, or by options where there is none. Hooked into
-servo.py.
+"""`softmap servo home`: home proved with its user, or by options where there is none.
+
+Hooked into servo.py.
 """
 
 from __future__ import annotations

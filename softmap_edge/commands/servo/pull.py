@@ -1,5 +1,6 @@
-"""`softmap servo pull`: the current at the stroke becomes the ceiling in rig.toml. Hooked into
-servo.py.
+"""`softmap servo pull`: the current at the stroke becomes the ceiling in rig.toml.
+
+Hooked into servo.py.
 """
 
 from __future__ import annotations

@@ -58,9 +58,7 @@ class ArrayColumns:
         return Cells(numbers, labels, np.arange(1, len(numbers) + 1), self.notes)
 
     def groups(self) -> list[list[int]]:
-        """Return the positions of the columns of each length of two rows or more, the longest
-        first.
-        """
+        """Return the columns' positions by length (two rows or more), the longest first."""
         lengths = sorted({len(column) for column in self.columns if len(column) > 1}, reverse=True)
         return [
             [k for k, column in enumerate(self.columns) if len(column) == length]

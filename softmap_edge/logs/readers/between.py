@@ -1,5 +1,4 @@
-"""Leave out lines between the rows of a text log: its head, which a logger writes again, and
-remarks.
+"""Leave out lines between a text log's rows: repeated heads of a logger, and remarks.
 
 Pinned by tests/logs/test_between.py.
 """
@@ -22,8 +21,9 @@ _CUTS = re.compile(r"[,;\t|]")
 
 
 def without_heads(lines: list[str]) -> list[str]:
-    """Return the first lines of a log, in which lines below a row that repeat an earlier line of
-    names are blank.
+    """Return a log's first lines, with repeated heads blank.
+
+    They are lines below a row that repeat an earlier line of names.
 
     Names in another order count as well: both are one table, whatever the second half of it is
     called.
@@ -63,8 +63,7 @@ class Between:
         mark: str,
         width: int,
     ) -> tuple[list[str], NDArray[np.int64]]:
-        """Return the lines (and their numbers) without those of the head and remarks, which are
-        counted.
+        """Return the lines (and their numbers) without repeated heads and remarks, with counts.
 
         Args:
             block: lines that are not blank.

@@ -1,5 +1,6 @@
-"""Reads the markers of a C3D file with PyPI's `c3d`: columns `frame`, `time` and `LABEL.x`,
-`LABEL.y`, `LABEL.z`.
+"""Read the markers of a C3D file with PyPI's `c3d`.
+
+Columns are `frame`, `time` and `LABEL.x`, `LABEL.y`, `LABEL.z`.
 
 A point whose residual is negative, or that is exactly (0, 0, 0), was not seen. Analog channels are
 left out. Sizes are checked against the file before anything is read, since a damaged header may

@@ -1,5 +1,6 @@
-"""Turns a serialised ROS 2 message into named numbers, without ROS: `position[j1]`,
-`pose.position.x`.
+"""Turn a serialised ROS 2 message into named numbers, as `position[j1]`, without ROS.
+
+Other names are such as `pose.position.x`.
 
     definition (.msg text)  →  fields of each type        message (CDR, XCDR1)  →  {name: number}
 

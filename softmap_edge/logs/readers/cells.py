@@ -1,6 +1,4 @@
-"""Cut one line of a text log into cells, and decide whether a cell is a number, a time, a unit or a
-name.
-"""
+"""Cut a line of a text log into cells; decide if a cell is number, time, unit or name."""
 
 from __future__ import annotations
 
@@ -59,15 +57,17 @@ def find_delimiter(line: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with a decimal point or comma, or with groups of digits
-    that are clear.
+    """Return whether a cell is a number.
+
+    It has a decimal point or comma, or clear groups of digits.
     """
     return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None
 
 
 def is_plain(cell: str) -> bool:
-    """Return whether a cell is a number with a decimal point; Python's `1_000` is a name or a fault
-    of the file.
+    """Return whether a cell is a number with a decimal point.
+
+    Python's `1_000` is a name or a fault of the file.
     """
     try:
         float(cell)

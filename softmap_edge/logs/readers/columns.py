@@ -54,17 +54,16 @@ class Columns(Protocol):
 
 
 def quiet(numbers: Array) -> Array:
-    """Replace signalling NaNs, which damaged bytes may hold, by ordinary ones, in place; return the
-    numbers.
+    """Replace signalling NaNs by ordinary ones, in place; return the numbers.
+
+    Damaged bytes may hold signalling ones.
     """
     numbers[np.isnan(numbers)] = np.nan
     return numbers
 
 
 def as_floats(values: object) -> Array:
-    """Return numbers as float64; signalling NaNs, which damaged bytes may hold, are NaN without a
-    warning.
-    """
+    """Return numbers as float64; signalling NaNs, as of damaged bytes, are NaN, unwarned."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values, np.float64)
 

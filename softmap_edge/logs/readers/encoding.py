@@ -1,5 +1,4 @@
-"""Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is
-clearly that.
+"""Find a text log's encoding: UTF-8, -16, -32, or Windows-1252 (latin-1) if clear.
 
 UTF-16 and UTF-32 are recognised without a byte order mark as well: next to nearly each letter there
 are zero bytes, always on the same side. A file that was cut within its last character is read up to
@@ -69,8 +68,9 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
 
 
 def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
-    """Return the encoding of a file that is no UTF-8 at a line and byte; leave files with zero
-    bytes to the reader.
+    """Return the encoding of a file that is no UTF-8 at a line and byte.
+
+    Leave files with zero bytes to the reader.
     """
     high = size = odd = 0
     with path.open("rb") as file:
@@ -111,8 +111,9 @@ def encoding_of_start(start: bytes) -> str:
 
 
 def decoded(path: Path, encoding: str, size: int) -> Iterator[str]:
-    """Yield the text of a file up to its last complete character, in pieces, with `\\n` as its line
-    ends.
+    """Yield a file's text up to its last complete character, with `\\n` as line ends.
+
+    The text comes in pieces.
 
     Args:
         path: the file. encoding: from `encoding_of`. size: bytes read at a time.

@@ -1,5 +1,6 @@
-"""Look at the end of a text log: lines below the table, and a last line that was cut within its
-last cell.
+"""Check a text log's end: lines below the table, and a cut last cell.
+
+The last line was then cut within its last cell.
 
 Many programs write no line end after the last row, so a missing one alone shows nothing. The last
 cell is doubtful if it is shorter than all cells of its column are. Pinned by
@@ -39,8 +40,7 @@ def last_lines(path: Path) -> list[str]:
 
 
 def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = None) -> list[str]:
-    """Return the lines below a table that are no rows: `End of data`, `Total rows,600`; [] without
-    any.
+    """Return the lines below a table: `End of data`, `Total rows,600`; [] without any.
 
     Args:
         path: the log.

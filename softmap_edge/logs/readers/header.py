@@ -1,5 +1,4 @@
-"""Find where the table of a text log begins: its delimiter, the line of names, units, and the first
-row.
+"""Find where a text log's table begins: delimiter, line of names, units, first row.
 
 Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of
 rows of one width that are mostly numbers or times; its names are the last line of text above it
@@ -120,8 +119,9 @@ def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
 
 
 def _width(lines: list[_Line]) -> int:
-    """Cells of a row: of the widths that many rows have the largest, without columns that are empty
-    in all of them.
+    """Return the number of cells of a row.
+
+    Of the widths that many rows have the largest, without columns that are empty in all of them.
     """
     counts = Counter(len(line.cells) for line in lines if line.kind == "row")
     most, enough_rows = max(counts.values()), max(2.0, _COMMON * counts.total())
@@ -158,9 +158,7 @@ def _table(lines: list[_Line], mark: str) -> Table | None:
 
 
 def _first_of(lines: list[_Line], k: int, width: int) -> int:
-    """The first of the rows that lead to a row: those above it may leave out empty cells at the
-    end.
-    """
+    """The first of the rows that lead to a row: rows above may lack empty last cells."""
     short = _shorter(lines[k:], width) if k and lines[k - 1].kind == "row" else set()
     while k and lines[k - 1].kind == "row" and len(lines[k - 1].cells) in short:
         k -= 1
@@ -183,9 +181,7 @@ def _end(starts: dict[int, int | None], k: int) -> int:
 
 
 def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
-    """The line of names above a row: the last line of text that is as wide as the rows, not one of
-    units.
-    """
+    """The line of names above a row: the last text line as wide as rows, not of units."""
     k = first - 1
     seen = None
     while k >= 0 and lines[k].kind != "row":
@@ -198,9 +194,7 @@ def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
 
 
 def _wide(cells: list[str], width: int) -> bool:
-    """Whether a line has names for rows of some width; cells beyond the names are empty, as `_head`
-    checks.
-    """
+    """Whether a line names rows of some width; further cells are empty (`_head` checks)."""
     count = len(trimmed(cells))
     spare = _SPARE if width > _SPARE else 1
     return len(cells) == width or max(min(width, 2), width // 2) <= count <= width + spare
@@ -223,9 +217,7 @@ def _units_below(lines: list[_Line], k: int) -> bool:
 
 
 def _names_these(own: list[str], cells: list[str]) -> bool:
-    """Whether a line has distinct names for the cells of a line below it; the first column may have
-    none.
-    """
+    """Whether a line has distinct names for a line's cells below; the first may lack one."""
     filled = [name for name in own if name]
     if (
         len(own) < len(cells)
@@ -281,9 +273,7 @@ def _units_above(names: list[str], above: _Line) -> dict[str, str]:
 
 
 def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
-    """The table above whose rows no line of text is: a comment or the first row may name its
-    columns.
-    """
+    """The table below no line of text: a comment or the first row may name its columns."""
     first, width = bare.first, bare.width
     comment = _comment_above(lines, first, width)
     if comment is not None:
@@ -301,8 +291,9 @@ def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
 
 
 def _counts(rows: list[list[str]]) -> bool:
-    """Whether the first row is the numbers of the columns, as pandas writes them, and the next one
-    is not like it.
+    """Whether the first row is the numbers of the columns, as pandas writes them.
+
+    The next one is then not like it.
     """
     count = [str(k) for k in range(len(rows[0]))]
     return len(count) > 2 and rows[0] == count and any("." in cell for cell in rows[1])
@@ -332,8 +323,7 @@ def _is_names(line: list[str], below: list[list[str]]) -> bool:
 
 
 def _grouped(names: list[str], above: _Line | None) -> list[str]:
-    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`,
-    `tip.Z`.
+    """Names with the group above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`.
 
     A group stands above its first column; the line begins with an empty cell, or the names alone
     are not distinct.

@@ -1,5 +1,6 @@
-"""Runs a parser of a foreign format on a log of unknown origin, in a child process with limits of
-memory and time.
+"""Run a parser of a foreign format on a log of unknown origin, in a child process.
+
+Its memory and time are limited.
 
 A fault of the parser becomes one RunError. Pinned by tests/logs/test_read_in_child.py.
 """

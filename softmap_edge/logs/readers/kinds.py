@@ -1,5 +1,4 @@
-"""Find the format of a log by its first bytes; for a format that is not read, name it and the
-remedy.
+"""Find a log's format by its first bytes; for one that is not read, name it and the remedy.
 
 The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by
 tests/logs/test_formats.py.
@@ -155,8 +154,9 @@ def _refuse_foreign(path: Path, start: bytes) -> None:
 
 
 def _like_text(magic: bytes, start: bytes) -> bool:
-    """Whether a file may be text whose first word happens to be a format's: a column called `PAR1`
-    or `LOGGED`.
+    """Whether a file may be text that starts with a format's word.
+
+    A column may be called `PAR1` or `LOGGED`.
     """
     return len(magic) < _SURE and magic.isalnum() and b"\0" not in start
 
@@ -202,9 +202,7 @@ def _of_zip(path: Path) -> str:
 
 
 def _refuse_calibration(path: Path, text: str) -> None:
-    """Raise RunError with an explanation if the text is a calibration of LeRobot, which is no
-    log.
-    """
+    """Raise RunError with an explanation if the text is a LeRobot calibration, not a log."""
     if not text.lstrip().startswith("{") or '"homing_offset"' not in text:
         return
     from softmap_edge.logs.lerobot import explained

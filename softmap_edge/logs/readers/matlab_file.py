@@ -1,5 +1,6 @@
-"""Read the arrays of a MATLAB file: v4 to v7 by scipy, v7.3 and other HDF5 files by h5py, in a
-child process.
+"""Read the arrays of a MATLAB file in a child process.
+
+v4 to v7 by scipy, v7.3 and other HDF5 files by h5py.
 
 Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`,
 `log.signals[0].values`. Values without plain numbers (tables, timetables, timeseries, other
@@ -103,8 +104,9 @@ class _Found:
 
 # --- v4 to v7, in the child ----------------------------------------------------------------
 def read_v7(path: Path) -> Answer:
-    """Read every array of numbers of a MATLAB file; runs in the child. Raises RunError as
-    `open_matlab`.
+    """Read every array of numbers of a MATLAB file; runs in the child.
+
+    Raises RunError as `open_matlab`.
     """
     try:
         import scipy.io
@@ -199,8 +201,9 @@ def _cell_text(cell: object) -> str | None:
 
 # --- HDF5, in the child --------------------------------------------------------------------
 def read_hdf5(path: Path) -> Answer:
-    """Read every array of numbers of an HDF5 file; runs in the child. Raises RunError as
-    `open_hdf5`.
+    """Read every array of numbers of an HDF5 file; runs in the child.
+
+    Raises RunError as `open_hdf5`.
     """
     try:
         import h5py

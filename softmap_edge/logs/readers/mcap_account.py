@@ -1,5 +1,4 @@
-"""Count the read and the lost parts of an MCAP file: chunks left out, bytes that are no records,
-messages.
+"""Count read and lost parts of an MCAP file: left-out chunks, foreign bytes, messages.
 
 Pinned by tests/files/test_mcap_damage.py.
 """
@@ -18,9 +17,7 @@ SPANS = 3  # time spans that are named one by one
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk that is left out: where it lies in the file, why, and its times (ns) where they are
-    known.
-    """
+    """A chunk left out: its place in the file, why, and its times (ns) if they are known."""
 
     start: int
     end: int

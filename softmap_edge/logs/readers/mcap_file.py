@@ -1,5 +1,4 @@
-"""Reads a topic of a rosbag2 recording in MCAP: one row a message, columns by `cdr.py`, and the
-time.
+"""Read a topic of a rosbag2 MCAP recording: a row per message, columns by `cdr.py`, the time.
 
 `time` is the message's own `header.stamp` in s (since 1970, or of a simulation), or the time at
 which it was logged where it has none; `log_time` is the latter always. Every checksum that the file
@@ -62,8 +61,7 @@ def topics(path: Path, shown: Path | None = None) -> list[Topic]:
 def open_mcap(
     path: Path, topic: str | None, most: int | None = None, shown: Path | None = None
 ) -> HeldColumns:
-    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading
-    early.
+    """Read the messages of a topic (None: the only one); `most` ends the reading early.
 
     `shown` is the path that messages about damage name: that of the packed file, say.
 

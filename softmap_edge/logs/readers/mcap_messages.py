@@ -163,8 +163,9 @@ class Messages:
     def _define(
         self, kind: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]
     ) -> Channel | None:
-        """Keep a schema or a channel; return a channel that is new. The first of several of one id
-        counts.
+        """Keep a schema or a channel; return a channel that is new.
+
+        The first of several of one id counts.
         """
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError

@@ -1,5 +1,4 @@
-"""The definitions of common ROS 2 messages, for recordings that carry none (rosbag2's .db3 up to
-Humble).
+"""Definitions of common ROS 2 messages, for recordings without (rosbag2's .db3 to Humble).
 
 Only types whose fields are the same in every distribution from Dashing to Lyrical; of any other a
 recording must carry the definition. Reference: the .msg files of common_interfaces, geometry2 and
@@ -96,8 +95,9 @@ for _name in ("Pose", "Twist"):
 
 
 def known_definition(name: str) -> str | None:
-    """Return the definition of a common type with those within, as rosbag2 writes it; None for
-    another type.
+    """Return a common type's definition as rosbag2 writes it; None for another type.
+
+    It includes the definitions within.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.

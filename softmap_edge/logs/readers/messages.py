@@ -1,5 +1,6 @@
-"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and
-`log_time`.
+"""Gather decoded messages of a topic as a table: a row per message, columns by name.
+
+There are also `time` and `log_time`.
 
 A field of the messages that is called `time` or `log_time` itself becomes the column `time
 (field)`. Also the errors of readers of recordings whose topic is not there, or not named.
@@ -29,9 +30,7 @@ def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
 
 
 def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
-    """Return the error that a recording holds no message of a topic, with the topics that have
-    messages.
-    """
+    """Return the error of a topic without messages in a recording, and the topics with some."""
     listed = ", ".join(sorted(there))[:200]
     if not listed:
         return RunError(f"{path}: holds no message of any topic; give the recording of a run")

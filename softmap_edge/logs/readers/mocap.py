@@ -1,5 +1,6 @@
-"""Reads the text exports of motion capture: TRC (OpenSim, Cortex, QTM) and Motive's (OptiTrack's)
-CSV.
+"""Read the text exports of motion capture: TRC (OpenSim, Cortex, QTM), Motive's CSV.
+
+Motive is OptiTrack's.
 
 Both have several lines of header; the rows below are an ordinary text log. Columns are called
 `frame`, `time`, and `NAME.x`, `NAME.y`, `NAME.z` for each marker or rigid body; of Motive also

@@ -1,6 +1,4 @@
-"""Add the column `time` to a log that states its rate in its head, from frame numbers or row
-numbers.
-"""
+"""Add the column `time` to a log with its rate in its head, from frame or row numbers."""
 
 from __future__ import annotations
 
@@ -19,8 +17,9 @@ TIME = "time"
 
 @dataclass(frozen=True)
 class PacedColumns:
-    """A text log, and a last column `time` (s) of its frame numbers, or of its rows, at a rate that
-    the file states.
+    """A text log, and a last column `time` (s) of its frame numbers, or of its rows.
+
+    The file states the rate.
 
     Attributes:
         inner: the columns of the file.

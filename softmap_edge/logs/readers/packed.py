@@ -48,8 +48,7 @@ class Unpacked:
 
 
 def unpack(path: Path) -> Unpacked:
-    """Unpack a file packed by zstd or gzip into a temporary folder, under its name without the last
-    ending.
+    """Unpack a zstd or gzip file into a temporary folder, named without the last ending.
 
     Raises:
         RunError: `zstandard` is not installed, or the file is damaged or too large.
@@ -65,9 +64,7 @@ def unpack(path: Path) -> Unpacked:
 
 
 def skipped_frames(start: bytes) -> int:
-    """Return the bytes of the frames without content with which a file begins, from its first
-    bytes.
-    """
+    """Return the bytes of empty frames with which a file begins, from its first bytes."""
     at = 0
     while _SKIPPED.match(start, at):
         at += 8 + int.from_bytes(start[at + 4 : at + 8], "little")

@@ -156,8 +156,9 @@ class _Gathered:
     def add(
         self, name: str, values: NDArray[np.generic] | None, keep: NDArray[np.bool_] | None
     ) -> None:
-        """Add the rows to `keep` (rows,) of the values (rows, …) of a column; None where they have
-        no common shape.
+        """Add the rows to `keep` (rows,) of the values (rows, …) of a column.
+
+        None where they have no common shape.
 
         Raises:
             RunError: the file holds too many numbers.
@@ -229,8 +230,9 @@ def _is_read(pyarrow: Any, kind: Any) -> bool:
 
 
 def _values(pyarrow: Any, column: Any) -> NDArray[np.generic] | None:
-    """Return a column as an array: (rows,), or (rows, elements) of lists; None of lists of
-    different lengths.
+    """Return a column as an array: (rows,), or (rows, elements) of lists.
+
+    None of lists of different lengths.
     """
     types = pyarrow.types
     kind = column.type

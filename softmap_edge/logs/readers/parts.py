@@ -1,5 +1,6 @@
-"""Read several files of one log one after another: the parts of a split bag, or logs with equal
-mappings.
+"""Read a log's files one after another: parts of a split bag, or logs of one mapping.
+
+Those have equal mappings.
 
 The order of day and month of their dates is decided by all parts together. Parts whose times of day
 begin again after midnight follow those before it. Parts of another clock that rolls over follow one
@@ -169,8 +170,9 @@ class JoinedColumns:
         return sorted(range(len(names)), key=lambda k: numbers_in(names[k]))
 
     def _doubts(self, order: Sequence[int]) -> list[str]:
-        """Return a doubt if the numbers in the names show another order, and a clock that begins
-        again explains it.
+        """Return a doubt if the numbers in the names show another order.
+
+        A clock that begins again must be explained by it.
         """
         named = self._by_name()
         dated = any(
@@ -195,8 +197,9 @@ class JoinedColumns:
     def _read(
         self, columns: Columns, places: list[int], label: int | None, rows: int | None
     ) -> tuple[Cells, Array]:
-        """Return the cells of some columns of one file, NaN where it has no such column, and their
-        times (rows,) s.
+        """Return the cells of some columns of one file, and their times (rows,) s.
+
+        NaN where it has no such column.
         """
         own = self._places(columns)
         clocks = [place(self.path, columns.names, column) for column in self.clock.columns]

@@ -1,5 +1,6 @@
-"""Find the files of a recording that is a folder: of rosbag2, with `metadata.yaml`, or a LeRobot
-dataset.
+"""Find the files of a recording folder: rosbag2 with `metadata.yaml`, or LeRobot.
+
+The latter is a dataset.
 
 Of metadata.yaml only the list of files is read, and of each only its name: paths out of the folder
 are not followed. Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the

@@ -1,5 +1,6 @@
-"""Read a topic of a rosbag2 recording in SQLite (.db3): one row per message, columns by `cdr.py`,
-as `mcap_file.py`.
+"""Read a topic of a rosbag2 recording in SQLite (.db3), as `mcap_file.py`.
+
+One row per message, columns by `cdr.py`.
 
 The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or
 memory maps, and with limits of size and steps, because it may be malicious. A log that an
@@ -42,9 +43,7 @@ _RECOVER = "copy it again, or save what is left: sqlite3 FILE .recover | sqlite3
 
 @dataclass(frozen=True)
 class _Channel:
-    """One topic of the database: its rows in `topics`, the type of its messages and their
-    definition.
-    """
+    """A topic of the database: its rows in `topics`, message type and definition."""
 
     ids: tuple[int, ...]
     name: str
@@ -69,8 +68,7 @@ def topics_of_db3(path: Path) -> list[Topic]:
 
 
 def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
-    """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading
-    early.
+    """Read the messages of a topic (None: the only one); `most` ends the reading early.
 
     Raises:
         RunError: the file is damaged, or the topic is not there or cannot be decoded.
@@ -174,9 +172,7 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
 
 
 def _merged(path: Path, notes: list[str], stack: contextlib.ExitStack) -> Path:
-    """Return the file, or a copy merged with the log that an interrupted recorder left next to
-    it.
-    """
+    """Return the file, or a copy merged with the log of an interrupted recorder next to it."""
     log = path.with_name(path.name + "-wal")
     if not log.is_file() or log.stat().st_size == 0:
         return path
@@ -264,9 +260,7 @@ def _definitions(database: sqlite3.Connection) -> dict[str, str]:
 def _messages(
     path: Path, database: sqlite3.Connection, channel: _Channel, most: int | None
 ) -> Iterator[tuple[int, bytes]]:
-    """The time (ns) and bytes of each message of a channel, in the order in which they were
-    written.
-    """
+    """The time (ns) and bytes of a channel's messages, in the order of writing."""
     marks = ", ".join("?" * len(channel.ids))
     rows = database.execute(
         f"SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?",

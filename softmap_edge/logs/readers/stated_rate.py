@@ -1,5 +1,6 @@
-"""Read the rate of a log out of the lines above its table: `Sample rate: 200 Hz`,
-`Delta_X<tab>0.005`, `# fs = 50`.
+"""Read the rate of a log from the lines above its table.
+
+As `Sample rate: 200 Hz`, `Delta_X<tab>0.005`, `# fs = 50`.
 
 Rates of a serial port or of the heart are none. Where lines state different rates, none of them
 counts. Pinned by tests/logs/test_stated_rate.py.
@@ -35,8 +36,9 @@ _SAME = 1e-3  # of a rate: rates that differ by less are one
 
 
 def stated_rate(lines: Iterable[str]) -> float | None:
-    """Return the rate (Hz) that lines above a table state; None if they state none, or several that
-    differ.
+    """Return the rate (Hz) stated above a table; None if there is none or several.
+
+    Several count if they differ.
     """
     found = [rate for line in lines if len(line) <= _LONG for rate in _rates(line)]
     found = [rate for rate in found if _ALLOWED[0] <= rate <= _ALLOWED[1]]

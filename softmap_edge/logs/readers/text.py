@@ -1,5 +1,6 @@
-"""Read a delimited text log (CSV and its like) block by block; a cell that cannot be read is named
-with its line.
+"""Read a delimited text log (CSV and its like) block by block.
+
+A cell that cannot be read is named with its line.
 
 The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment
 (as numpy writes it). It also finds a line of units, decimal commas, blank lines, empty cells at the
@@ -69,9 +70,7 @@ class TextColumns:
     stated: bool = False  # whether the mapping states the decimal mark
 
     def texts(self, rows: int) -> dict[str, list[str]]:
-        """Return the columns that hold text in the first rows, with that text; times are no
-        text.
-        """
+        """Return the text columns of the first rows, with that text; times are no text."""
         found: dict[str, list[str]] = {}
         for place, (name, column) in enumerate(zip(self.names, zip(*self._first_rows(rows)))):
             if place in self.clocks:
@@ -87,8 +86,9 @@ class TextColumns:
         return [row for row in cells if len(row) == len(self.names)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
-        """Return the same with its columns of dates and times known; `order` (dmy, mdy) is of dates
-        like 5/7/2031.
+        """Return the same with its columns of dates and times known.
+
+        `order` (dmy, mdy) is of dates like 5/7/2031.
         """
         clocks: dict[int, TimeText] = {}
         for place, column in enumerate(zip(*self._first_rows(_FIRST))):
@@ -205,9 +205,7 @@ class TextColumns:
                 )
 
     def _worded(self, rows: int) -> tuple[str, ...]:
-        """Return the sentence on words in columns of numbers; raise RunError where a column holds
-        text.
-        """
+        """Return the sentence on words in number columns; RunError if a column is text."""
         if (text := self.words.mostly(rows)) is not None:
             raise RunError(
                 f"{self.path}: line {text[2]}, column {self.names[text[0]]}: '{text[1]}' is not a "
@@ -269,9 +267,7 @@ class TextColumns:
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _fitted(self, line: str) -> str:
-        """A line with as many cells as names, where only empty ones are too many or left out at the
-        end.
-        """
+        """A line with as many cells as names, where empty last ones may be added or missing."""
         cut, mark = len(self.names) - 1, self.delimiter
         if line.count(mark) == cut:
             return line
@@ -342,9 +338,7 @@ class TextColumns:
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _complete(self, row: list[str], line: int) -> None:
-        """Give a row as many cells as there are names, where only empty ones are too many or left
-        out.
-        """
+        """Give a row as many cells as names; only empty last ones may be added or missing."""
         full, count = len(self.names), len(row)
         while len(row) > full and not row[-1].strip():
             row.pop()
@@ -370,9 +364,7 @@ class TextColumns:
         return "the file may be cut short: remove the line, or set skip_last_rows"
 
     def _below(self, word: str | None) -> str:
-        """Return the remedy for lines below the table; with a word, only if one of them begins
-        so.
-        """
+        """Return the remedy for lines below the table; with a word, only if one starts so."""
         below = (
             lines_below(self.path, self.delimiter, len(self.names)) if self.skip_last == 0 else []
         )
@@ -409,9 +401,7 @@ class TextColumns:
         )
 
     def _remedy(self, cell: str, odd: bool) -> str:
-        """Return what to do about a cell that is no number because of its commas or points; "" of
-        any other.
-        """
+        """Return the remedy for a cell that is no number due to commas or points; else ""."""
         if odd and self.decimal in self.marks.decimals:
             return (
                 "; if its digits are in groups of three, "
@@ -423,9 +413,7 @@ class TextColumns:
         return '; set decimal = "," in the mapping' if comma else NO_NUMBER
 
     def _contradicted(self) -> tuple[str, ...]:
-        """Return a doubt if the mapping states a decimal mark that only separates groups of digits
-        in the log.
-        """
+        """Return a doubt if the mapping's decimal mark only separates digit groups in the log."""
         other, cell = other_mark(self.decimal), self.marks.alike.get(self.decimal)
         if (
             not self.stated
@@ -441,8 +429,9 @@ class TextColumns:
         )
 
     def _unclear(self, numbers: Array, places: Sequence[int], count: int) -> None:
-        """Raise RunError if a column (rows, columns) may hold decimals, or whole numbers in groups
-        of three digits.
+        """Raise RunError if a column (rows, columns) may hold decimals or grouped integers.
+
+        Groups have three digits.
         """
         if self.stated or self.decimal in self.marks.decimals or self.grouped is not None:
             return
@@ -548,9 +537,7 @@ def open_text(
 
 
 def _marked(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
-    """The same columns with the decimal mark and the mark between groups of digits that the first
-    rows show.
-    """
+    """The same columns with the decimal mark and the group mark that the first rows show."""
     marks = marks_of(cell for row in rows for cell in split(row, columns.delimiter))
     notes, found = list(columns.notes), decimal or "."
     if decimal is None and "." not in marks.decimals and "," not in marks.groups:
@@ -597,9 +584,7 @@ def _is_row(line: str, table: Table) -> bool:
 
 # --- the lines -----------------------------------------------------------------------------
 def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
-    """Return at most `count` lines of a text log from line `first` on, fewer where they are very
-    long.
-    """
+    """Return at most `count` lines of a text log from line `first` on, fewer if very long."""
     found: list[str] = []
     for _, lines in _blocks(path, first):
         found += lines[: count - len(found)]
@@ -626,8 +611,9 @@ def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list
 
 
 def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The lines from number `first` on, to before `stop`, some thousand at a time, with the number
-    of the first.
+    """The lines from number `first` to before `stop`, in blocks, each with its first number.
+
+    A block has some thousand lines.
     """
     number, rest, encoding = 1, "", PLAIN
     try:

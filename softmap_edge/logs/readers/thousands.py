@@ -45,8 +45,9 @@ class Marks:
     groups: Mapping[str, str] = field(default_factory=dict)
 
     def grouped(self, decimal: str) -> tuple[str, str] | None:
-        """Return the mark between groups of digits for this decimal mark, and a cell with it; None
-        without any.
+        """Return the mark between groups of digits for this decimal mark, and a cell with it.
+
+        None without any.
         """
         other = other_mark(decimal)
         if (mark := next((mark for mark in self.groups if mark != decimal), None)) is not None:
@@ -78,15 +79,12 @@ def other_mark(mark: str) -> str:
 
 
 def is_alike(cell: str, mark: str) -> bool:
-    """Return whether a cell such as `1.003` is either a decimal or one or more groups of three
-    digits.
-    """
+    """Return whether a cell like `1.003` may be a decimal or groups of three digits."""
     return _ALIKE[mark].fullmatch(cell) is not None
 
 
 def unclear(cells: Sequence[str], mark: str) -> str | None:
-    """Return a cell of a column that may be a decimal or a grouped number; None if the column is
-    clear.
+    """Return a cell of a column that is decimal or grouped; None if the column is clear.
 
     It is unclear if every cell with the mark looks like a group, and whole numbers below 1000 stand
     next to them.
@@ -110,8 +108,9 @@ def unclear(cells: Sequence[str], mark: str) -> str | None:
 
 
 def grouping_of(cell: str) -> str | None:
-    """Return the mark between the groups of a cell that can only be a grouped number: `,`, `.` or
-    `'`; else None.
+    """Return the group mark of a cell that is clearly a grouped number: `,`, `.` or `'`.
+
+    Else None.
     """
     if "," not in cell and not any(c in cell for c in _SPACES):
         return None

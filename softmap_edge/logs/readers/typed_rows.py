@@ -1,5 +1,4 @@
-"""Read the older CSV export of OptiTrack (Tracking Tools, ARENA): the first cell of a row names its
-type.
+"""Read the older OptiTrack CSV (Tracking Tools, ARENA): a row's first cell is its type.
 
 A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after
 its count: `frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name

@@ -1,5 +1,6 @@
-"""Read text exports whose head states more than names: Qualisys TSV, Vicon Nexus CSV and LabVIEW
-LVM.
+"""Read text exports with more than names in the head: Qualisys TSV, Nexus CSV, LabVIEW LVM.
+
+Nexus is Vicon's.
 
 - Qualisys: lines `KEY<tab>value`; `FREQUENCY` is the rate, `MARKER_NAMES` (or `BODY_NAMES`) name
 the columns, in mm.
@@ -42,9 +43,7 @@ def is_qtm(start: str) -> bool:
 
 
 def is_nexus(start: str) -> bool:
-    """Return whether a file that begins so is a CSV export of Vicon Nexus: a section and its
-    rate.
-    """
+    """Return whether a file that begins so is a Vicon Nexus CSV: a section and its rate."""
     lines = [line.strip(' ,\t\r"').lower() for line in start.split("\n")[:2]]
     return len(lines) == 2 and lines[0] in _SECTIONS and is_number(lines[1])
 

@@ -29,8 +29,9 @@ def is_word(cell: str) -> bool:
 
 
 def is_text(column: Sequence[str], is_number: Callable[[str], bool]) -> bool:
-    """Whether a column, of which the first cells are given, holds text and not numbers with a word
-    here and there.
+    """Whether a column holds text, by its first cells.
+
+    It then is not numbers with a word here and there.
     """
     filled = [cell for cell in column if cell.lower() not in EMPTY]
     texts = [cell for cell in filled if not is_number(cell)]
@@ -39,9 +40,7 @@ def is_text(column: Sequence[str], is_number: Callable[[str], bool]) -> bool:
 
 @dataclass
 class Words:
-    """The words that stand for missing values in one file: how often each, and the line of the
-    first.
-    """
+    """The words for missing values in a file: the count and the first line of each."""
 
     # (column, word) → [count, first line]
     found: dict[tuple[int, str], list[int]] = field(default_factory=dict)
@@ -53,9 +52,7 @@ class Words:
         seen[0] += 1
 
     def mostly(self, rows: int) -> tuple[int, str, int] | None:
-        """Return column, word and first line of a column that holds mostly words, if there is
-        one.
-        """
+        """Return column, word and first line of a column of mostly words, if there is one."""
         counts: dict[int, int] = {}
         for (column, _), (count, _) in self.found.items():
             counts[column] = counts.get(column, 0) + count

@@ -1,3 +1,1 @@
-"""Commission a rig: set up servos, home the robot, jog, run the pull test, calibrate without a
-camera.
-"""
+"""Commission a rig: set up servos, home, jog, pull test, calibration without a camera."""

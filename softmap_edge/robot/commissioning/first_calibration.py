@@ -1,5 +1,6 @@
-"""A first calibration without a camera: the pulleys' radius, which way each servo bends the finger,
-one ruler reading.
+"""A first calibration without a camera.
+
+It uses the pulleys' radius, which way each servo bends the finger, and one ruler reading.
 
 A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b
 = 0). What nobody measured is not claimed: no coupling is known, so that every other entry is 0 with
@@ -47,8 +48,9 @@ class Radius:
 
 
 def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius:
-    """Return the radius at which tendon is wound: the pulley's, weighed with a reading (ticks, mm)
-    of the ruler.
+    """Return the radius at which tendon is wound.
+
+    It is the pulley's, weighed with a reading (ticks, mm) of the ruler.
 
     Raises:
         CalibrationError: out of range, or the two do not agree.
@@ -82,9 +84,7 @@ def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius
 
 
 def bends(model: Model, k: int) -> str:
-    """Return where the tip goes for more of command `k`: its largest axis of the base frame, as
-    `+x`.
-    """
+    """Return where the tip goes for more of command `k`: its largest base-frame axis, as `+x`."""
     low, high = np.zeros((2, model.channels))
     reach = np.asarray(model.command_range, float)[k]
     low[k], high[k] = 0.25 * reach
@@ -95,8 +95,9 @@ def bends(model: Model, k: int) -> str:
 
 
 def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
-    """Return the calibration of a bench whose servo k pulls command k by `signs[k]`, ±1, on pulleys
-    of one radius.
+    """Return the calibration of a rig whose servo k pulls command k by `signs[k]`, ±1.
+
+    All pulleys have one radius.
 
     Raises:
         ServoError: a home is not known, or servos, signs and commands do not agree.
@@ -133,8 +134,9 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
 
 
 def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
-    """Return the error that these deviations expect, RMS over the model's range; of the shape at
-    its ends.
+    """Return the error expected from these deviations, RMS over the model's range.
+
+    That of the shape is at the ends of the range.
     """
     box = np.asarray(model.command_range, float)
     # mean of u² over each range
@@ -151,9 +153,7 @@ def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
 
 
 def document(found: Calibration, model: Model, warnings: Sequence[str]) -> Document:
-    """Return softmap.calibration/1 as `softmap model calibrate` prints it; there are no matched
-    pairs.
-    """
+    """Return softmap.calibration/1, as `softmap model calibrate` does, without matched pairs."""
     matched: Document = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
     return found.to_dict() | {
         "affine": True,

@@ -1,5 +1,6 @@
-"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a
-mark of the proof.
+"""Homing: the finger straight and without torque; each servo's turn nearest its home, a mark.
+
+The home is the stored one; the mark states that the servo is homed.
 
 Turns are lost without power (modes 4 and 5), so it is done again after each power-up; `proof.py`
 keeps who has not. Pinned by tests/robot/test_home.py.
@@ -34,9 +35,10 @@ WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is loo
 
 @dataclass(frozen=True)
 class Homed:
-    """What homing found: the bench with its homes, how far (ticks) each servo stands from its own,
-    and the turns (of the count of each servo) by which a stored home was moved. `first` names
-    servos that had no home.
+    """The result of homing.
+
+    It has the rig with its homes, how far (ticks) each servo is from its own, and the turns (of the
+    count of each servo) by which a stored home was moved. `first` names servos that had no home.
     """
 
     rig: Rig
@@ -71,8 +73,7 @@ class Homed:
 
 
 def relax(rig: Rig) -> list[int]:
-    """Switch torque off and check that the servos are those of `rig` and set up; returns their
-    firmware.
+    """Switch torque off and check the servos of `rig` and their set-up; return their firmware.
 
     Raises:
         ServoError: one does not answer, is another model, is not set up, or reports an error.
@@ -84,8 +85,7 @@ def relax(rig: Rig) -> list[int]:
 
 
 def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
-    """Prove home: watch the finger stand, take the turn nearest to each stored home, leave the
-    marks.
+    """Home: watch the finger stand, take the turn nearest to each stored home, set marks.
 
     Args:
         rig: whose servos are relaxed (`relax`) and whose finger somebody found straight. confirmed:
@@ -132,8 +132,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
 def _far(
     servo: RigServo, position: int, home: int, turned: int, most: float
 ) -> tuple[str, str] | None:
-    """Return why a servo is not where its home is, and the commands that turn it back; None if it
-    is near.
+    """Return why a servo is not at its home, and commands that turn it back; None if it is.
 
     Raises:
         ServoError: no home can be there.

@@ -1,5 +1,6 @@
-"""Jogs: small slow moves of single servos under little current, in the guard's commissioning state,
-home known or not.
+"""Jogs: small slow moves of single servos under little current, homed or not.
+
+They take place in the guard's commissioning state.
 
     with Jog(rig) as jog:
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
@@ -43,8 +44,9 @@ WAITS = 3.0  # s beyond the time that a jog should take
 
 
 class Deadman(Protocol):
-    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on,
-    or `Held`.
+    """What is held while anything moves: a key (`keys.Keys`) that repeats, or `Held`.
+
+    A key counts from its first repetition on.
     """
 
     how: str  # it is let go, in words
@@ -123,8 +125,9 @@ class Jog:
 
     @property
     def position(self) -> Ticks:
-        """Where the servos stand (C,), ticks, by the last period that heard each: one lost answer
-        is no place.
+        """The positions (C,) of the servos, ticks, by the last period that read each.
+
+        One lost answer does not count as a position.
         """
         return self.robot.position
 
@@ -142,8 +145,9 @@ class Jog:
         )
 
     def press(self, servo: int, ticks: float) -> Literal["", "window", "travel"]:
-        """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a
-        pressed deadman.
+        """Aim servo number `servo` (from 0) at `ticks`, the others at their positions.
+
+        This counts as a pressed enable key.
 
         Torque comes on with the first. Ticks beyond the servo's window or the travel of the jog are
         cut off; returns which of the two it has come to the end of.
@@ -183,8 +187,9 @@ class Jog:
         return "travel" if abs(target[servo] - at) >= self.travel - ARRIVED else "window"
 
     def push(self, servo: int, direction: int) -> Literal["", "window", "travel"]:
-        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and
-        again; as `press`.
+        """Let servo number `servo` turn in a direction, ±1, as long as this is called again.
+
+        This counts as a pressed enable key, as `press` does.
         """
         return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
@@ -215,8 +220,9 @@ class Jog:
     def by(
         self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None
     ) -> float:
-        """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque
-        if held.
+        """Turn a servo by `ticks` while `hand` holds; return its move.
+
+        The servo is still under torque if the key is held.
 
         Args:
             seen: is shown this jog each time; True ends the move where it is.
@@ -270,8 +276,9 @@ def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
-    """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that
-    the bench says.
+    """Return the limits of jogs: what is `asked` for, as far as the rig allows it.
+
+    All other limits are those of the rig.
     """
     robot, servos = of_bench(rig), _servos(rig)
     anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
@@ -292,9 +299,7 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
 
 
 def _allowed(limit: tuple[float, str, str] | None, otherwise: float) -> float:
-    """Return the value of a limit of the bench (`of_bench`), `otherwise` where the bench has
-    none.
-    """
+    """Return the value of a rig's limit (`of_bench`), `otherwise` if the rig has none."""
     return otherwise if limit is None else float(limit[0])
 
 

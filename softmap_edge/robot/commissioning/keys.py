@@ -1,5 +1,4 @@
-"""A held key of a terminal as the deadman of moves of commissioning: holding begins with the first
-repetition.
+"""A held key of a terminal as enable key of commissioning moves, from its first repetition.
 
 A key that was pressed once may have been let go at once, and this is unknown for 0.7 s
 (`terminal_keys.RepeatedKey`): nothing runs on so long after a tap. Pinned by
@@ -20,8 +19,9 @@ STOP = (EMERGENCY, "escape", " ", "q", "\x03")
 
 
 class Keys:
-    """A held key of the terminal `file` (standard input) as a deadman (`jog.Deadman`), from
-    entering to leaving.
+    """A held key of the terminal `file` (standard input) as enable key (`jog.Deadman`).
+
+    It acts from entering to leaving.
 
     Args:
         always: no key has to be held, but those that stop do.
@@ -56,8 +56,9 @@ class Keys:
         self._typed.__exit__(kind, fault, trace)
 
     def key(self) -> str:
-        """Return the key that is down, by the name that `named` gives, empty if none: pressed
-        lately, or repeating.
+        """Return the key that is down, by its name in `named`, or an empty text.
+
+        It was pressed lately, or it repeats.
 
         `.presses` counts how often one was pressed again.
         """
@@ -72,8 +73,6 @@ class Keys:
         return self._name if not self.stopped and self._key.held(now) else ""
 
     def held(self) -> bool:
-        """Return whether any key is held and repeats, or none has to be, and none has stopped
-        it.
-        """
+        """Return whether a key is held and repeats, or none is needed, and none stopped it."""
         self.key()
         return not self.stopped and (self._always or self._key.repeats(time.monotonic()))

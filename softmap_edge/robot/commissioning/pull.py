@@ -1,5 +1,6 @@
-"""The pull test: the current that each servo draws where the finger is at its stroke, measured in
-slow held moves.
+"""The pull test: the current of each servo with the finger at its stroke.
+
+It is measured in slow held moves.
 
 Each servo goes alone, the others at home, through the guard's commissioning state: from home to one
 end of the window in force, to the other, and home. Standing takes less current than turning does,
@@ -49,8 +50,10 @@ RISES = 2.0
 
 @dataclass(frozen=True)
 class Leg:
-    """One side of a pull: the stroke and how far it came, ticks about home; `mA` there, standing
-    `rises` mA above home; what was read on the way (n, 2), ticks about home and mA.
+    """One side of a pull test.
+
+    The stroke and how far it came, ticks about home; `mA` there, `rises` mA above home; and the
+    readings on the way (n, 2), ticks about home and mA.
     """
 
     stroke: float
@@ -120,8 +123,7 @@ def pull(
     progress: Callable[[str, float], None] = lambda what, share: None,
     tell: Callable[[str], None] = lambda line: None,
 ) -> list[Pulled]:
-    """Pull each servo of the bench (or those of `ids`) to both ends of its window while `hand`
-    holds.
+    """Pull each servo of the rig (or of `ids`) to both ends of its window while `hand` holds.
 
     Args:
         found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and
@@ -240,9 +242,7 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Stand until a servo is still, PATIENCE more at most, and return its readings over the last
-    STANDS.
-    """
+    """Wait until a servo is still, at most PATIENCE more; return readings of the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []
@@ -270,9 +270,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
-    """Return the current at the stroke, by the line of the outer half of a leg where that ended
-    before.
-    """
+    """Return the current at the stroke, by the line of a leg's outer half if it ended early."""
     outer = side[np.abs(side[:, 0]) >= 0.5 * abs(reached)]
     if abs(stroke) <= abs(reached) or len(outer) < 3:
         return mA
@@ -294,9 +292,7 @@ def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, fl
 
 
 def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
-    """Return where a servo stands about home and its mA; nothing in a period that did not hear
-    both.
-    """
+    """Return a servo's ticks about home and its mA; nothing in periods without both."""
     now = float(jog.position[k]) - float(jog.rig.servos[k].home or 0), float(jog.current[k])
     return [now] if np.isfinite(now).all() else []
 

@@ -1,5 +1,4 @@
-"""Restart a servo that has shut itself down: torque off first, its errors before and after, then
-home it again.
+"""Restart a servo that has shut down: torque off, errors before and after, then homing.
 
 A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all
 volatile registers. Pinned by tests/robot/test_reboot.py.
@@ -26,9 +25,7 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Restarted:
-    """A servo that was restarted at `port`, and its hardware error bits (register 70) before
-    that.
-    """
+    """A servo that was restarted at `port`, and its earlier hardware error bits (register 70)."""
 
     port: str
     baud: int

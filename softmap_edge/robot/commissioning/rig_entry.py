@@ -20,18 +20,14 @@ from softmap_edge.robot.servo.rig import Rig, RigServo
 
 @dataclass(frozen=True)
 class Entry:
-    """The place of a servo in `rig` (None: a new rig): the id listed there, None if the servo is
-    appended.
-    """
+    """A servo's place in `rig` (None: a new rig): the id listed there, None if appended."""
 
     rig: Rig | None
     listed: int | None
 
     @property
     def asked(self) -> Asked | None:
-        """The requirements of the rig for this servo, without the gains, which set-up
-        determines.
-        """
+        """The rig's requirements for this servo, without the gains, which set-up determines."""
         known = {} if self.rig is None else {one.id: one.asked for one in members(self.rig)}
         found = None if self.listed is None else known.get(self.listed)
         return None if found is None else replace(found, gains=())
@@ -122,8 +118,9 @@ def changes(entry: Entry, found: ServoState, done: ServoState, file: str | Path)
 
 
 def _known(rig: Rig, found: ServoState) -> bool:
-    """Return whether a servo may be the one that `rig` lists under its id: it is set up, at the
-    rig's rate.
+    """Return whether a servo may be the one that `rig` lists under its id.
+
+    It must be set up, and at the baud rate of the rig.
     """
     listed = dict(rig.numbers)[found.id]
     if found.baud != rig.baud or found.model is None or found.number != listed:

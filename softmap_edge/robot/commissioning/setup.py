@@ -148,9 +148,7 @@ def _check_free(bus: _core.ServoBus, found: ServoState, id: int) -> None:
 
 
 def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> None:
-    """Set the status return level so that a servo answers every request; it may not answer this
-    write.
-    """
+    """Set the status return level for answers to every request; this write may go unanswered."""
     address, size, _ = _core.servo_registers()["status_return_level"]
     try:
         level = int.from_bytes(patiently(bus.read, id, address, size), "little")
@@ -179,8 +177,9 @@ def _made_ready(
     tell: Callable[[str], None],
     asked: Asked | None,
 ) -> None:
-    """Write registers that differ, torque off; the servo then resets its gains, as with each new
-    operating mode.
+    """Write registers that differ, with torque off.
+
+    The servo then resets its gains, as with each new operating mode.
     """
     before = registers(bus, found.id)
     if before["torque_enable"]:

@@ -65,8 +65,9 @@ ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
 class Controller(Supervisor):
-    """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by
-    `calibration`.
+    """The servos of `rig` driven within `limits` (`loop_limits`).
+
+    `calibration` maps commands to ticks.
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
     effects of its model, delays aside, from what was really sent. Entering starts the loop, proves
@@ -174,14 +175,13 @@ class Controller(Supervisor):
 
     @property
     def time(self) -> Clock:
-        """The clock of the robot; that of a simulated robot may stand, or run faster than real
-        time.
-        """
+        """The clock of the robot; a simulated one may stand, or run faster than real time."""
         return self.rig.time
 
     def request(self, name: str, seconds: float = 3.0) -> None:
-        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or
-        `commission`.
+        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge` or another change.
+
+        The others are `disconnect` and `commission`.
 
         `home` is none of them: only a start checks that the robot was homed since the servos got
         power.
@@ -247,8 +247,9 @@ class Controller(Supervisor):
         return done
 
     def target(self, u: ArrayLike) -> Floats:
-        """Send the command `u` (C,) mm; returns the one that will be done: nearest within the
-        window of the servos.
+        """Send the command `u` (C,) mm; return the effective one.
+
+        It is the nearest within the window of the servos.
 
         One that is not finite is refused by the guard: then what was asked before will be done. It
         counts as a pressed deadman: a program that stops calling it lets go.
@@ -268,8 +269,10 @@ class Controller(Supervisor):
         self._send(deadman=False)
 
     def emergency(self, pressed: bool = True) -> None:
-        """Press the emergency stop, or release it: torque is off at once and stays off until it is
-        released and `request("acknowledge")`; home is still known. May be called from any thread.
+        """Press the emergency stop, or release it: torque is off at once.
+
+        It stays off until it is released and `request("acknowledge")`; home is still known. May be
+        called from any thread.
 
         Raises:
             ServoError: the loop does not answer; its servos were released from here.
@@ -301,8 +304,9 @@ class Controller(Supervisor):
         self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
-        """Return what kept the finger from going home, and the message on servos that may have
-        torque.
+        """Return what kept the finger from going home, and the message on possible torque.
+
+        The message names servos that may have torque.
         """
         process = self._process
         if process is None:
@@ -399,8 +403,9 @@ class Controller(Supervisor):
         self._reader.start()
 
     def _reach(self, request: str, seconds: float = 3.0) -> None:
-        """Ask until it is granted: whether a servo has torque is heard five times a second, and one
-        late answer is no trouble that lasts.
+        """Ask until it is granted.
+
+        A servo reports its torque five times a second, and one late answer is not a lasting fault.
         """
         until = self.rig.time.now() + SAID
         while True:
@@ -415,9 +420,7 @@ class Controller(Supervisor):
             self.rig.time.sleep(0.05)
 
     def _wait_for_release(self) -> None:
-        """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be
-        heard.
-        """
+        """Wait while an emergency stop of the rig is pressed: heartbeats arrive with a delay."""
         heard, last = self._heard, self._last
         if not self.rig.time.wait_for(
             heard, lambda: not last.get("emergency") or "gone" in last, STARTS
@@ -481,8 +484,9 @@ class Controller(Supervisor):
         )
 
     def _let_go(self) -> None:
-        """In a child that a program forks: close its copy of the orders' pipe, which would outlive
-        the program.
+        """Close a forked child's copy of the orders' pipe, which would outlive the program.
+
+        Called in a child that a program forks.
         """
         if self._orders >= 0:
             os.close(self._orders)

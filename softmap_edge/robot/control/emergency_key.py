@@ -30,8 +30,9 @@ PRESSED = (
 
 
 class EmergencyKey:
-    """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`, from entering to
-    leaving; `say` is called with the name of the key.
+    """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`.
+
+    It acts from entering to leaving; `say` is called with the name of the key.
 
     Raises:
         ServoError: on leaving, if it was pressed; whatever else failed because of that stands

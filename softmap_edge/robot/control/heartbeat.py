@@ -24,8 +24,9 @@ PRESSED = 1
 
 
 class Heart(Sender):
-    """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it
-    presses the stop.
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager.
+
+    Closing it presses the stop.
 
     `.heard` is whether the robot has answered; until then the heartbeats have no effect.
 
@@ -38,9 +39,7 @@ class Heart(Sender):
         super().__init__(host, port, key, OFFER_MARK, mend)
 
     def beat(self, pressed: bool = False) -> bool:
-        """Beat once, and say whether the stop is `pressed`; False where it could not be sent just
-        now.
-        """
+        """Beat once, with the stop `pressed` or not; False where it could not be sent now."""
         session, sequence = self._next()
         flags = PRESSED if pressed else 0
         return self._put(

@@ -78,8 +78,7 @@ class Recording:
         return first
 
     def replay(self) -> list[int]:
-        """Let the same guard decide every period again; returns the periods in which it decides
-        otherwise.
+        """Let the same guard decide all periods again; return those it decides otherwise.
 
         Raises:
             RunError: a period is not of this form.
@@ -101,8 +100,7 @@ class Recording:
         return differ
 
     def run(self) -> Run:
-        """Return it as a run: goals and positions in ticks, currents, the hottest servo; nothing is
-        seen.
+        """Return it as a run: goals, positions (ticks), currents, hottest servo; no frames.
 
         Periods before torque first came on are left out; without torque a goal is where the servo
         stands.
@@ -186,8 +184,9 @@ class Recording:
 
 
 def _servos(period: Document, servos: int | None) -> int:
-    """Return the number of servos of a period; raise where it is not of the form of one, or of
-    another number.
+    """Return the number of servos of a period.
+
+    Raise an error where it is not of the form of one, or of another number of servos.
     """
     _told(period)
     forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
@@ -270,8 +269,9 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, Any]], str | None]:
-    """Return topic and document of each message before the first that is none, and what is wrong
-    with that one.
+    """Return topic and document of each message before the first bad one.
+
+    Also what is wrong with that one.
     """
     found: list[tuple[str, Any]] = []
     servos = None
@@ -295,8 +295,9 @@ def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, 
 def _filled(
     rows: list[list[float | None]], before: list[list[float | None]]
 ) -> NDArray[np.float64]:
-    """Return (T, C) numbers, each missing one as the last that was there, also `before` the first
-    row.
+    """Return (T, C) numbers, missing ones as the last one there or that of `before`.
+
+    `before` stands before the first row.
     """
     whole = np.array(
         [[np.nan if value is None else value for value in row] for row in before + rows], float

@@ -1,5 +1,6 @@
-"""Find whether a recording of the loop was cut short, is damaged at one place, or is damaged at an
-unknown place.
+"""Find whether a recording of the loop was cut short or is damaged.
+
+The damage is at one place, or at an unknown place.
 
 The file ends with a checksum of its data and the number of its messages. The compiled reader stops
 at a damaged record. Pinned by tests/robot/test_recording.py and
@@ -22,8 +23,7 @@ _ANYWHERE = "damaged (Data section CRC"
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Why a recording may be incomplete (None if it is complete), and a sentence on the missing
-    amount.
+    """Why a recording may be incomplete (None if complete), and a sentence on missing data.
 
     doubtful: the checksum of the data fails and the place is unknown, so any number may be wrong.
     """
@@ -92,9 +92,7 @@ def _head(file: Path, why: str, closing: Closing | None) -> str:
 
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
-    """Return the number of missing messages, out of those that the file states or that were
-    found.
-    """
+    """Return the count of missing messages, of those that the file states or that were found."""
     stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:

@@ -1,5 +1,4 @@
-"""A mark of the session that drives a bench, so that the next start can report how the last one
-ended.
+"""A mark of the session that drives a rig, so the next start can report how it ended.
 
 A session writes the mark to the user's state folder when it begins, and removes it when it ends
 normally. The mark stays if the program is killed or the computer stops. The loop outlives a killed
@@ -51,9 +50,7 @@ def report_last(port: str) -> None:
 
 
 def begin(port: str, record: Path | None, loop: int) -> Path | None:
-    """Write the mark of this session, whose control loop is the process `loop`; return its file, or
-    None.
-    """
+    """Write the mark of this session with control loop process `loop`; return its file, or None."""
     file = mark_file(port)
     if file is None:
         return None
@@ -152,8 +149,9 @@ def _runs(pid: int, began: object = None) -> bool:
 
 
 def _began(pid: int) -> int | None:
-    """Return when a process began, clock ticks after the boot (field 22 of its stat); None if it is
-    not known.
+    """Return a process's start, clock ticks after the boot (field 22 of its stat).
+
+    None if it is not known.
     """
     try:
         text = Path(f"/proc/{pid}/stat").read_text("ascii", "replace")

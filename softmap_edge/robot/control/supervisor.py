@@ -1,5 +1,4 @@
-"""The process of a control loop, watched by a thread: its reports, and what follows when it dies or
-freezes.
+"""The control loop's process, watched by a thread: reports, and actions if it dies or freezes.
 
 `controller.py` starts it. Pinned by tests/robot/test_nobody_watches.py.
 """
@@ -92,16 +91,18 @@ class Supervisor:
 
     @property
     def state(self) -> str:
-        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`,
-        `safe_stop`, `fault`, …
+        """The state of the guard: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, …
+
+        Also `safe_stop` and `fault`.
         """
         self._rescue_if_needed()
         return str(self._last.get("state", "off"))
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer
-        is no place.
+        """The positions (C,) of the servos, ticks, by the last report that read each.
+
+        One lost answer does not count as a position.
         """
         return self._stood.copy()
 
@@ -122,8 +123,9 @@ class Supervisor:
 
     @property
     def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop (a full disk, for example); None if it goes on or
-        is complete.
+        """Why the recording ended before the loop (a full disk, for example).
+
+        None if it goes on or is complete.
         """
         if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
@@ -150,9 +152,7 @@ class Supervisor:
         return bus_counts(self._last)
 
     def _stopped(self) -> str:
-        """Return state, cause and what to do, for who drives: a command of the CLI, or a
-        program.
-        """
+        """Return state, cause and remedy for the driver: a command of the CLI, or a program."""
         what = self._silence() or words.where(self._last, self.limits)
         do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
         return self._named(f"the robot is {what}; {do}")
@@ -162,8 +162,9 @@ class Supervisor:
         return filled(said, self.rig.file)
 
     def _silence(self) -> str | None:
-        """Return state and cause where the guard let go because this program sent no target: that
-        is the key.
+        """Return state and cause if the guard released because no target came.
+
+        This program sent none, which acts as the enable key.
         """
         silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
         if self._last.get("cause") not in ("deadman", "stale") or silent <= float(
@@ -175,8 +176,9 @@ class Supervisor:
         )
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
-        """Take the loop's reports until it ends; release its servos if it dies or freezes under
-        torque.
+        """Take the loop's reports until it ends; release servos if it dies or freezes.
+
+        It then freezes under torque.
         """
         whole = False
         while not whole:
@@ -198,8 +200,9 @@ class Supervisor:
             self._heard.notify_all()
 
     def _take(self) -> bool:
-        """Process received reports; return whether more may come. Also called after each step of
-        simulated time.
+        """Process received reports; return whether more may come.
+
+        Also called after each step of simulated time.
         """
         with self._reading:
             while self._reports >= 0 and _has_more(self._reports, 0.0):
@@ -246,9 +249,7 @@ class Supervisor:
             self._rescue(process)
 
     def _rescue(self, process: subprocess.Popen[bytes]) -> None:
-        """End the loop and switch torque off from here, once: the servos hold by their
-        watchdogs.
-        """
+        """End the loop and switch torque off from here, once: servos hold by watchdogs."""
         with self._rescuing:
             if "rescued" in self._last:
                 return

@@ -1,5 +1,6 @@
-"""Check what a computer or a rig lacks to drive a robot: nothing moves, each fault comes with its
-remedy.
+"""Check what a computer or a rig lacks to drive a robot; nothing moves.
+
+Each fault comes with its remedy.
 
     from softmap_edge.robot.doctor import examine
     print(examine())
@@ -88,8 +89,9 @@ def examine(
 
 
 def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
-    """Return its lines; a look that fails is a line too, for whatever it stumbles over is what a
-    doctor is for.
+    """Return a check's lines; a check that fails gives a line too.
+
+    Whatever it fails on is what the doctor looks for.
     """
     try:
         return list(look())

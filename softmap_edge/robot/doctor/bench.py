@@ -1,5 +1,4 @@
-"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos report when
-asked.
+"""The doctor's checks of one rig: its bundle, its rig.toml, and what its servos report.
 
 Servos are asked only: nothing is written to them. Pinned by tests/robot/test_doctor.py.
 """
@@ -67,8 +66,9 @@ def bundle(folder: str | Path) -> Iterator[Line]:
 
 
 def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
-    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the
-    two was at fault.
+    """Report whether a finger on its rig gives limits that the guard takes.
+
+    Nothing where one of the two was at fault.
     """
     from softmap_edge.model.bundle import load_bundle
 
@@ -121,9 +121,7 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
 
 
 def _stops(bench: Rig) -> Iterator[Line]:
-    """Whether the bench's emergency stops can be asked: the key of a heartbeat, the chip of a
-    line.
-    """
+    """Report whether the rig's emergency stops work: a heartbeat's key, a line's chip."""
     stops, wrong = bench.emergency, []
     if stops.udp is not None:
         try:
@@ -156,8 +154,9 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 
 def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
-    """Return the requirements for each servo: from the limits in force if they are known, else from
-    the rig alone.
+    """Return the requirements for each servo: from the limits in force, else from the rig.
+
+    The limits in force may not be known.
     """
     from softmap_edge.model.bundle import load_bundle
 

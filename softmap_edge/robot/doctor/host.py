@@ -1,5 +1,6 @@
-"""What the doctor looks at of this computer: versions, processor, real-time rights, serial ports,
-cameras, MediaPipe.
+"""The doctor's checks of this computer.
+
+Versions, processor, real-time rights, serial ports, cameras, MediaPipe.
 
 Each look returns lines and takes where it looks as an argument, so that a test can show it another
 computer. Pinned by tests/robot/test_doctor.py.
@@ -64,8 +65,9 @@ def _version(name: str) -> str | None:
 
 
 def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
-    """Whether the network pass finds its instructions here; what mediapipe needs is asked by
-    `teleoperation`.
+    """Report whether the network pass has its instructions here.
+
+    What mediapipe needs is checked by `teleoperation`.
     """
     machine = platform.machine() if machine is None else machine
     key, required = SIMD.get(machine, ("", ()))
@@ -181,9 +183,7 @@ def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
 
 
 def _port_of(rig: str | Path) -> str | None:
-    """Return the port that a rig file names, None if the file cannot be read: another line reports
-    that.
-    """
+    """Return the port of a rig file, None if it cannot be read: another line reports that."""
     from softmap_edge.errors import SoftmapError
     from softmap_edge.robot.servo.rig import read_rig
 
@@ -230,8 +230,9 @@ def teleoperation() -> Iterator[Line]:
 
 
 def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
-    """The cameras with their lasting names, and whether this user may open them; only the one given
-    is opened.
+    """Report the cameras with their lasting names, and whether this user may open them.
+
+    Only the one given is opened.
     """
     from softmap_edge.robot.teleop.devices import cameras as listed
 

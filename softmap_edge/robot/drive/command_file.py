@@ -1,5 +1,6 @@
-"""The command file: a protocol as a CSV table that a person reads and a robot plays, written and
-read with checks.
+"""The command file: a protocol as a CSV table that a person reads and a robot plays.
+
+It is written and read with checks.
 
     # softmap commands 1; robot moe-finger; unit mm
     t,u0,u1,gravity_x,gravity_y,gravity_z,load_g,temperature_c,look,block,note

@@ -1,5 +1,6 @@
-"""What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last
-second at most.
+"""What a camera saw while a robot is driven, saved as it arrives.
+
+A cut loses its last second at most.
 
 A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when
 each frame came, the frames that were taken, and the CRC-32 of all that; the last line says that it
@@ -52,9 +53,11 @@ Pair = tuple[float, float]
 
 @dataclass
 class Kept:
-    """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a
-    command file that it answers (else their number), and that file's `clock`, pairs of (host s, s
-    of the file), empty without one.
+    """What was seen of a robot.
+
+    The `camera`'s clock, the frames that were `taken`, each with the capture of a command file that
+    it answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty
+    without one.
 
     `robot` and `vertices`, how many points a frame of its full body has, are in a file: None where
     they are not, or where the robot is seen by markers. `lacks` is a sentence on the part that
@@ -80,8 +83,9 @@ def seen_file(recording: str | Path) -> Path:
 
 
 class Keeper:
-    """Writes what is seen of the robot of `model` to a new file, from entering to leaving; `fault`
-    says why it ended early, if it did. `late` s is what the quickest frame takes.
+    """Writes what is seen of the robot of `model` to a new file, from entering to leaving.
+
+    `fault` says why it ended early, if it did. `late` s is the delay of the quickest frame.
 
     Raises:
         RunError: the file is there already, cannot be written, or could not be read again.
@@ -129,9 +133,7 @@ class Keeper:
     def add(
         self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]
     ) -> None:
-        """Keep what is new (`Kept`), and when the frames that came did; never waits for the
-        disk.
-        """
+        """Keep what is new (`Kept`), and the arrival of its frames; never wait for the disk."""
         if self.fault is not None:
             return
         try:
@@ -166,8 +168,9 @@ class Keeper:
 
 @contextlib.contextmanager
 def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) -> Iterator[Keeper]:
-    """Keep every frame seen during a recording in a file next to it; together they are a run of the
-    robot of `model`.
+    """Keep every frame seen during a recording in a file next to it.
+
+    Together they are a run of the robot of `model`.
 
     Args:
         seen: gives the frames that have arrived, oldest first. late: s that the quickest frame

@@ -1,5 +1,6 @@
-"""When each row of a command file is played on servos: slowed where they may not be as fast,
-waiting where it rests.
+"""When each row of a command file is played on servos.
+
+It is slowed where they may not be as fast, and waits where it rests.
 
 A row is reached `t` s after the one before, or as much later as the slew limit and the following
 error of the servos ask. A *rest* is a stretch of rows with one command, of `LEAST` s and more: the
@@ -108,8 +109,9 @@ def _rests(made: Protocol) -> NDArray[np.bool_]:
 
 
 def _stops(made: Protocol) -> dict[int, str]:
-    """Return rows with a note, and those where a condition changes without a note since the last
-    capture.
+    """Return rows with a note, and where a condition changes without one.
+
+    The latter counts since the last capture.
     """
     stops = {
         int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text
@@ -142,8 +144,9 @@ def servos_still(history: Sequence[tuple[float, Sequence[float]]], now: float) -
 
 
 def view_still(frames: Sequence[Frame], since: float, now: float) -> bool:
-    """Return whether what was seen stands, in the frames that arrived after `since` within the last
-    `SPAN` s or so.
+    """Return whether what was seen stands still.
+
+    In the frames that arrived after `since` within the last `SPAN` s or so.
     """
     last = [frame.points for frame in frames if frame.arrived > max(since, now - 3 * SPAN)][
         -4 * FEWEST :

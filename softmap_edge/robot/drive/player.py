@@ -40,9 +40,7 @@ BEGIN = 8.0  # s until the robot is where the file begins
 
 @dataclass
 class Played(Kept):
-    """What happened: what was seen, how long it waited for the robot to settle, and whether all was
-    played.
-    """
+    """What happened: what was seen, how long it waited to settle, whether all was played."""
 
     waited: float = 0.0  # s
     unsettled: int = 0  # rests that went on before all was still

@@ -28,8 +28,9 @@ RECORDING = ".mcap"
 
 
 def open_run(path: str | Path, model: Model | None = None) -> Run:
-    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen,
-    if kept next to it.
+    """Return the run of a file: .npz, or a recording of a control loop (.mcap).
+
+    The latter has what was seen, if it was kept next to it.
 
     A recording that was cut short, or is damaged at one place, is read up to there, and a
     `RecordingWarning` is issued.
@@ -50,8 +51,9 @@ def open_run(path: str | Path, model: Model | None = None) -> Run:
 
 
 def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, str | None]:
-    """Return the run as `open_run` does, without a warning, and a sentence on missing data; None if
-    it is complete.
+    """Return the run as `open_run` does, without a warning, and a sentence on missing data.
+
+    The sentence is None if the run is complete.
 
     Raises:
         RunError: as `open_run`.
@@ -70,8 +72,9 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
 
 
 def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str | None]:
-    """Return a recording as a run with the frames of its `.seen` file if there is one, and a
-    sentence on missing data.
+    """Return a recording as a run, and a sentence on missing data.
+
+    It has the frames of its `.seen` file if there is one.
 
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.
@@ -89,8 +92,9 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
 
 
 def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
-    """Return a recording with what was kept of what was seen, and a sentence on the part of that
-    which is missing.
+    """Return a recording with its kept frames, and a sentence on the missing part.
+
+    They are those that were seen and kept.
     """
     kept = read_kept(kept_in)
     if kept.clock:

@@ -22,8 +22,9 @@ MOVES = 30.0  # ticks that a servo must move to give a response
 
 
 def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, float] | None:
-    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks at `t` (T,) s; None
-    where nothing moves.
+    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks.
+
+    At `t` (T,) s. None where nothing moves.
 
     One pair for all servos: the median of those that move.
     """
@@ -49,8 +50,9 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
 
 
 def response_of(periods: Sequence[Document]) -> tuple[float, float] | None:
-    """Return delay and lag of the servos from periods of a recording in which goals were sent and
-    all were heard.
+    """Return delay and lag of the servos from a recording's complete periods.
+
+    In those, goals were sent and all servos were read.
     """
     complete = [
         p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]

@@ -1,5 +1,4 @@
-"""Lead the tip along a figure: the path, its timing, the commands, the run on servos, and how far
-off it was.
+"""Lead the tip along a figure: path, timing, commands, run on servos, and tip error.
 
 The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the
 effects of the model are compensated in the control loop, from what was really sent. Where a camera
@@ -46,8 +45,9 @@ FADES = 1.0  # s in which feedback goes when the tip is not seen: what it knew g
 
 @dataclass(frozen=True)
 class Course:
-    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s
-    the figure could take.
+    """A plan and which of its waypoints (T,) are the figure's; the others lead to it.
+
+    The figure could take `quickest` s at least.
     """
 
     plan: Plan
@@ -133,10 +133,12 @@ def course(
 
 @dataclass(frozen=True)
 class Tracked:
-    """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it
-    should have been then `target` (K, 3), and how far off `error` (K,) mm along the axes that
-    count; `response` (delay, lag) s of the servos, None where it was not to be measured, `unseen` s
-    of the figure in which the camera was gone.
+    """The result of tracking.
+
+    Where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
+    `target` (K, 3), and the `error` (K,) mm along the axes that count; `response` (delay, lag) s of
+    the servos, None where it was not to be measured, `unseen` s of the figure without frames of the
+    camera.
     """
 
     t: Floats
@@ -219,9 +221,7 @@ def _play(
     seconds: float,
     say: Callable[[float], None] | None = None,
 ) -> None:
-    """Send what `command` says at each time since now, `SENT` times a second; `say` the share
-    done.
-    """
+    """Send `command` of the time since now, `SENT` times a second; `say` the share done."""
     begun = due = robot.time.now()
     reported = -1.0
     while (now := robot.time.now()) - begun < seconds:
@@ -234,8 +234,9 @@ def _play(
 
 
 def _meanwhile(robot: Controller, command: Floats, work: Callable[[], T]) -> T:
-    """Send `command` while a thread does `work`: the guard goes on hearing of this program, however
-    slow a computer.
+    """Send `command` while a thread does `work`.
+
+    So the guard goes on receiving targets, however slow the computer.
     """
     if robot.time.stepped:
         return work()  # time stands meanwhile
@@ -252,9 +253,7 @@ def _response(recording: Path) -> tuple[float, float] | None:
 
 
 def _probe(t: float, channels: int) -> Floats:
-    """Return how far (C,) ticks each servo turns from home at `t` s of the move that measures
-    them.
-    """
+    """Return the turn (C,) ticks of each servo from home at `t` s of the measuring move."""
     if t > PROBE[1]:
         return np.zeros(channels)
     rise = np.sin(np.pi * t / PROBE[1]) ** 2

@@ -144,8 +144,9 @@ class EmulatedFinger:
         return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
-        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. A real robot does not
-        report it.
+        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm.
+
+        A real robot does not report it.
         """
         known = list(self._acting)
         return np.array([t for t, _ in known]), np.array([u for _, u in known])
@@ -232,8 +233,9 @@ def emulated_bench(
 
 
 def _ready(found: ServoState, home: int) -> list[int]:
-    """Set an emulated servo up and mark it as homed; requests are repeated if a busy computer made
-    an answer late.
+    """Set an emulated servo up and mark it as homed.
+
+    Requests are repeated if a busy computer made an answer late.
 
     Returns its gains.
     """

@@ -1,5 +1,6 @@
-"""The laws of hidden truths, one class an effect, in another form than the effect library, which is
-never called.
+"""The laws of hidden effects, one class an effect, in a form of their own.
+
+The effect library is never called.
 
     effect  law of the truth  differs from the library in
     offset      servo horn mounted askew, angle rounded to encoder steps
@@ -118,9 +119,7 @@ class OtherSpool(Law):
 
 @dataclass(frozen=True)
 class TwoPoles(Law):
-    """Servo and cable, each x' = (in − x)/τ, in series; exact for commands linear between
-    samples.
-    """
+    """Servo and cable, each x' = (in − x)/τ, in series; exact for linear pieces of commands."""
 
     NAME = "lag"
     servo_s: float
@@ -193,9 +192,7 @@ class ManyPlays(Law):
 
 @dataclass(frozen=True)
 class BoucWen(Law):
-    """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), each sample in steps of at most
-    d0/20.
-    """
+    """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), in steps of at most d0/20."""
 
     NAME = "hysteresis"
     share: Numbers  # of the motion that is held back after a reversal: H = share · d0
@@ -231,9 +228,7 @@ class BoucWen(Law):
 
 @dataclass(frozen=True)
 class ThreeTerms(Law):
-    """y = u + c Σ wᵢ xᵢ, xᵢ' = (u − xᵢ)/τᵢ at τ/5, τ, 5τ: compliance that goes on growing in a
-    dwell.
-    """
+    """y = u + c Σ wᵢ xᵢ, xᵢ' = (u − xᵢ)/τᵢ at τ/5, τ, 5τ: compliance that grows in a dwell."""
 
     NAME = "creep"
     LIMIT = 2.5
@@ -349,8 +344,9 @@ LAWS: dict[str, type[Law]] = {
 
 
 def rotation(degrees: Numbers) -> Floats:
-    """Return the rotation matrix (3, 3) of a rotation vector in degrees (Rodrigues: I + sin a K +
-    (1 − cos a) K²).
+    """Return the rotation matrix (3, 3) of a rotation vector in degrees.
+
+    Rodrigues: I + sin a K + (1 − cos a) K².
     """
     vector = np.radians(np.asarray(degrees, dtype=np.float64))
     angle = float(np.linalg.norm(vector))

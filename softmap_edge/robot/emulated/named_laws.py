@@ -1,5 +1,6 @@
-"""Hidden laws that are asked for by name and as strong as they are: a fault, and what the library
-has no effect for.
+"""Hidden laws by name, in their own strength.
+
+They are a fault, and what the library has no effect for.
 
 As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by
 tests/commands/test_own_effect_page.py and tests/synthetic/test_truth.py.
@@ -20,8 +21,7 @@ from softmap_edge.robot.emulated.laws import LAWS, Floats, Law, Numbers
 
 @dataclass(frozen=True)
 class OffCentreSpool(Law):
-    """A spool that turns off its middle: exact geometry of winding, which no effect of the library
-    is.
+    """A spool that turns off its centre: exact geometry of winding, not in the library.
 
     The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along
     the tangent towards a guide D away. With L the free length, β the angle of the tangent point
@@ -82,9 +82,7 @@ NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentr
 
 
 def check_hidden(names: Sequence[str], seed: int) -> None:
-    """Raise SoftmapError where laws cannot be hidden: an unknown name, one twice, a negative
-    seed.
-    """
+    """Raise SoftmapError for bad hidden laws: an unknown name, one twice, a negative seed."""
     unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
         raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))

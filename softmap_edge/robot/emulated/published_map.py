@@ -1,5 +1,6 @@
-"""Servo ticks and millimetres of tendon: u = A (ticks − home) + b, with the numbers published for
-the MOE finger.
+"""Servo ticks and millimetres of tendon: u = A (ticks − home) + b.
+
+The numbers are those published for the MOE finger.
 
 Ma et al., SOFTMAP, fit A and b between real and simulated shapes; the numbers of `PUBLISHED` are
 those that the authors released with their browser demonstration, the window of ±7000 ticks around
@@ -22,8 +23,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoMap:
-    """What C servos do: `slope` A (C, C) mm a tick, `shift` b (C,) mm, `home` (C,) ticks, `window`
-    ± ticks.
+    """The map of C servos: `slope` A (C, C) mm a tick, `shift` b (C,) mm, `home` (C,) ticks.
+
+    `window` is ± ticks.
     """
 
     slope: tuple[tuple[float, ...], ...]
@@ -38,8 +40,9 @@ class ServoMap:
         )
 
     def to_ticks(self, command: ArrayLike) -> NDArray[np.int64]:
-        """Return the whole ticks (..., C) nearest to commands (..., C) mm. Raises SoftmapError
-        outside the window.
+        """Return the whole ticks (..., C) nearest to commands (..., C) mm.
+
+        Raises SoftmapError outside the window.
         """
         away = np.linalg.solve(
             np.array(self.slope), (np.asarray(command, np.float64) - self.shift)[..., None]

@@ -26,9 +26,7 @@ Step = Callable[[float, Floats], Floats]
 
 
 def streamed(laws: Sequence[Law]) -> Step:
-    """Return what the laws make of commands, one after the other: (t s, u (C,) mm) → (C,) mm, t
-    rising.
-    """
+    """Return the laws in series as a function (t s, u (C,) mm) → (C,) mm, with t rising."""
     steps = [_MEMORY.get(type(law), _still)(law) for law in laws]
 
     def step(t: float, u: Floats) -> Floats:

@@ -27,8 +27,9 @@ MOST_DRIFT = 1e-3  # of a clock against another: beyond any crystal
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a camera saw: `stamp` s by its own clock, `arrived` s by the host's monotonic one,
-    `points` (N, 3) mm.
+    """What a camera saw: `stamp` s by its clock, `arrived` s by the host's, `points` (N, 3) mm.
+
+    The clock of the host is monotonic.
 
     NaN stands for a point that was not seen.
     """
@@ -42,8 +43,7 @@ Seen = Callable[[], list[Frame]]  # the frames that have arrived, oldest first
 
 
 class HostClock:
-    """A camera's clock against the host's, learnt frame by frame; it keeps a few numbers, not the
-    frames.
+    """A camera's clock against the host's, learnt by frame; it keeps numbers, no frames.
 
     Args:
         late: s that the quickest frame takes from its light to its arrival.

@@ -42,8 +42,9 @@ THIS_COMPUTER = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """What a datagram says: `points` (N, 3) mm, NaN where not seen, `stamp` s, and its place in a
-    session.
+    """A datagram's content: `points` (N, 3) mm, NaN if unseen, `stamp` s, session data.
+
+    The latter is its place in a session.
     """
 
     points: NDArray[np.float32]
@@ -60,9 +61,7 @@ def packed(message: Message, key: bytes | None = None) -> bytes:
 
 
 def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
-    """Return what a datagram says, or in a word why it counts nothing: length, signature,
-    content.
-    """
+    """Return a datagram's content, or a word on why it is rejected: length, signature, content."""
     if len(datagram) < _HEAD.size:
         return "length"
     mark, count, zero, session, sequence, stamp = _HEAD.unpack_from(datagram)
@@ -79,8 +78,9 @@ def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
 
 
 class PointSender(Sender):
-    """Sends frames to `host`:`port`; a context manager, to be closed. The first only asks the
-    receiver to listen.
+    """Sends frames to `host`:`port`; a context manager, to be closed.
+
+    The first only asks the receiver to listen.
 
     Raises:
         LinkError: no such host or port, or the key is too short.

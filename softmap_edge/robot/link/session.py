@@ -1,5 +1,6 @@
-"""What datagrams of this package share: a key in a file, a signature, an address, and the two ends
-of a session.
+"""The shared part of datagrams: a key in a file, a signature, an address, and both ends.
+
+They are the two ends of a session.
 
 HMAC-SHA256 under a shared key: without it a datagram can be read, but neither written nor changed.
 
@@ -41,8 +42,7 @@ SHORTEST_KEY = 16  # bytes
 
 
 def new_key(path: str | Path) -> bytes:
-    """Write a key of 32 random bytes as text to a new file that its owner alone can read, and
-    return it.
+    """Write a random 32-byte key as text to a new file for its owner alone, and return it.
 
     Raises:
         LinkError: the file is there already, or cannot be written.
@@ -111,8 +111,9 @@ def signed(key: bytes | None, body: bytes) -> bytes:
 
 
 def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
-    """Return the first `size` bytes of a datagram that is `signed`, or in a word why it is not:
-    length, signature.
+    """Return the first `size` bytes of a `signed` datagram, or a word on what is wrong.
+
+    It is its length or its signature.
     """
     if len(datagram) != size + (0 if key is None else TAG):
         return "length"
@@ -145,8 +146,9 @@ class _Link:
 
 
 class Sender(_Link):
-    """The end that sends to `host`:`port`, for a class that has a layout of its own; offers stand
-    behind `mark`.
+    """The end that sends to `host`:`port`, for a class with its own layout.
+
+    Offers stand behind `mark`.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -186,9 +188,7 @@ class Sender(_Link):
         return self._session, self._sequence
 
     def _put(self, datagram: bytes) -> bool:
-        """Send a datagram; False where it could not be sent just now (no network, or nobody
-        listens).
-        """
+        """Send a datagram; False where it could not be sent now (no network, no listener)."""
         try:
             return self._socket.send(datagram) == len(datagram)
         except OSError:  # refused or unreachable: the other side may come back
@@ -196,8 +196,9 @@ class Sender(_Link):
 
 
 class Listener(_Link):
-    """The end that listens at `host`:`port` (0: any free one, see `.port`), for a class that has a
-    layout of its own.
+    """The end that listens at `host`:`port`, for a class with its own layout.
+
+    Port 0 is any free one, see `.port`.
 
     `.refused` counts what was not taken, by why: session (of one that is not ours), replay (a
     number that did not rise), sender (another one while ours is alive), and what the layout adds.
@@ -222,8 +223,9 @@ class Listener(_Link):
         self._sequence, self._heard = 0, -math.inf
 
     def _counts(self, session: bytes, sequence: int, address: Any, now: float) -> bool:
-        """Return whether a datagram that came rightly signed from `address` at `now` s counts; else
-        note why not.
+        """Return whether a rightly signed datagram from `address` at `now` s counts.
+
+        Else note why not.
         """
         offered, since = self._offered
         another = address != self._from and now - self._heard < SILENCE
@@ -262,8 +264,9 @@ def dropped_words(refused: Mapping[str, int]) -> str:
 
 
 def udp_address(text: str) -> tuple[str, int]:
-    """Return (host, port) of `udp://HOST:PORT`; the host may be left out, or be an IPv6 address in
-    brackets.
+    """Return (host, port) of `udp://HOST:PORT`.
+
+    The host may be left out, or be an IPv6 address in brackets.
 
     Raises:
         LinkError: it is no such address.
@@ -279,8 +282,9 @@ def udp_address(text: str) -> tuple[str, int]:
 def _open(
     host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str
 ) -> socket.socket:
-    """Return a socket that never waits, connected or bound (`use`) to an address; IPv4 where a host
-    has both.
+    """Return a non-blocking socket, connected or bound (`use`) to an address.
+
+    It is IPv4 where a host has both.
 
     Raises:
         LinkError: it cannot; the line says `what`, and how to `mend` it.

@@ -1,5 +1,4 @@
-"""Figures that a tip can be led along: letters, circle, figure of eight, and polylines from CSV
-files.
+"""Figures for the tip to follow: letters, circle, figure of eight, polylines of CSV files.
 
 A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger
 half side 1; corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by
@@ -82,9 +81,7 @@ def figure(name: str, amplitude: float) -> Floats:
 
 
 def even(points: Floats, count: int) -> Floats:
-    """Return `count` points (count, D) at even distances along a polyline (n, D), its ends among
-    them.
-    """
+    """Return `count` even points (count, D) along a polyline (n, D), its ends included."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = np.concatenate([[True], steps > 0])
     along = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])

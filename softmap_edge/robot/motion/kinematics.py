@@ -40,8 +40,10 @@ PREVIEWED = {"latency": "delay", "lag": "tau"}
 
 @dataclass(frozen=True)
 class Solved:
-    """What was found for targets (T, 3): `acting` (T, C) mm, the tip there (T, 3), `distance` (T,)
-    mm along the axes that count, and how often the model was asked (T,).
+    """The solution for targets (T, 3).
+
+    `acting` (T, C) mm, the tip there (T, 3), `distance` (T,) mm along the axes that count, and how
+    often the model was evaluated (T,).
     """
 
     acting: Floats
@@ -70,8 +72,9 @@ class Plan:
 
 
 class Kinematics:
-    """Inverse kinematics of a model's tip in a world that stays as it is; `counted` (3,) are the
-    axes that count.
+    """Inverse kinematics of a model's tip in constant conditions.
+
+    `counted` (3,) are the axes that count.
 
     Args:
         model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g
@@ -124,9 +127,7 @@ class Kinematics:
         )
 
     def document(self) -> Document | None:
-        """Return what the control loop needs to compensate the effects, None where there are
-        none.
-        """
+        """Return what the control loop needs to compensate the effects, None without any."""
         if not self.model.chain_names:
             return None
         gravity, load, temperature = self._world
@@ -147,8 +148,9 @@ class Kinematics:
 
     @cached_property
     def acting_bounds(self) -> Floats:
-        """The range (C, 2) mm of what acts: that of the model, as far as commands reach it one at a
-        time, held for long.
+        """The range (C, 2) mm of effective commands.
+
+        It is that of the model, as far as commands reach it one at a time, held for long.
         """
         home = self.home
         ends = []
@@ -194,8 +196,9 @@ class Kinematics:
         method: str = "exact",
         acting: Floats | None = None,
     ) -> Plan:
-        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s,
-        effects compensated.
+        """Return commands that lead the tip through `targets` (T, 3) mm at `t` (T,) s.
+
+        The effects are compensated.
 
         The finger has rested at home, or at the command `start` (C,) mm, for long before the first
         of them. What is to act is solved for, unless `acting` (T, C) mm gives it.
@@ -242,9 +245,7 @@ class Kinematics:
 
     @property
     def delays(self) -> tuple[Floats, Floats]:
-        """The delay of the model's effects in seconds (C,): a pure delay, and a lag (its time
-        constant).
-        """
+        """The delay of the model's effects (C,) s: a pure delay plus the lag's time constant."""
         there = _core.Chain(list(PREVIEWED), self.model.channels)
         values = valued(there, self.model.params, there.null)
         wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
@@ -252,8 +253,10 @@ class Kinematics:
         return delay, lag
 
     def effective_commands(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
-        """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,):
-        the model's own chain run forwards, whatever of it could be inverted.
+        """Return effective commands (T, C) mm for `commands` sent at `t`, from `rested` (C,).
+
+        The commands were at `rested` for long. It is the model's own chain run forwards, also the
+        part that cannot be inverted.
         """
         if not self.model.chain_names:
             return commands
@@ -271,16 +274,18 @@ class Kinematics:
         return np.asarray(acts)[0, 1:]
 
     def reaches(self, targets: ArrayLike) -> NDArray[np.bool_]:
-        """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes
-        that count.
+        """Return which of `targets` (T, 3) mm the tip reaches, to `REACHED` mm.
+
+        Along the axes that count.
         """
         points = _points(targets)
         return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
 
 
 def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
-    """Return the command at `t` (T,) s that gives `acting` (T, C) in time through delays and lags
-    (C,) s.
+    """Return commands at `t` (T,) s for `acting` (T, C) in time, with delays and lags.
+
+    These are (C,) s.
 
     u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
     """

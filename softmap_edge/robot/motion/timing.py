@@ -22,8 +22,9 @@ SHARE = 0.8  # of the limits that a plan uses: the guard's paths need the rest t
 
 @dataclass(frozen=True)
 class Profile:
-    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed; `quickest` s is
-    how fast it could be.
+    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed.
+
+    `quickest` s is the least time it could take.
     """
 
     t: Floats

@@ -1,5 +1,6 @@
-"""A bus of servos, opened, asked and released from Python: while no loop drives, and when one has
-died.
+"""A bus of servos, opened, asked and released from Python, without a running loop.
+
+This is while no loop drives, and when one has died.
 
 Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_nobody_watches.py.
 """
@@ -24,9 +25,7 @@ ASKED = 10  # times that a servo is asked whether its torque is off
 
 
 def ports(root: Path = Path("/dev")) -> list[str]:
-    """Return the serial ports of this machine, each once, by their lasting names where they have
-    one.
-    """
+    """Return the serial ports of this machine, each once, by lasting names if they have any."""
     seen: dict[Path, str] = {}
     for pattern in PATTERNS:
         for file in sorted(root.glob(pattern)):
@@ -65,9 +64,7 @@ def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
 
 
 def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
-    """Return model number and firmware of a servo; None if it does not answer, several times
-    asked.
-    """
+    """Return model number and firmware of a servo; None if it does not answer repeated pings."""
     return next((number for _ in range(TRIES) if (number := bus.ping(id)) is not None), None)
 
 
@@ -120,8 +117,9 @@ def rates() -> list[int]:
 
 
 def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
-    """Switch the torque of every servo off; returns those of `ids` that have not confirmed it,
-    several times asked.
+    """Switch the torque of every servo off; return those of `ids` that did not confirm it.
+
+    Each is asked several times.
     """
     address, size, _ = _core.servo_registers()["torque_enable"]
     left = list(ids)

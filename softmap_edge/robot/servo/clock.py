@@ -1,5 +1,4 @@
-"""The clock of a robot: real time, or the time of simulated servos, which a busy computer does not
-make late.
+"""The clock of a robot: real time, or simulated time, which a busy computer does not delay.
 
 The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for
 a person who drives a simulated robot. Delays of the computer are left out: the robot stops and then
@@ -59,8 +58,9 @@ class Clock(Protocol):
         ...
 
     def there(self, driving: bool = True) -> float:
-        """Signal that the driving program is alive; return for how many s the computer was too busy
-        so far.
+        """Signal that the program is alive; return for how long the computer was too busy.
+
+        In s, so far.
         """
         ...
 
@@ -142,9 +142,7 @@ class PacedTime(RealTime):
 
 
 class SteppedTime(PacedTime):
-    """The time of simulated servos that advances in steps of one thread, the one that creates this
-    object.
-    """
+    """Simulated servos' time, advanced in steps by one thread, the one that creates this object."""
 
     stepped = True
     frozen = float("inf")  # time stands while that thread computes
@@ -177,8 +175,9 @@ class SteppedTime(PacedTime):
     def wait_for(
         self, heard: threading.Condition, what: Callable[[], object], seconds: float
     ) -> bool:
-        """Advance until `what` is true; other threads, or a thread without a running loop, wait in
-        real time.
+        """Advance until `what` is true.
+
+        Other threads, or a thread without a running loop, wait in real time.
         """
         until, real = self._ns + round(seconds * NS), time.monotonic() + STUCK
         while True:

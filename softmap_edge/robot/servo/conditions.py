@@ -1,5 +1,6 @@
-"""What a servo senses that keeps the guard from starting: temperature, supply voltage, a place
-outside its window.
+"""Servo readings that keep the guard from starting.
+
+They are temperature, supply voltage, and a position outside its window.
 
 The doctor, `softmap servo read` and a request that the guard denies word it here, so that they
 agree: the value, the limit, the remedy. Limits are those of the guard
@@ -23,8 +24,9 @@ POWER = "check the power supply and its cable"
 
 
 def unfit(found: ServoState, values: Values, asked: Asked | None, homed: bool) -> list[str]:
-    """Return a sentence for each reading for which the guard refuses to start: the finding and,
-    after "; ", the remedy.
+    """Return a sentence for each reading for which the guard refuses to start.
+
+    Each has the finding and, after "; ", the remedy.
 
     Args:
         found: the servo.
@@ -62,9 +64,7 @@ def undersupplied(voltage: float, allowed: tuple[float, float] | None) -> str:
 
 
 def outside(id: int, position: float, window: tuple[float, float]) -> str:
-    """Return what is wrong with the position (ticks) of servo `id`, "" if it is inside its
-    window.
-    """
+    """Return what is wrong with the position (ticks) of servo `id`, "" inside its window."""
     low, high = window
     if low <= position <= high:
         return ""
@@ -91,8 +91,7 @@ def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
 
 
 def denied_for(cause: str, report: LoopReport, limits: LoopLimits | None) -> str:
-    """Return servo, value, limit and remedy of each servo whose reading is the `cause`; "" if none
-    is known.
+    """Return servo, value, limit and remedy of servos with the `cause`; "" if there is none.
 
     Args:
         cause: `hot`, `voltage` or `outside`.

@@ -25,8 +25,10 @@ LINES = 511  # the highest line of a chip
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a GPIO chip with its pull-up. A contact that opens when pressed reads high then, as
-    does a broken wire; `active_low` is for one that closes to ground.
+    """A line of a GPIO chip with its pull-up.
+
+    A contact that opens when pressed reads high then, as does a broken wire; `active_low` is for
+    one that closes to ground.
     """
 
     chip: str
@@ -36,8 +38,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Beats:
-    """A heartbeat to be heard at UDP `host`:`port`, signed with the key in `key_file`, at least
-    each `timeout` s.
+    """A heartbeat on UDP `host`:`port`, signed with the key in `key_file`.
+
+    One is expected at least each `timeout` s.
     """
 
     port: int

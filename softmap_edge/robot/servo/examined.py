@@ -1,5 +1,6 @@
-"""Examine the servos of a rig one by one: identity, faults that block a start, and registers that a
-start rewrites.
+"""Examine the servos of a rig one by one.
+
+Identity, faults that block a start, and registers that a start rewrites.
 
 Homing, the doctor and each start (`loop.py`) use this module, so their findings agree. Pinned by
 tests/robot/test_known_state.py and tests/robot/test_presence.py.
@@ -46,10 +47,11 @@ class Member:
 
 @dataclass(frozen=True)
 class ExaminedServo:
-    """The servo that answers in an expected place (None: none), and its faults, a sentence each:
-    the finding and, after "; ", the remedy. `passing` are registers that a start writes again,
-    `unfit` faults of what it senses now: they keep a robot from being driven, and not from being
-    homed.
+    """The servo that answers in an expected place (None: none), and its faults.
+
+    Each fault is a sentence: the finding and, after "; ", the remedy. `passing` are registers that
+    a start writes again, `unfit` faults of its present readings: they keep a robot from being
+    driven, but not from being homed.
     """
 
     id: int
@@ -92,8 +94,9 @@ def members(rig: Rig) -> list[Member]:
 def members_of(
     servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]
 ) -> list[Member]:
-    """Return the servos (id, model number) of a loop with the guard limits `limits`; `gains` are
-    those of the rig.
+    """Return the servos (id, model number) of a loop with guard limits `limits`.
+
+    `gains` are those of the rig.
     """
     known = [tuple(one) for one in gains] or [()] * len(servos)
     found = []
@@ -116,8 +119,9 @@ def members_of(
 
 
 def _window(home: int, low: float | None, high: float | None) -> tuple[float, float] | None:
-    """Return the window (ticks) that a bench gives a servo; a side that it leaves open is endless,
-    None without one.
+    """Return the window (ticks) that a rig gives a servo.
+
+    A side that it leaves open is endless; None without any window.
     """
     if low is None and high is None:
         return None

@@ -1,5 +1,4 @@
-"""Find other programs that have a serial port open: without a lock, two programs take each other's
-answers.
+"""Find other programs with a serial port open: without a lock, they would mix up answers.
 
 Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program
 that emulates servos has the other end of its pseudo-terminal open and does not count. Pinned by

@@ -51,8 +51,9 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
 
 
 def forget(port: str, baud: int, ids: Iterable[int]) -> None:
-    """Clear the marks of servos, so that they must be homed again; a servo that does not answer is
-    left as it is.
+    """Clear the marks of servos, so that they must be homed again.
+
+    A servo that does not answer is left as it is.
     """
     with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
         for id in ids:
@@ -72,8 +73,7 @@ def no_home(ids: Sequence[int]) -> str:
 
 
 def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
-    """Refuse servos (id, home) whose home is not known, or that were not homed since they got
-    power.
+    """Reject servos (id, home) without a known home, or not homed since they got power.
 
     Raises:
         ServoError: so, or one does not answer.

@@ -1,5 +1,4 @@
-"""The register values that a servo needs to be driven, their differences and remedies: one list for
-every check.
+"""The register values that a servo needs, differences and remedies: one list for all checks.
 
 `softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again,
 since another program may have changed them. A start rewrites volatile registers (profile, gains).
@@ -78,8 +77,10 @@ class ServoState:
 
 @dataclass(frozen=True)
 class Asked:
-    """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn
-    (ticks/s), and its gains at set-up (in the order of GAINS; empty if the rig does not hold them).
+    """A rig's requirements for a servo.
+
+    The largest current of its cap (mA), its fastest turn (ticks/s), and its gains at set-up (in the
+    order of GAINS; empty if the rig does not hold them).
 
     `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed;
     None if they are not known. `home` (ticks) is that of the window.
@@ -96,8 +97,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class Need:
-    """A required register value: `value`, or at least `least`. A start writes `passing` registers
-    by itself.
+    """A required register value: `value`, or at least `least`.
+
+    A start writes `passing` registers by itself.
     """
 
     register: str
@@ -165,9 +167,7 @@ def differing(model: ServoModel, values: Values, asked: Asked | None = None) -> 
 
 
 def complaints(found: ServoState, values: Values, asked: Asked | None = None) -> list[str]:
-    """Return a sentence for each fault that blocks a start: the finding and, after "; ", the
-    remedy.
-    """
+    """Return a sentence for each fault that blocks a start: finding and, after "; ", remedy."""
     model = found.model
     if model is None:
         known = ", ".join(one["name"] for one in _core.servo_models())
@@ -199,9 +199,7 @@ def passing(found: ServoState, values: Values, asked: Asked | None = None) -> li
 
 
 def differs(found: ServoState, need: Need, value: int, asked: Asked | None = None) -> str:
-    """Return the actual and the required value of a register as text: `drive mode is 9, needed is
-    0`.
-    """
+    """Return actual and required value of a register: `drive mode is 9, needed is 0`."""
     model = found.model
     if (
         need.register == "current_limit"
@@ -255,17 +253,13 @@ def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
 
 
 def _steps(model: ServoModel, slew: float) -> int:
-    """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as
-    delivered.
-    """
+    """Return the velocity limit for `slew` ticks/s, at most the one as delivered."""
     share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
     return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
 
 
 def gains_of(rig_made: Mapping[str, Document], id: int) -> tuple[int, ...]:
-    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not
-    known.
-    """
+    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if unknown."""
     kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
     complete = isinstance(kept, list) and len(kept) == len(GAINS)
     return (

@@ -1,5 +1,6 @@
-"""The limits in force: a servo's data, the bench's ceiling, the finger's safety and calibration,
-each with its origin.
+"""The limits in force, each with its origin.
+
+From a servo's data, the rig's ceiling, the finger's safety and calibration.
 
 The ceiling (`rig.toml`) stands in place of softmap's own defaults; the finger's `safety.toml` only
 tightens, and so do the calibration's window and a servo's own data. Limits of commands become
@@ -77,8 +78,9 @@ class Limit:
 
 @dataclass(frozen=True)
 class EffectiveLimits:
-    """The limits in force on a bench: of each servo (`low` and `high` in ticks about home) and of
-    the robot.
+    """The limits in force on a rig: of each servo and of the robot.
+
+    `low` and `high` are in ticks about home.
 
     calibration: that of the bundle on this bench, its home moved by whole turns and its window that
     of the limits · safety: what the finger may be asked · derived: the bundle held none, so that it
@@ -247,9 +249,7 @@ def calibration_of(model: Model) -> Calibration:
 
 
 def _box(calibration: Calibration, safety: Safety) -> Floats:
-    """Return ticks about home (servo, 2), all of whose combinations stay inside the window of
-    commands.
-    """
+    """Return ticks about home (servo, 2) whose combinations all stay in the command window."""
     b, window = calibration.b, np.array([safety.low, safety.high]).T
     if np.any(b < window[:, 0]) or np.any(b > window[:, 1]):
         raise ServoError(
@@ -300,8 +300,9 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
 
 
 def _alike(slope: Floats) -> Floats:
-    """Return per servo the ticks that a unit of command is worth at most, so that all servos at
-    once exceed none.
+    """Return per servo the ticks that a unit of command is worth at most.
+
+    All servos at once then exceed none.
     """
     alone = 1.0 / np.maximum(np.abs(slope).max(axis=0), 1e-300)
     return np.asarray(alone / max(1.0, float((np.abs(slope) @ alone).max())))
@@ -316,8 +317,9 @@ def _servo(
     off: float,
     worth: float,
 ) -> tuple[Limit, ...]:
-    """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the
-    bench.
+    """Return the limits of servo `k`.
+
+    Its home in the calibration is `off` ticks from that of the rig.
     """
     servo, unit = rig.servos[k], safety.unit
     entry = servo_model(servo.model)
@@ -398,9 +400,7 @@ def shown(limit: Limit, entry: ServoModel) -> Limit:
 def _current(
     safety: Safety, entry: ServoModel, calibration: Calibration, k: int
 ) -> tuple[float, str, str]:
-    """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger
-    allows.
-    """
+    """Return the current (mA) at which servo `k` pulls its tendon with the finger's limit."""
     assert safety.tension is not None
     if safety.unit != "mm":
         return np.inf, FINGER, ""
@@ -447,8 +447,9 @@ def _side(side: int) -> Callable[[Any], float]:
 def of_bench(
     rig: Rig, servo: RigServo | None = None
 ) -> Callable[[str], tuple[Any, str, str] | None]:
-    """Return what looks up the strictest of what the bench sets, for all its servos and for this
-    one: value, who, how.
+    """Return a look-up of the strictest value that the rig sets: value, who, how.
+
+    It covers what the rig sets for all its servos and for this one.
 
     A ceiling of `hot` that leaves `warm` unsaid is one of `warm` too, as far below as in the
     servo's data.

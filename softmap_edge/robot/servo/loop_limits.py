@@ -1,5 +1,6 @@
-"""What the servos of a robot are allowed: one table, in ticks and seconds, that the compiled guard
-checks and keeps to.
+"""The limits of a robot's servos: one table, in ticks and seconds.
+
+The compiled guard checks it and keeps to it.
 
 docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about
 `home`. Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests
@@ -60,16 +61,15 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLim
 
 
 def strongest(entry: ServoModel) -> float:
-    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall
-    if it has none.
+    """Return the current (mA) at which a servo has its highest allowed torque.
+
+    It is its limit, or its stall current if it has none.
     """
     return float(entry["current_limit_mA"] or entry["stall_current_mA"])
 
 
 def slowed(entry: ServoModel, current: float) -> float:
-    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less
-    speed too.
-    """
+    """Return the fastest turn (ticks/s) under a cap of `current` mA: less PWM is less speed."""
     real = float(entry["fastest_ticks_per_s"])
     return (
         real
@@ -89,8 +89,7 @@ def following(slew: float) -> float:
 
 
 def loop_limits(servos: Sequence[ServoLimits], rate: float = RATE, **changes: object) -> LoopLimits:
-    """Return the limits of a robot of `servos` (`servo_limits`) whose loop runs at `rate` (1/s),
-    checked.
+    """Return the checked limits of a robot of `servos` (`servo_limits`), loop at `rate` (1/s).
 
     Raises:
         ServoError: a limit is out of range, or `changes` names none.

@@ -1,5 +1,4 @@
-"""What is known of a servo's model: its entry in the compiled table, by name or by the number that
-it reports.
+"""Data of a servo's model: its entry in the compiled table, by name or by reported number.
 
 An entry has `name`, `number`, `baud_rates`, `operating_mode`, what the servo can do and what it
 draws; a model without a current sensor has None for its currents. Pinned by

@@ -1,5 +1,4 @@
-"""Find the servos on a bus, and why one does not answer: another baud rate or id, a shared id,
-pings only.
+"""Find the servos on a bus, and why one is silent: baud rate, id, shared id, pings only.
 
 Nothing is written to the bus. Pinned by tests/robot/test_presence.py.
 """
@@ -24,8 +23,9 @@ ALONE = "connect one servo at a time and give each an id of its own"
 
 @dataclass(frozen=True)
 class Heard:
-    """The servos that answer at a port at one rate, a sentence for each fault, and the ids that
-    answer pings only.
+    """The servos that answer at a port at one rate, and a sentence for each fault.
+
+    Also the ids that answer pings only.
     """
 
     found: tuple[ServoState, ...]

@@ -1,5 +1,4 @@
-"""One bench: where its servos are and where home is, kept on the machine that drives them
-(`rig.toml`).
+"""One rig: where its servos are and where home is, on the machine that drives them (`rig.toml`).
 
 A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by
 tests/robot/test_rig_file.py.
@@ -31,8 +30,9 @@ KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight
-    (None: never homed).
+    """A servo: its id on the bus, its model's name, and its home.
+
+    Home is the tick at which the finger is straight (None: never homed).
 
     Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
     """
@@ -49,10 +49,11 @@ class RigServo:
 
 @dataclass(frozen=True)
 class Rig:
-    """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of
-    them are allowed at most, `emergency` the stops that the loop asks, `made` says how each thing
-    was found. `time` is that of the servos, `file` the one that it was read from; no file holds
-    them.
+    """A port, its baud rate, and the servos in the order of the commands.
+
+    `ceiling` is what all of them are allowed at most, `emergency` the stops that the loop asks,
+    `made` says how each thing was found. `time` is that of the servos, `file` the one that it was
+    read from; no file holds them.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -119,8 +120,9 @@ class Rig:
         write_atomically(path, self.to_toml())
 
     def note(self, path: str | Path) -> None:
-        """Write what is known of the servos, and how it was found, into the `rig.toml` that this
-        was read from.
+        """Write the servos' data, and how it was found, into this rig's `rig.toml`.
+
+        It is the file that the rig was read from.
 
         What its user wrote there stays, comments too.
 

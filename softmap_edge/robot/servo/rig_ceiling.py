@@ -1,5 +1,6 @@
-"""What a bench allows all of its servos at most: `[ceiling]` of its `rig.toml`; a servo's own
-stands behind its id.
+"""What a rig allows all of its servos at most: `[ceiling]` of its `rig.toml`.
+
+A servo's own stands behind its id.
 
 It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it
 (`limits.py`). Pinned by tests/robot/test_limits.py and tests/robot/test_bench_limits.py.

@@ -83,8 +83,9 @@ def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
 
 
 def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
-    """Give a table these values; what is equal stays as it is written. `remove` takes the other
-    keys out.
+    """Give a table these values; what is equal stays as it is written.
+
+    `remove` takes the other keys out.
     """
     for key in [key for key in table if remove and key not in values]:
         del table[key]
@@ -96,9 +97,7 @@ def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
 
 
 def _add(table: Any, key: str, item: Item) -> None:
-    """Add a key after the last one, before comments and blank lines: these belong to what
-    follows.
-    """
+    """Add a key after the last one, before comments and blank lines of the next table."""
     inside = table if isinstance(table, Container) else table.value
     rest = len(inside.body)
     while rest and inside.body[rest - 1][0] is None:

@@ -108,8 +108,9 @@ def state(report: LoopReport) -> str:
 
 
 def cause(report: LoopReport, limits: LoopLimits | None = None) -> str:
-    """Return why it is in that state, "" if the report names no cause; with `limits` with the value
-    and its limit.
+    """Return why it is in that state, "" if the report names no cause.
+
+    With `limits`, it has the value and its limit.
     """
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (message := errors(report)):
@@ -157,9 +158,7 @@ def bus(counts: BusCounts) -> str:
 
 
 def where(report: LoopReport, limits: LoopLimits | None = None) -> str:
-    """Return state and cause as part of a sentence: `in state slackening (no target came in
-    time)`.
-    """
+    """Return state and cause as text: `in state slackening (no target came in time)`."""
     why = cause(report, limits)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
 
@@ -233,8 +232,9 @@ def restarts(report: LoopReport) -> str:
 
 
 def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
-    """Return why a request was denied, of what the loop's report says: `from(ready)`,
-    `trouble(late)`, `torque`, …
+    """Return why a request was denied, from the loop's report.
+
+    It gives `from(ready)`, `trouble(late)`, `torque`, …
     """
     kind, _, of = message.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):

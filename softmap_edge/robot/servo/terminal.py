@@ -29,9 +29,7 @@ MOST = 4096  # bytes that are read at a time: more was pasted, not typed
 
 
 class RepeatedKey:
-    """A key of a terminal, which reports repetitions only: without one in time it counts as
-    released.
-    """
+    """A terminal's key, which only reports repetitions: without one in time it is released."""
 
     def __init__(self) -> None:
         self._last, self._again = float("-inf"), False
@@ -46,9 +44,7 @@ class RepeatedKey:
         self._last, self._again = float("-inf"), False
 
     def held(self, now: float) -> bool:
-        """Return whether it may be held at `now` s: it repeats, or was pressed and may yet do
-        so.
-        """
+        """Return whether it may be held at `now` s: it repeats, or was pressed and may yet."""
         return now - self._last <= (REPEAT if self._again else FIRST)
 
     def repeats(self, now: float) -> bool:
@@ -57,8 +53,9 @@ class RepeatedKey:
 
 
 def terminal() -> int | None:
-    """Return the descriptor of standard input where it is a terminal whose keys are ours to read,
-    else None.
+    """Return the descriptor of a terminal at standard input whose keys are ours to read.
+
+    Else None.
     """
     try:
         file = sys.stdin.fileno()
@@ -69,9 +66,7 @@ def terminal() -> int | None:
 
 
 def _foreground(file: int) -> bool:
-    """Return whether this process may read `file`; the system stops a background process that reads
-    it.
-    """
+    """Return whether this process may read `file`; the system stops background readers."""
     try:
         return os.tcgetpgrp(file) == os.getpgrp()
     except OSError:  # a terminal without job control
@@ -79,8 +74,9 @@ def _foreground(file: int) -> bool:
 
 
 class Typed:
-    """The keys that are typed at the terminal `file`, unechoed, from entering to leaving; Ctrl-C
-    stays an interrupt.
+    """The keys typed at the terminal `file`, unechoed, from entering to leaving.
+
+    Ctrl-C stays an interrupt.
     """
 
     def __init__(self, file: int) -> None:
@@ -112,8 +108,9 @@ class Typed:
             tty.setcbreak(self._file)
 
     def read(self) -> list[str]:
-        """Return the names of the keys that came since, never waiting; a terminal that is gone was
-        left by escape.
+        """Return the names of the keys that came since, without waiting.
+
+        A terminal that is gone counts as escape.
         """
         read = b""
         while not self.gone and len(read) < MOST and select.select([self._file], [], [], 0.0)[0]:
@@ -133,8 +130,9 @@ def _read(file: int) -> bytes:
 
 
 def wait_for_release(file: int) -> None:
-    """Wait until no key of the terminal `file` has come for `REPEAT` s: one that is held would be
-    part of an answer.
+    """Wait until no key of the terminal `file` has come for `REPEAT` s.
+
+    One that is held would be part of an answer.
     """
     with Typed(file) as typed:
         since = time.monotonic()
@@ -145,8 +143,10 @@ def wait_for_release(file: int) -> None:
 
 
 def named(read: bytes) -> list[str]:
-    """Return the names of the keys in what a terminal sent: characters, in small letters, `up`,
-    `down`, `left`, `right`, `escape`; a sequence that is not known is no key.
+    """Return the names of the keys in what a terminal sent.
+
+    They are characters, in small letters, `up`, `down`, `left`, `right`, `escape`; a sequence that
+    is not known is no key.
     """
     keys, rest = [], read.decode("ascii", "ignore")
     while rest:

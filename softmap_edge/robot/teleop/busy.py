@@ -1,5 +1,4 @@
-"""Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is
-reported.
+"""Detect that the computer is too busy for a simulated robot, which then stops with a report.
 
 Real servos do not wait, so this does not apply to them. Pinned by
 tests/robot/test_simulated_time.py.
@@ -48,9 +47,7 @@ class Busy:
         return BUSY if now - self._stood_at < SHOWN else ""
 
     def age(self, t: float, now: float) -> float:
-        """Return the age (s) of data seen at `t`, without the time in which this program could not
-        run.
-        """
+        """Return the age (s) of data seen at `t`, without time when this program could not run."""
         return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
 
     def end(self) -> None:

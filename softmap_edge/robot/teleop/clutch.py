@@ -1,5 +1,4 @@
-"""When what an operator does drives the finger: only from a fresh press of the key, and never on by
-itself.
+"""When an operator drives the finger: only from a fresh press of the key, never by itself.
 
     released → waiting → driving → lost → released
 

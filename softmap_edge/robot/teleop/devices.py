@@ -1,5 +1,6 @@
-"""The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what
-links to one).
+"""The cameras of this computer, by number, lasting name, and path.
+
+A path is `/dev/videoN` or a link to one.
 
 Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path`
 stay. Pinned by tests/robot/test_frames.py.

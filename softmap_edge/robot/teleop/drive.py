@@ -1,5 +1,4 @@
-"""A hand or a knob drives a robot: newest sight → filter → clutch → point → command → the control
-loop.
+"""A hand or knob drives a robot: newest observation, filter, clutch, point, command, loop.
 
 One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
 target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
@@ -46,8 +45,9 @@ MOST_KEPT = 200_000  # latencies: an hour and a half at 30 pictures a second
 
 @dataclass
 class DriveSummary:
-    """What a session was: pictures taken, with a hand and driven from; seconds in each state; why
-    driving ended.
+    """What a session was: pictures taken, with a hand, and driven from; times; its end.
+
+    Seconds in each state, and why driving ended.
     """
 
     states: dict[str, float] = field(default_factory=dict)  # s
@@ -83,9 +83,11 @@ def _round(number: Any) -> float:
 
 @dataclass(frozen=True, eq=False)
 class DriveState:
-    """What is shown: the guard's report, the clutch, what drives, the newest sight, (c_f, c_r) as
-    filtered, the knob, where the finger is and is led to in the plane (mm), and how old (s) what is
-    driven from is.
+    """What is shown.
+
+    The guard's report, the clutch, what drives, the newest observation, (c_f, c_r) as filtered, the
+    knob, where the finger is and is led to in the plane (mm), and how old (s) the observation that
+    drives is.
     """
 
     t: float
@@ -147,8 +149,9 @@ class Drive:
         self.account = DriveSummary()
 
     def run(self, seconds: float | None = None) -> DriveSummary:
-        """Drive for some seconds, or until the file, the loop or an input ends it; the finger is
-        let go of then.
+        """Drive for some seconds, or until the file, the loop or an input ends it.
+
+        The finger is then released.
         """
         begun = before = time.monotonic()
         try:
@@ -333,8 +336,9 @@ class Drive:
     # --- what it looks like -------------------------------------------------------------
 
     def _here(self, report: LoopReport) -> Floats:
-        """Where the finger is in the plane, by the goals that were sent last, or where the servos
-        are.
+        """Return the finger's place in the plane, by the last goals or the servos.
+
+        The goals count if they were sent, else the positions.
         """
         ticks: list[int] = []
         for values in (report.get("position"), report.get("goal")):

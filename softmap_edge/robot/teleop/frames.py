@@ -36,8 +36,9 @@ MISSING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture (H, W, 3) uint8 of blue, green, red, when it was taken (s, steady clock) and its
-    number from 0.
+    """A picture (H, W, 3) uint8 of blue, green, red, its time and its number from 0.
+
+    The time is when it was taken (s, steady clock).
     """
 
     picture: NDArray[np.uint8]
@@ -47,17 +48,16 @@ class Frame:
 
 @dataclass(frozen=True)
 class UdpAddress:
-    """Where landmarks are received: `udp://HOST:PORT`, an empty host for every network of this
-    computer.
-    """
+    """Where landmarks come in: `udp://HOST:PORT`, an empty host for every network here."""
 
     host: str
     port: int
 
 
 def source(text: str) -> int | Path | UdpAddress:
-    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names: a camera, a video file, a
-    place for landmarks.
+    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names.
+
+    It is a camera, a video file, or an address for landmarks.
 
     A path of a device is a camera, by the number of what it links to; any other path is a video
     file.
@@ -226,9 +226,7 @@ class CameraFrames:
         self.close()
 
     def _read(self) -> None:
-        """Put picture after picture into the slot; the device is given back by the thread that
-        reads it.
-        """
+        """Put each new picture into the slot; the reading thread releases the device."""
         number = 0
         try:
             while not self._closed:

@@ -1,5 +1,6 @@
-"""A gesture in addition to the deadman key: it can let go, or be asked for as well, and never
-stands in for the key.
+"""A gesture in addition to the enable key.
+
+It can release, or be required as well, and never replaces the key.
 
 `openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index
 finger leaves alone: 0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and
@@ -26,9 +27,7 @@ Rule = Literal["key", "fist releases", "open palm", "fist"]
 
 
 def openness(hand: Hand) -> float | None:
-    """Return how straight the three other fingers are, in hand scales; None where they cannot be
-    seen.
-    """
+    """Return how straight the three other fingers are, in hand scales; None if not seen."""
     seen = [projection(hand, finger) for finger in OTHER_FINGERS]
     return (
         None
@@ -60,9 +59,7 @@ class Deadman:
         self._released = False
 
     def held(self, key: bool, hand: Hand | None, t: float) -> bool:
-        """Return whether the operator holds on at `t` s, a steady clock; to be asked once a
-        picture.
-        """
+        """Return whether the operator holds at `t` s, a steady clock; call once per picture."""
         if self._last is None or not 0.0 <= t - self._last <= GAP:
             self._fist, self._since = None, None
         self._last = t

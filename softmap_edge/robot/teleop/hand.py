@@ -1,5 +1,4 @@
-"""The operator's index finger as two numbers that neither the place, turn nor distance of the hand
-changes.
+"""The index finger as two numbers that the hand's place, turn and distance do not change.
 
     f = (p_mid − p_wrist) / |p_mid − p_wrist|     r = (f_y, −f_x)     d = p_tip − p_mcp
         s = |p_mid − p_wrist|
@@ -69,16 +68,12 @@ class Hand:
 
 
 def in_pixels(normalised: ArrayLike, width: int, height: int) -> Floats:
-    """Return landmarks (21, 2) px of landmarks (21, 2 or 3) that are shares of `width` and `height`
-    px.
-    """
+    """Return landmarks (21, 2) px of (21, 2 or 3) shares of `width` and `height` px."""
     return np.asarray(normalised, dtype=np.float64)[:, :2] * (width, height)
 
 
 def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP)) -> Floats | None:
-    """Return (c_f, c_r) of a finger, given by its knuckle and tip; None where they are not those of
-    a hand.
-    """
+    """Return (c_f, c_r) of a finger by its knuckle and tip; None if they are not of a hand."""
     points = hand.points * (1.0, -1.0)  # y up
     forward = points[MIDDLE_KNUCKLE] - points[WRIST]
     scale = float(np.hypot(*forward))
@@ -129,8 +124,9 @@ class View:
         return surest(self.allowed(hands))
 
     def projection(self, hand: Hand | None) -> Floats | None:
-        """Return (c_f, c_r) of the index finger, c_r positive to the right of a picture that is not
-        mirrored.
+        """Return (c_f, c_r) of the index finger.
+
+        c_r is positive to the right of a picture that is not mirrored.
         """
         seen = None if hand is None else projection(hand)
         return None if seen is None else seen * (1.0, -1.0 if self.mirrored else 1.0)
@@ -141,8 +137,9 @@ SIGNS = np.array([-1.0, 1.0])  # of lateral and vertical: what a picture's x and
 
 @dataclass(frozen=True, eq=False)
 class HandMap:
-    """From (c_f, c_r) to the commands (u_lat, u_vert) of a model, which is at rest in the pose it
-    was engaged in.
+    """From (c_f, c_r) to the commands (u_lat, u_vert) of a model.
+
+    The model is at rest in the pose it was engaged in.
 
     `command_range` (2, 2) the lowest and highest of each command, in the model's unit, 0 among them
     (`Model. command_range`); `reach` (lateral, forward) by how much c must change for the end of
@@ -177,8 +174,9 @@ class HandMap:
         object.__setattr__(self, "command_range", span)
 
     def command(self, seen: ArrayLike, neutral: ArrayLike) -> Floats:
-        """Return the commands (2,) for `seen` (c_f, c_r); `neutral` is what was seen when the
-        operator engaged.
+        """Return the commands (2,) for `seen` (c_f, c_r).
+
+        `neutral` is what was seen when the operator engaged.
 
         Raises:
             TeleopError: either is not two finite numbers; what sees no hand has no command.

@@ -1,5 +1,4 @@
-"""What is seen of the hand, newest first: a thread takes pictures and finds landmarks, or they come
-over UDP.
+"""Hand observations, newest first: a thread finds landmarks in pictures, or UDP brings them.
 
 A sight replaces the one before; whoever is slower than the camera misses some, and none waits. What
 ends it (camera gone, file over) is reported, not raised. Pinned by
@@ -35,9 +34,10 @@ FRESH = 0.5  # s for which an old message is still news: beyond, the sender was 
 
 @dataclass(frozen=True, eq=False)
 class HandObservation:
-    """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its
-    number from 0, the picture (None where landmarks came alone), and all hands in it that may
-    drive.
+    """An observation of hands in a picture.
+
+    The surest hand that may drive, if any, when the picture was taken (s, steady clock), its number
+    from 0, the picture (None where landmarks came alone), and all hands in it that may drive.
     """
 
     t: float
@@ -70,9 +70,10 @@ class Finder(Protocol):
 
 
 class HandSource(ABC):
-    """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing
-    comes any more, `over` that a file came to its end. `.taken` and `.hands` count pictures and
-    those with the driving hand.
+    """The slot that a thread of its own fills; a context manager.
+
+    `gone` says in a line why nothing comes any more, `over` that a file came to its end. `.taken`
+    and `.hands` count pictures and those with the driving hand.
     """
 
     def __init__(self, name: str, view: View) -> None:

@@ -1,5 +1,6 @@
-"""The deadman's key that is heard of again and again, what an operator does, and who of several
-asks for what.
+"""The repeated signal of the enable key, what an operator does, and who asks for what.
+
+Several inputs may ask.
 
 What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed
 again: a page or a computer that comes back after a silence with its key down does not go on by
@@ -43,8 +44,10 @@ class HeldKey:
 
 @dataclass(frozen=True)
 class Controls:
-    """What an operator does: whether the key is held, where the knob is (right, up; -1 to 1 of the
-    range), and which of hand and knob is to drive.
+    """What an operator does.
+
+    Whether the key is held, where the knob is (right, up; -1 to 1 of the range), and which of hand
+    and knob drives.
     """
 
     held: bool = False
@@ -62,9 +65,7 @@ class Input(Protocol):
         ...
 
     def asked(self) -> str | None:
-        """Return what was asked for since the last call: `stop`, `emergency`, `acknowledge` or
-        `end`.
-        """
+        """Return the last request since: `stop`, `emergency`, `acknowledge` or `end`."""
         ...
 
     def rest(self, knob: tuple[float, float]) -> None:

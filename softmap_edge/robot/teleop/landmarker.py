@@ -1,5 +1,4 @@
-"""The landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, the model by
-`fetch_model`).
+"""Landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, `fetch_model`).
 
 mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor
 that it was not compiled for it aborts the whole process. So the first task of a process is made in
@@ -72,8 +71,7 @@ class Landmarker:
         self._ms = -1
 
     def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
-        """Return the hands in a picture (H, W, 3) of blue, green, red, seen at `t` s; empty where
-        there is none.
+        """Return the hands in a picture (H, W, 3) of blue, green, red at `t` s, if any.
 
         Times tell how far a hand may have moved since the picture before. One that is not later
         counts as 1 ms later.
@@ -130,8 +128,9 @@ class Landmarker:
 
 
 def _hand(points: Any, side: Any, width: int, height: int) -> Hand | None:
-    """What mediapipe saw as a hand, None where its numbers are none. Its sides are those of
-    unmirrored pictures.
+    """What mediapipe saw as a hand, None where its numbers are none.
+
+    Its sides are those of unmirrored pictures.
     """
     normalised = np.array([[point.x, point.y] for point in points])
     try:
@@ -146,8 +145,7 @@ def _hand(points: Any, side: Any, width: int, height: int) -> Hand | None:
 
 
 def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECONDS) -> None:
-    """Make one task of the model in a child process, once a process; do nothing where that was
-    done.
+    """Make one task of the model in a child process, once per process; else do nothing.
 
     Raises:
         TeleopError: mediapipe is absent, or dies, hangs or fails here.

@@ -1,5 +1,4 @@
-"""Landmarks of a hand over UDP from another computer, for boards that cannot run MediaPipe; also a
-heartbeat.
+"""Landmarks of a hand over UDP, for boards that cannot run MediaPipe; also a heartbeat.
 
 A datagram is DATAGRAM bytes, little-endian, of one layout: mark `SMH1`, flags (1: a hand, 2: a
 right hand, 4: the key is held), session (16 bytes), sequence number, the sender's clock (s), score,
@@ -65,8 +64,9 @@ def packed(
 
 
 def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, float] | str:
-    """Return (message, session, sequence, sender's clock) of a datagram, or in a word why it counts
-    nothing.
+    """Return (message, session, sequence, sender's clock) of a datagram, or what is wrong.
+
+    The latter is a word that says why it is rejected.
     """
     body = body_of(key, datagram, _BODY.size)
     if isinstance(body, str):
@@ -96,15 +96,12 @@ class Sender(signed_udp.Sender):
         super().__init__(host, port, key, OFFER_MARK)
 
     def send(self, message: Message) -> bool:
-        """Send one message; False where it could not be sent just now (no network, or nobody
-        listens).
-        """
+        """Send one message; False where it could not be sent now (no network, no listener)."""
         return self._put(packed(message, *self._next(), time.monotonic(), self._key))
 
 
 class Receiver(Listener):
-    """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager, to be
-    closed.
+    """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager.
 
     `newest()` is to be asked at least as often as pictures come. `.refused` counts what was not
     taken, by why: length, signature, content, and those of a `Listener`.

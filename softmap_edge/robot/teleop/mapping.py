@@ -1,5 +1,6 @@
-"""Where a hand or knob leads: a point of a plane, which is the two commands themselves or the tip's
-place aside.
+"""Where a hand or knob leads: a point of a plane.
+
+The plane is the two commands themselves, or the sideways place of the tip.
 
 The paper's direct map takes the commands (u_lat, u_vert) for that plane; `TipMapping` takes the
 tip's (x, y) from where it is at u = 0 and finds the commands by inverse kinematics, for any number
@@ -63,9 +64,7 @@ class DirectMapping:
 
 
 class TipMapping:
-    """The tip's x and y from where it is at u = 0; out of reach the nearest point of it is led
-    to.
-    """
+    """The tip's x and y from its place at u = 0; out of reach, its nearest point is the target."""
 
     names = ("x", "y")
 

@@ -1,5 +1,6 @@
-"""The file `hand_landmarker.task`, which mediapipe needs and does not ship: built from an older
-wheel of it, or copied.
+"""The file `hand_landmarker.task`, which mediapipe needs and does not ship.
+
+It is built from an older wheel of it, or copied.
 
 A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of
 mediapipe (Apache 2.0) holds them; the landmarks are those of the published task file. Whatever is
@@ -37,9 +38,7 @@ MOST_MEMBERS = 20_000  # of a wheel, which has some 700
 
 @dataclass(frozen=True)
 class HandModel:
-    """A complete task file: where it is, its SHA-256, and what it is known as (empty where it is
-    not).
-    """
+    """A complete task file: where it is, its SHA-256, and its known name (empty if unknown)."""
 
     path: Path
     sha256: str
@@ -60,8 +59,9 @@ def default_path() -> Path:
 def fetch_model(
     source: str | Path, to: str | Path | None = None, *, force: bool = False
 ) -> HandModel:
-    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its
-    checksum next to it.
+    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file.
+
+    Write its checksum next to it.
 
     Args:
         source: the wheel or task file; distinguished by their contents, not by their names.
@@ -127,8 +127,9 @@ def _record(file: Path) -> Path:
 
 
 def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
-    """Return the two networks in a wheel or task file by their names in a task file, and whether it
-    is one.
+    """Return the two networks in a wheel or task file by their names in a task file.
+
+    Also whether it is a task file.
     """
     if not file.is_file():
         raise TeleopError(

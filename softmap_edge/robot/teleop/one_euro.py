@@ -1,5 +1,6 @@
-"""The one-euro filter: a low pass that opens with speed, still when the hand is still and without
-lag when it moves.
+"""The one-euro filter: a low pass that opens with speed.
+
+It is still when the hand is still, and without lag when it moves.
 
     cutoff = min_cutoff + beta |dx/dt|  x̂ ← x̂ + a (x − x̂)  a = 1 / (1 + 1 / (2π cutoff dt))
 

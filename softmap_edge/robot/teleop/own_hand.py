@@ -1,5 +1,4 @@
-"""Follow the hand that was seen when the key was pressed: only this hand drives until the key is
-released.
+"""Follow the hand seen when the key was pressed: only it drives until the key is released.
 
 A picture shows the same hand if palm, size and direction have changed no more than a hand can in
 the time since it was last seen (time in which another hand is in view does not count). MediaPipe
@@ -35,9 +34,7 @@ ANOTHER = "another hand is in view"
 
 
 class OwnHand:
-    """Follow one hand from picture to picture; `other` is true if another one was seen in its
-    place.
-    """
+    """Follow one hand from picture to picture; `other` is true if another is in its place."""
 
     def __init__(self) -> None:
         self.begin(None, -math.inf)
@@ -48,8 +45,7 @@ class OwnHand:
         self._strange, self.other, self._until = 0, False, math.inf
 
     def among(self, hands: Sequence[Hand], t: float) -> Hand | None:
-        """Return the followed hand among those in a picture taken at `t` s; None if it is not
-        there.
+        """Return the followed hand among those in a picture at `t` s; None if it is not there.
 
         Args:
             hands: all hands that may drive. t: time of the picture, s.

@@ -1,5 +1,4 @@
-"""The page on localhost: shows picture, hand, finger and guard, and takes keyboard, mouse and the
-deadman.
+"""The page on localhost: picture, hand, finger and guard; keyboard, mouse and enable key.
 
 Served from this package alone by `websockets` (BSD; its threaded server needs no event loop beside
 the loop that drives). Who has the link drives: its random token is in the part behind `#`, which no
@@ -141,8 +140,9 @@ class Page:
     # --- what the driving thread asks and tells -----------------------------------------
 
     def shows(self, hello: Document, view: View) -> None:
-        """Set what a page receives when it comes, and what is asked for each state: the state,
-        points, a picture.
+        """Set what a page receives on arrival, and the source of each state.
+
+        For each state it gives the state, points and a picture.
         """
         self._hello, self._view = hello, view
 
@@ -287,8 +287,9 @@ class Page:
 
 
 class _Link:
-    """How old a page's words may be at most: a state's number comes back after it was sent,
-    whatever the delay.
+    """The greatest possible age of a page's messages, whatever the delay.
+
+    The number of a state comes back after it was sent.
 
     The page's clock is ahead of ours by no more than its time at the first word with a number, less
     when that state was sent. So a word that is always 3 s late is known to be old, which no
@@ -308,9 +309,7 @@ class _Link:
         self.sent += 1
 
     def heard(self, shown: int, t: float, now: float) -> bool:
-        """Note a word said at `t` s of the page's clock; False if it names a state that it was not
-        sent.
-        """
+        """Note a message of `t` s of the page's clock; False for a state it never received."""
         if shown > self.sent:
             return False
         if shown > self.shown:
@@ -321,8 +320,9 @@ class _Link:
 
 
 def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
-    """Return what websockets makes connections by: those that have brought no token yet are
-    counted, and few.
+    """Return the class by which websockets makes connections.
+
+    Those that have brought no token yet are counted, and few.
     """
 
     class Door(connection):  # type: ignore[misc]
@@ -346,9 +346,7 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
 
 
 def _ours(host: str, port: int) -> bool:
-    """Whether a Host header names this server by an address or as localhost: nobody can bend
-    those.
-    """
+    """Whether a Host header names this server by an address or localhost: no rebinding."""
     name, _, said = host.rpartition(":")
     if said != str(port):
         return False

@@ -1,5 +1,7 @@
-"""What a page receives: who and what drives, what the guard does, the hand, the finger. Pinned by
-tests/robot/test_teleop_page.py."""
+"""What a page receives: who and what drives, what the guard does, the hand, the finger.
+
+Pinned by tests/robot/test_teleop_page.py.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The other computer's side of `--camera udp://`: sends the landmarks that it sees, and whether its
-key is held.
+"""The other computer's side of `--camera udp://`: sends landmarks, and whether its key is held.
 
 Pinned by tests/robot/test_teleop_verb.py.
 """
@@ -42,8 +41,9 @@ def send(
     seconds: float | None,
     say: Callable[[str], None],
 ) -> Sent:
-    """Send what entered `eyes` see until they, some seconds or the `key` end it; without a key none
-    is held here.
+    """Send what entered `eyes` see until they, some seconds or the `key` end it.
+
+    Without a key none is held here.
     """
     done, number, begun, line = Sent(), -1, time.monotonic(), ""
     try:

@@ -33,9 +33,7 @@ CPU = Path("/proc/cpuinfo")
 
 
 def findings(model: str | Path | None = None) -> list[Line]:
-    """Return what was found of OpenCV, mediapipe, its libraries, this processor and the model of
-    hands.
-    """
+    """Return the findings on OpenCV, mediapipe, its libraries, this processor, the hand model."""
     here = list(distributions())
     return [opencv(here), mediapipe(here), libraries(), processor(), hand_model(model)]
 
@@ -99,8 +97,9 @@ def libraries(names: Iterable[str] = LIBRARIES) -> Line:
 
 
 def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
-    """Find whether this processor has what mediapipe 1.0 and later were compiled for: on ARM the
-    LSE atomics.
+    """Find whether this processor has what mediapipe 1.0 and later need.
+
+    On ARM these are the LSE atomics.
     """
     machine = platform.machine() if machine is None else machine
     if machine not in ("aarch64", "arm64"):

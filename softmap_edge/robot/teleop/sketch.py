@@ -31,9 +31,7 @@ class ShapePreview:
         self._last = 0.0
 
     def points(self, position: Floats, now: float) -> Floats:
-        """Return the points (N, 3) mm with servos at `position` (C,) ticks at `now` s, a steady
-        clock.
-        """
+        """Return the points (N, 3) mm with servos at `position` (C,) ticks at `now` s (steady)."""
         u = self._map.commands(position[None])[0]
         model, dt = self._model, now - self._last
         self._last = now

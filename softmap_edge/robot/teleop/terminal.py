@@ -1,5 +1,4 @@
-"""The terminal's keys: Space or an arrow held drives, Esc releases tension, e stops at once, q
-ends.
+"""The terminal's keys: hold Space or an arrow to drive, Esc releases tension, e stops, q ends.
 
 A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go
 is noticed 0.2 s later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
@@ -26,8 +25,9 @@ HELP = (
 
 
 class Terminal:
-    """The keys of a terminal, as an input; a context manager that leaves it as it was. `source`:
-    what drives.
+    """The keys of a terminal, as an input; a context manager that leaves it as it was.
+
+    `source`: what drives.
     """
 
     name = "the terminal"
