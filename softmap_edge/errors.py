@@ -26,7 +26,7 @@ class BundleError(SoftmapError):
 
 
 class SweepError(SoftmapError):
-    """A sweep made elsewhere is not usable."""
+    """A sweep of another simulator is not usable."""
 
 
 class EffectError(SoftmapError):

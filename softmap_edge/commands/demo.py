@@ -156,7 +156,7 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def demo(args: DemoOptions) -> int:
-    """Tell the whole story on a simulated finger with hidden effects."""
+    """Run the complete workflow on a simulated finger with hidden effects."""
     started = time.monotonic()
     ticker = Ticker((lambda text: None) if args.json else (lambda text: print(text, flush=True)))
     say, before = ticker.say, WATCH.set(ticker)

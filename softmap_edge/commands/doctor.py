@@ -1,4 +1,4 @@
-"""The verb doctor: is everything here that a robot needs, and what to do where it is not."""
+"""The command `servo doctor`: is everything here that a robot needs, and what to do where it is not."""
 
 from __future__ import annotations
 

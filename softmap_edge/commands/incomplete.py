@@ -15,7 +15,7 @@ from softmap_edge.errors import RecordingWarning, SessionWarning
 
 @contextlib.contextmanager
 def printing_warnings(verb: str) -> Iterator[set[str]]:
-    """Print recording and session warnings as lines of the command `verb`.
+    """Print recording and session warnings as lines of a command.
 
     Yield the set of recording warnings.
     """

@@ -73,7 +73,8 @@ def compare_live(args: CompareOptions) -> int:
             "lost": camera.lost,
         }
         print(
-            json.dumps(document) if args.json else _summary(now, effects, camera.said()), flush=True
+            json.dumps(document) if args.json else _summary(now, effects, camera.summary()),
+            flush=True,
         )
     return 0 if now.frames else 1
 

@@ -1,4 +1,4 @@
-"""Verbs that look: predict, effects."""
+"""Commands that look: `model predict`, `model effects`."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _new(args: EffectsOptions) -> int:
 
 
 def _hung(head: str, text: str) -> list[str]:
-    """Return lines of at most 100 columns: the head, and the text beside it."""
+    """Return lines of at most 100 columns: the head, and the text to its right."""
     return textwrap.wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
 
 

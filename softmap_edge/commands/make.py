@@ -1,4 +1,4 @@
-"""Verbs that make a model: build, learn, sweep."""
+"""Commands that make a model: build, learn, sweep."""
 
 from __future__ import annotations
 

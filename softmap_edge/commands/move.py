@@ -1,4 +1,4 @@
-"""The verb move: jog servos by held keys, turn one by some ticks, or go to one command and back."""
+"""The command `servo move`: jog servos by held keys, turn one by some ticks, or go to one command and back."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
 
 
 def _go(args: MoveOptions, command: str) -> int:
-    """Go to a command through the whole guard, stay, and come back slack."""
+    """Go to a command through every check of the guard, stay, and come back slack."""
     try:
         u = np.array([float(word) for word in command.split(",")])
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where a verb may write, asked before the work and not after it."""
+"""What commands share of their output: where they may write, and the next command to type."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def check_no_run(option: str, path: str | None, force: bool | None = None) -> No
 
     It would write something else there.
 
-    `force` is that of the verb, None where it has none.
+    `force` is that of the command, None where it has none.
     """
     if path is None or force:
         return
@@ -99,7 +99,7 @@ def check_kept(path: str, what: str, force: bool) -> None:
 
 
 def bundle_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where a bundle goes, the same for every verb that writes one."""
+    """Declare where a bundle goes, the same for every command that writes one."""
     parser.add_argument("--out", required=True, metavar="DIR", help="bundle folder to write")
     parser.add_argument("--force", action="store_true", help="replace the bundle that stands there")
 
@@ -109,7 +109,7 @@ def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
 
     Something else is there, or a bundle and no `force`.
 
-    `force` is that of the verb, None where it has none.
+    `force` is that of the command, None where it has none.
     """
     folder = Path(path)
     check_folder(folder)
@@ -121,5 +121,5 @@ def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
 
 
 def to_stderr(line: str) -> None:
-    """Tell a line while a verb runs; standard output is for what came of it."""
+    """Print a line while a command runs, to stderr: standard output is for the result."""
     print(line, file=sys.stderr, flush=True)

@@ -96,11 +96,11 @@ def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:
 
 
 def options_of(parser: argparse.ArgumentParser) -> list[str]:
-    """Return the long options of a parser, and of its actions."""
-    found = [text for action in parser._actions for text in action.option_strings]
-    for one in parsers_below(parser):
-        found += [text for action in one._actions for text in action.option_strings]
-    return sorted({text for text in found if text.startswith("--")})
+    """Return the long options of a parser and of its actions, without old names that are hidden."""
+    actions = [action for one in (parser, *parsers_below(parser)) for action in one._actions]
+    shown = [action for action in actions if action.help != argparse.SUPPRESS]
+    found = {text for action in shown for text in action.option_strings}
+    return sorted(text for text in found if text.startswith("--"))
 
 
 def _choice(message: str) -> list[str]:

@@ -29,7 +29,7 @@ class Ticker:
         self._last = self._clock()
 
     def __call__(self, share: float) -> None:
-        """Say how far the work is, if nothing was said for a while."""
+        """Print how far the work is, if nothing was printed for a while."""
         if self._clock() - self._last >= QUIET:
             self.say(f"  … solving, {share:.0%} of this part")
 

@@ -56,7 +56,7 @@ SIMULATED = ("virtual", "truth", "finger", "truth_from")
 def record_on_robot(args: RecordOptions) -> int:
     """Play a command file on a robot and write the run, or its part if it is cut short.
 
-    Until the run is written, what the loop did and what was seen are in files beside it, as they
+    Until the run is written, what the loop did and what was seen are in files next to it, as they
     come.
     """
     _checked(args)
@@ -290,7 +290,7 @@ def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
             yield bench, camera.seen
         finally:
             if not args.json:
-                print(camera.said(), file=sys.stderr)
+                print(camera.summary(), file=sys.stderr)
 
 
 def _ask(args: RecordOptions, what: str, key: EmergencyKey) -> None:

@@ -1,4 +1,4 @@
-"""The verb register: from point clouds of a finger to the vertices of its template."""
+"""The command `run register`: from point clouds of a finger to the vertices of its template."""
 
 from __future__ import annotations
 

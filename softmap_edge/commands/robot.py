@@ -50,7 +50,7 @@ def announce_edited_limits(model: Model) -> None:
 
 
 def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
-    """Declare what verbs share that drive a model on a robot; `seed` is what else it is of."""
+    """Declare what commands share that drive a model on a robot; `seed` is for its help."""
     parser.add_argument(
         "--bundle",
         metavar="DIR",

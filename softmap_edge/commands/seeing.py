@@ -1,4 +1,4 @@
-"""What verbs that look through a camera share: its arguments, and the receiver that they name."""
+"""What commands that look through a camera share: its arguments, and the receiver that they name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb that leads the tip along a figure."""
+"""The command that leads the tip along a figure."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TrackOptions:
     plan: bool
     table: bool
     workspace: bool
-    rival: str | None
+    alternative: str | None
     reach: list[float] | None
     amplitude: float
     duration: float
@@ -91,7 +91,11 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where.add_argument("--workspace", action="store_true", help="what the tip can reach")
     parser.add_argument(
-        "--rival", metavar="DIR", help="--table: another bundle to compare with (train prior)"
+        "--alternative", metavar="DIR", help="--table: another bundle to compare with (train prior)"
+    )
+    # its name before 0.2
+    parser.add_argument(
+        "--rival", dest="alternative", default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )
     parser.add_argument(
         "--reach",
@@ -124,7 +128,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def track(args: TrackOptions) -> int:
-    """Lead the tip along a figure, judge it, draw it."""
+    """Lead the tip along a figure, measure its error, draw it."""
     check_driven(args)
     check_picture("--picture", args.picture)
     if args.camera and not args.rig:
@@ -138,8 +142,10 @@ def track(args: TrackOptions) -> int:
         )
     if (args.figure is None) == (not (args.table or args.workspace)):
         raise SoftmapError("name a figure, or give --table or --workspace without one")
-    if (args.rival and not args.table) or (args.reach and not args.workspace):
-        raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
+    if (args.alternative and not args.table) or (args.reach and not args.workspace):
+        raise SoftmapError(
+            "--alternative goes with --table, --reach with --workspace; give that too"
+        )
     idle = [
         f"--{name}"
         for name in ("record", "seed", "key", "like", "late")
@@ -242,14 +248,14 @@ def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
     with receiver(args, len(bench.model.rest)) as camera:
         yield camera.seen
         if not camera.taken:
-            print(f"no frame came at {args.camera}; {camera.said()}", file=sys.stderr)
+            print(f"no frame came at {args.camera}; {camera.summary()}", file=sys.stderr)
 
 
 @contextlib.contextmanager
 def _kept(
     args: TrackOptions, seen: Seen | None, behind: float, bench: Bench
 ) -> Iterator[Keeper | None]:
-    """Keep what is seen beside the recording, where there is one."""
+    """Keep what is seen next to the recording, where there is one."""
     if seen is None or args.record is None:
         yield None
         return

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 def table(args: TrackOptions, model: Model) -> int:
     """Print the table."""
-    rival = None if args.rival is None else open_model(args.rival)
+    rival = None if args.alternative is None else open_model(args.alternative)
     seed = 1 if args.seed is None else args.seed
     with Bar(args.json) as bar:
         rows = table_two(
@@ -42,7 +42,7 @@ def table(args: TrackOptions, model: Model) -> int:
     document = {
         "schema": "softmap.table2/1",
         "bundle": args.bundle,
-        "rival": None if args.rival is None else Path(args.rival).name,
+        "rival": None if args.alternative is None else Path(args.alternative).name,
         "kind": model.kind,
         "calibrated": model.calibration is not None,
         "effects": list(model.chain_names),

@@ -1,4 +1,4 @@
-"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit."""
+"""Commands that answer what a model lacks: compare, diagnose, add, remove, refit."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ def _flatten(fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None
     fields[PLANE] = np.array(AXES[axis])
     notes.append(
         f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; "
-        "nothing across the plane is judged"
+        "nothing across the plane is examined"
     )
 
 

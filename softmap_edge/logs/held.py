@@ -1,4 +1,4 @@
-"""Samples that repeat because they are read more slowly than they are logged: found, said, undone.
+"""Find, report and remove samples that repeat because they are read more slowly than logged.
 
 A held encoder lags by half its period on average; it is un-held by a straight line between the rows
 where a new value arrives. Longer stillness stays stillness: only gaps up to three typical holds are

@@ -114,7 +114,7 @@ def _others(known: Mask, again: Mask, m: int) -> list[int]:
 def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Array | None, float]:
     """Return places (K, D) by a linear fit to the columns (K, n), and its RMS error.
 
-    The fit is in fresh frames; NaN elsewhere in the places.
+    The fit is in fresh frames; NaN in all other frames.
     """
     fit = there & fresh
     if fit.sum() < ROWS * (columns.shape[1] + 1):

@@ -96,7 +96,7 @@ def _jumps(numbers: Array, at: Mask) -> bool:
 def _rests(u: Array, at: Mask, others: Mask) -> bool:
     """Return whether the robot may rest there.
 
-    It is there under one command, and elsewhere under other commands only.
+    It is there under one command only; under other commands it is at other places.
     """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST:

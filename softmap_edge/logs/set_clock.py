@@ -3,7 +3,7 @@
 Time falls or leaps, and the values go on as if no time had passed.
 
 Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps
-as well, but the robot rests before or after it, or is elsewhere. Pinned by
+as well, but the robot rests before or after it, or is at another place. Pinned by
 tests/logs/test_clock.py.
 """
 

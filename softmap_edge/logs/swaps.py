@@ -1,10 +1,10 @@
 """Markers that change places: two labels whose points exchange between one frame and the next.
 
-Between frames a marker moves little beside its distance to the others. Where each of some markers
+Between frames a marker moves little compared with its distance to the others. Where each of some markers
 is nearest to the last place of another of them, the labels were exchanged. A dropout in between is
 bridged for half a second. The labels of most frames are the right ones: a tracker may have begun
 with exchanged ones. Known limits: labels that exchange while one of them is not seen, and moves
-between frames of more than 0.3 of the distance between two markers, are not judged. Pinned by
+between frames of more than 0.3 of the distance between two markers, are not examined. Pinned by
 tests/logs/test_import_markers.py.
 """
 

@@ -55,7 +55,7 @@ class Safety:
 
     low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command ·
     jump: by which a target may jump unreported, and beyond which it is refused · tension: N of any
-    tendon, None without a simulation · stale, hold, slacken, ramp: s, as in
+    tendon, None without a simulation · `stale`, `hold`, `slacken`, `ramp`: s, as in
     docs/reference/safety.md · band: that a goal comes back before its servo turns · turns:
     reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and
     strain in the window and the modulus (MPa) that they belong to, as far as known · assumes: that

@@ -157,7 +157,7 @@ class Calibration:
         return np.asarray((np.asarray(ticks, float) - self.home) @ self.A.T + self.b)
 
     def ticks(self, commands: ArrayLike) -> NDArray[np.int64]:
-        """Return the ticks (n, C) of commands (n, C), to the nearest whole tick."""
+        """Return the ticks (n, C) of commands (n, C), rounded to integers."""
         away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
         return np.rint(self.home + away).astype(np.int64)
 

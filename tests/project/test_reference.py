@@ -2,6 +2,7 @@
 by a test.
 """
 
+import argparse
 import importlib.util
 import json
 import re
@@ -48,7 +49,8 @@ def test_every_command_and_option_is_on_the_page():
         (section,) = re.findall(
             rf"^## {verb.name}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL
         )
-        for action in cli.parser_of(verb)._actions:
+        actions = [a for a in cli.parser_of(verb)._actions if a.help != argparse.SUPPRESS]
+        for action in actions:
             for option in action.option_strings:
                 assert (
                     option in ("-h", "--help", "--json")

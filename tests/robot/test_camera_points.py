@@ -103,7 +103,7 @@ def test_what_does_not_count_is_dropped_and_counted(receiver, why, datagram):
         met(receiver, sender)._socket.send(datagram)
         sender.send(POINTS)
         until(lambda: receiver.taken == 1)
-    assert dict(receiver.refused) == {why: 1} and f"1 for {why}" in receiver.said()
+    assert dict(receiver.refused) == {why: 1} and f"1 for {why}" in receiver.summary()
 
 
 def test_any_bytes_are_refused_or_a_message():

@@ -44,7 +44,7 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
         before = bus.state()[1]
         lines = doctor.examine(rig=tmp_path / "rig.toml").lines
         assert named(lines, "rig").state == OK and named(lines, "servo 1").state == OK
-        assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
+        assert named(lines, "home of servo 2").found == "confirmed since power-up, at 2000"
         assert (
             named(lines, "ceiling").state == WARNING
             and "softmap servo pull" in named(lines, "ceiling").do

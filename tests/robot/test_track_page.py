@@ -138,4 +138,4 @@ def test_the_commands_of_table_ii_are_commands():
     parser = argparse.ArgumentParser()
     track_arguments(parser)
     args = parser.parse_args(words[-1][2:])
-    assert args.table and args.bundle == words[2][-1] and args.rival == words[1][-1]
+    assert args.table and args.bundle == words[2][-1] and args.alternative == words[1][-1]

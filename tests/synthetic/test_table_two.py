@@ -135,7 +135,7 @@ def test_a_model_of_another_finger_is_refused(model):
     [
         (["S", "--table"], "without one"),
         (["--plan"], "name a figure"),
-        (["S", "--plan", "--rival", "b"], "--rival goes with --table"),
+        (["S", "--plan", "--rival", "b"], "--alternative goes with --table"),
         (["S", "--plan", "--reach", "1", "2", "3"], "--reach with --workspace"),
     ],
 )

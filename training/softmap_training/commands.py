@@ -5,7 +5,7 @@ from __future__ import annotations
 from softmap_edge.commands import Command
 
 
-def verbs() -> list[Command]:
+def training_commands() -> list[Command]:
     """Return the commands to add."""
     return [
         Command(

@@ -1,4 +1,4 @@
-"""`softmap servo home`: home proved with its user, or by options where there is none.
+"""`softmap servo home`: home confirmed by its user, or by options without one.
 
 Hooked into servo.py.
 """
@@ -38,7 +38,7 @@ def home_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def home(args: HomeOptions) -> int:
-    """Prove home after a power-up; 0 when it is proved."""
+    """Confirm home after a power-up; 0 when it is confirmed."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
     relax(rig)

@@ -6,7 +6,7 @@ They take place in the guard's commissioning state.
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it
-brakes when nobody holds, and torque goes off after the limit `hold`. What the bench allows
+brakes when no key is held, and torque goes off after the limit `hold`. What the bench allows
 (`[ceiling]` and each `[[servo]]`) binds a jog as it binds a drive, its ticks where it is homed.
 Pinned by tests/robot/test_move.py.
 """

@@ -27,7 +27,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.robot.commissioning.jog import EVERY, Deadman, Jog, most_travel
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
-from softmap_edge.robot.servo.home_mark import check_proved
+from softmap_edge.robot.servo.home_mark import check_confirmed
 from softmap_edge.robot.servo.limits import IDLE, EffectiveLimits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
@@ -152,7 +152,7 @@ def pull(
     for k in numbers:
         _check_reach(rig.servos[k], ends[k], allowed)
     with opened(rig.port, rig.baud) as bus:
-        check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
+        check_confirmed(bus, [(servo.id, servo.home) for servo in rig.servos])
     inside = tuple(
         replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends)
     )

@@ -70,10 +70,10 @@ class Controller(Supervisor):
     `calibration` maps commands to ticks.
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
-    effects of its model, delays aside, from what was really sent. Entering starts the loop, proves
-    that the servos are what the rig says and that home was proved since they got power
+    effects of its model, delays aside, from what was really sent. Entering starts the loop, checks
+    that the servos are what the rig says and that home was confirmed since they got power
     (`proof.py`), and goes to READY. With `commissioning` it goes to CONNECTED, home is not asked
-    for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and switches
+    for, and small slow moves are all that is allowed (`jog.py`). Leaving releases tension and switches
     torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to
     that file, which must not exist (`recording.py`). A full disk ends the recording and not the
     loop: `unrecorded` then holds the cause, and leaving raises `RecordingBroken`. `tell` is called

@@ -23,7 +23,7 @@ from softmap_edge.robot.control.session_mark import note_released
 from softmap_edge.robot.link.session import read_key
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.examined import members_of, started
-from softmap_edge.robot.servo.home_mark import check_proved, forget
+from softmap_edge.robot.servo.home_mark import check_confirmed, forget
 
 
 def main() -> int:
@@ -59,7 +59,7 @@ def _report(pipe: int, **entries: Any) -> None:
 
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
     with opened(port, baud) as bus:
-        check_proved(bus, [(id, home) for (id, _), home in zip(servos, homes)])
+        check_confirmed(bus, [(id, home) for (id, _), home in zip(servos, homes)])
 
 
 if __name__ == "__main__":

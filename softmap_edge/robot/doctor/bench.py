@@ -21,7 +21,7 @@ from softmap_edge.robot.link.session import read_key
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.emergency import Emergency
 from softmap_edge.robot.servo.examined import Member, examined, members, members_of
-from softmap_edge.robot.servo.home_mark import check_proved
+from softmap_edge.robot.servo.home_mark import check_confirmed
 from softmap_edge.robot.servo.known_state import differs, gains_of
 from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.models import servo_model
@@ -190,14 +190,14 @@ def _home(bench: Rig, servo: RigServo, position: int) -> Line:
     name = f"home of servo {servo.id}"
     try:
         with opened(bench.port, bench.baud) as bus:
-            check_proved(bus, [(servo.id, servo.home)])
+            check_confirmed(bus, [(servo.id, servo.home)])
     except ServoError as fault:
         return faulty(name, str(fault).removeprefix(f"servo {servo.id}: "), SCAN)
     from softmap_edge.robot.commissioning.home import NEAR
 
     away = position - (servo.home or 0)
     stands = f"; it stands {away:+d} ticks from there" if abs(away) > NEAR else ""
-    return Line(name, OK, f"proved since power-up, at {servo.home}{stands}")
+    return Line(name, OK, f"confirmed since power-up, at {servo.home}{stands}")
 
 
 def _listed(ids: list[int]) -> str:

@@ -109,13 +109,13 @@ def course(
         found = np.stack([np.interp(profile.at(t), along, column) for column in line.T], axis=1)
         return found[:, -3:], found[:, :-3] @ calibration.A.T, profile.quickest
 
-    def whole(fine: bool) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
+    def complete_path(fine: bool) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
         to, first, _ = waypoints(lead, LEAD, None, fine)
         figures, then, quickest = waypoints(way, duration, first[-1], fine)
         counts = np.arange(len(to) + len(figures)) >= len(to)
         return np.concatenate([to, figures]), np.concatenate([first, then]), counts, quickest
 
-    targets, _, counts, quickest = whole(fine=False)
+    targets, _, counts, quickest = complete_path(fine=False)
     plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
     # Where a tendon hangs slack a full mm of command may lie between two waypoints: no servo
     # follows that. Then the path is timed evenly in ticks, and what was timed is to act, although
@@ -124,7 +124,7 @@ def course(
         method == "exact"
         and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any()
     ):
-        targets, acting, counts, quickest = whole(fine=True)
+        targets, acting, counts, quickest = complete_path(fine=True)
         t = np.arange(len(targets)) / rate
         reached = kinematics.solve(targets).distance
         plan = replace(kinematics.plan(targets, t, acting=acting), unreachable=reached)

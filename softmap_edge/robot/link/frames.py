@@ -4,7 +4,7 @@
 
 A camera has a clock of its own: an offset from the first frame on, a rate once the frames span
 `LONG` s. What every frame takes (exposure, readout, the points found in it) no host can know:
-whoever measured it says so (`late`). Known limit: over frames that all wait in a queue they seem to
+the program that measured it states so (`late`). Known limit: over frames that all wait in a queue they seem to
 be taken late. Pinned by tests/robot/test_emulated_finger.py and tests/robot/test_camera_points.py.
 """
 

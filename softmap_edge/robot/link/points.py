@@ -92,7 +92,7 @@ class PointSender(Sender):
     def send(
         self, points: ArrayLike, stamp: float | None = None, visible: ArrayLike | None = None
     ) -> bool:
-        """Send a frame; False where it could not be sent just now (no network, or nobody listens).
+        """Send a frame; False where it could not be sent just now (no network, or no receiver).
 
         Args:
             points: (N, 3) mm, NaN where not seen. stamp: s by the camera's clock; this moment
@@ -186,7 +186,7 @@ class PointReceiver(Listener):
         """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
         return list(self._frames)
 
-    def said(self) -> str:
+    def summary(self) -> str:
         """Return what came, in a line."""
         lost = f", {self.lost} lost on the way" if self.lost else ""
         dropped = dropped_words(self.refused)

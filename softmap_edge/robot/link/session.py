@@ -6,7 +6,7 @@ HMAC-SHA256 under a shared key: without it a datagram can be read, but neither w
 
 A session is a random number of the listener's: it offers it, signed, to who signs rightly under
 another one, and sequence numbers must rise within it. So a recorded datagram counts nowhere again,
-also after either side was started anew, and no clocks need agree. While a sender is alive no other
+also after either side was restarted, and no clocks need agree. While a sender is alive no other
 takes its place. What does not count is counted by why, and nothing of it is answered. The first
 datagrams of a sender only ask for the session. Without a key (programs of one computer) all is the
 same, unsigned. `rust/control/heartbeat.rs` is another listener. Pinned by

@@ -72,7 +72,7 @@ def no_home(ids: Sequence[int]) -> str:
     return f"{which} no home; {AGAIN}"
 
 
-def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
+def check_confirmed(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
     """Reject servos (id, home) without a known home, or not homed since they got power.
 
     Raises:

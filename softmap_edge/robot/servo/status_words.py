@@ -45,7 +45,7 @@ CAUSES = {
 NAMES = {
     "off": "off",
     "connected": "connected",
-    "homed": "home proved",
+    "homed": "home confirmed",
     "ready": "ready",
     "engaged": "driving",
     "hold": "holding",

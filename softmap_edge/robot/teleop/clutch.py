@@ -31,7 +31,7 @@ class Clutch:
         """Return what follows at `now` s.
 
         Args:
-            who: whose key is held, empty where nobody's is. lacking: what driving lacks, empty
+            who: whose key is held, empty without one. lacking: what driving lacks, empty
                 where nothing does.
         """
         if not who:

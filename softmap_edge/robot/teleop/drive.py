@@ -3,7 +3,7 @@
 One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
 target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
 hand that goes, or a gesture, only ends it (`clutch`). Who holds nothing is released to the guard,
-which holds, then slackens (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
+which holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
 through the real loop on emulated servos.
 """
 
@@ -109,7 +109,7 @@ class Drive:
     Args:
         robot: as entered. kinematics: of the model that the robot's commands are meant for. aim:
             the plane. eyes: entered. inputs: whose keys count, the first that is held. reach: as
-            `HandMap`. flip: axes of the hand that change their sign. rule: the gesture beside the
+            `HandMap`. flip: axes of the hand that change their sign. rule: the gesture next to the
             key. stays: go on without the camera once it is gone, for the knob to drive. sent:
             called with the time of each picture that is driven from, and its command. show: called
             with each moment, and must not wait. say: called with each new line.

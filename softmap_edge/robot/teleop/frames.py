@@ -1,7 +1,7 @@
 """Pictures of a camera, newest first, or of a video file at its own rate (`[teleop]` extra).
 
 A camera is read by a thread of its own into one slot, since its driver keeps pictures in a queue:
-whoever asks gets the newest, never an old one. Times are those of the steady clock
+a reader gets the newest, never an old one. Times are those of the steady clock
 (`time.monotonic`). Pinned by tests/robot/test_frames.py.
 """
 
@@ -165,7 +165,7 @@ class CameraFrames:
     """The newest pictures of a camera, in a loop `for frame in …`; a context manager, to be closed.
 
     `index` is the N of /dev/videoN. `device` stands for what OpenCV would open (`read() -> (bool,
-    picture)`, `release()`). `.dropped` counts the pictures that nobody asked for in time.
+    picture)`, `release()`). `.dropped` counts the pictures that were not asked for in time.
 
     Raises:
         TeleopError: OpenCV is absent, there is no such camera, or it cannot be opened.

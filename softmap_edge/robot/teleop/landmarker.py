@@ -1,7 +1,7 @@
 """Landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, `fetch_model`).
 
 mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor
-that it was not compiled for it aborts the whole process. So the first task of a process is made in
+that it was not compiled for it aborts the process. So the first task of a process is made in
 a child, whose death is an error here; on ARM the processor is asked before that. Pinned by
 tests/robot/test_landmarker.py.
 """
@@ -73,7 +73,7 @@ class Landmarker:
     def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
         """Return the hands in a picture (H, W, 3) of blue, green, red at `t` s, if any.
 
-        Times tell how far a hand may have moved since the picture before. One that is not later
+        Times limit how far a hand may have moved since the picture before. One that is not later
         counts as 1 ms later.
 
         Raises:

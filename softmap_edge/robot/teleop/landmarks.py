@@ -2,8 +2,8 @@
 
 A datagram is DATAGRAM bytes, little-endian, of one layout: mark `SMH1`, flags (1: a hand, 2: a
 right hand, 4: the key is held), session (16 bytes), sequence number, the sender's clock (s), score,
-21 points (x, y) in px, and HMAC-SHA256 of all that under a shared key. Whoever has no key can
-neither write nor change one; they are not secret.
+21 points (x, y) in px, and HMAC-SHA256 of all that under a shared key. A sender without the key can
+neither write nor change one; they are not encrypted.
 
 It is sent and listened for in sessions (`signed_udp`). `age` of what is newest counts from its
 arrival, and adds by how much later it arrived than the quickest did: what stood in a queue is old.

@@ -1,6 +1,6 @@
 """The terminal's keys: hold Space or an arrow to drive, Esc releases tension, e stops, q ends.
 
-A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go
+A terminal reports no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go
 is noticed 0.2 s later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
 """
 
