@@ -344,6 +344,8 @@ def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
         return "file", f"the file states {stated}"
     flat = points.reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
+    if not len(flat):
+        return "mm", "no row has all coordinates of one place"
     span = float(np.ptp(flat, axis=0).max())
     if points.shape[1] == 1:
         span = max(span, float(np.abs(flat).max()))

@@ -364,3 +364,15 @@ def test_a_log_that_holds_no_motion_is_not_guessed_at(tmp_path, rows):
     lines = ["t,u1,u2,x,y,z", *["0.1,1,2,0,0,90"] * rows]
     with pytest.raises(RunError, match=r"log\.csv.* (no|1) row"):
         guess_mapping([written(tmp_path, "\n".join(lines) + "\n")])
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 3), (3, 3)])
+def test_places_that_were_never_seen_are_reported(tmp_path, shape):
+    """A file of arrays may hold markers that were never seen."""
+    t = np.arange(40) * 0.05
+    tip = np.full((40, *shape), np.nan)
+    np.savez(tmp_path / "log.npz", t=t, u=np.sin(np.stack([t, 2 * t], axis=1)), tip=tip)
+    found = guess_mapping([tmp_path / "log.npz"])
+    assert told(
+        [*found.assumed, *found.unknown], "no row has all coordinates of one place"
+    ) or told(found.unknown, "nothing is seen in this run")
