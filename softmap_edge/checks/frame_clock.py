@@ -7,7 +7,9 @@ linearly with time, so memory and drift of the robot do not count as delay. Bloc
 delay each, fitted together with W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ =
 −Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the blocks in the metric H, and the scatter of the
 blocks gives the uncertainty, so slow changes of the robot widen it. A change that play and lag
-explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes. b is the
+explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes. A rate must
+also show within halves of the run that have a delay each: memory of the robot that acts otherwise in
+another part of a protocol changes the delay between them. b is the
 rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The
 constant a is latency, or one shift of the clock, and is not reported (`clock_shift`). A log that
 stamps frames and commands in the same rows has one clock, and is not examined. Units: s, mm.
@@ -36,6 +38,7 @@ ROWS = 3_000_000  # numbers of commands with play and lag that are held; longer 
 COMPONENTS = 4  # of the motion of all points
 FOLLOWS = 0.5  # of the variance, that commands must explain
 SURE = 5.0  # standard errors of a rate
+WITHIN = 3.0  # of a rate within halves of the run
 STEP_SURE = 6.0  # of a step, whose place is searched for
 STEP_OVER_LINE = 20.0  # variances of a block by which a step must fit better than a line
 LEAST_CHANGE = 2e-3  # s over the run: smaller changes have no visible effect
@@ -154,7 +157,7 @@ def _found(run: Run) -> FrameClock | None:
         shape = _best(blocks)
         delay = shape.at(t)
     blocks.measure(memory, t, y, delay)
-    return _answer(_best(blocks), t, np.asarray(run.t_seen, float))
+    return _answer(_confirmed(_best(blocks), blocks), t, np.asarray(run.t_seen, float))
 
 
 def _motion(run: Run) -> tuple[Floats, Floats] | None:
@@ -264,6 +267,18 @@ def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
     return float(max(DELAYS, key=lambda late: memory.errors(t[some] - late, y[some]).follows))
 
 
+@dataclass(frozen=True)
+class _Numbers:
+    """Fitted numbers: `inverse` of the last one's information, its standard error, and the squares
+    that are left.
+    """
+
+    value: Floats
+    inverse: float
+    sigma: float
+    left: float
+
+
 class _Blocks:
     """Delays of blocks of time, with their information H."""
 
@@ -306,22 +321,38 @@ class _Blocks:
         """
         ones = np.ones((self.count, 1))
         columns = ones if kind == "constant" else np.column_stack([ones, part])
-        gram = columns.T @ self.weight @ columns
-        inverse = np.linalg.pinv(gram, hermitian=True)
+        found = self._fitted(columns)
+        known = np.linalg.pinv((columns * self.alone[:, None]).T @ columns, hermitian=True)[-1, -1]
+        separate = known > SEPARATE * found.inverse
+        first, last = float(found.value[0]), float(found.value[-1])
+        return _Line(
+            kind,
+            (first, last if kind != "constant" else 0.0),
+            found.sigma if separate else np.inf,
+            pivot,
+            found.left,
+        )
+
+    def _fitted(self, columns: Floats) -> _Numbers:
+        """Fit numbers of `columns` (B, n) to the delays."""
+        inverse = np.linalg.pinv(columns.T @ self.weight @ columns, hermitian=True)
         value = inverse @ (columns.T @ self.pull)
         left = self.pull - self.weight @ (columns @ value)
         squares = max(float(left @ self.inverse @ left), 0.0)
         spread = squares / max(self.count - columns.shape[1] - 1, 1)
-        known = np.linalg.pinv((columns * self.alone[:, None]).T @ columns, hermitian=True)[-1, -1]
-        separate = known > SEPARATE * inverse[-1, -1]
-        sigma = float(np.sqrt(max(spread * inverse[-1, -1], 0.0))) if separate else np.inf
-        return _Line(
-            kind,
-            (float(value[0]), float(value[-1]) if kind != "constant" else 0.0),
-            sigma,
-            pivot,
-            squares,
-        )
+        last = float(inverse[-1, -1])
+        return _Numbers(value, last, float(np.sqrt(max(spread * last, 0.0))), squares)
+
+    def within_halves(self) -> tuple[float, float]:
+        """Return the slope within halves of the run, each with a first value, and its error.
+
+        A robot whose memory acts otherwise in another part of a protocol changes the delay between
+        the halves, a clock with another rate within them.
+        """
+        later = np.arange(self.count) >= self.count // 2
+        part = self.t - np.where(later, self.t[later].mean(), self.t[~later].mean())
+        found = self._fitted(np.column_stack([np.ones(self.count), later, part]))
+        return float(found.value[-1]), found.sigma
 
 
 @dataclass(frozen=True)
@@ -368,6 +399,14 @@ def _best(blocks: _Blocks) -> _Line:
     else:
         found = line if abs(line.value[1]) > SURE * line.sigma else flat
     return replace(found, slope=line.value[1], slope_sigma=line.sigma)
+
+
+def _confirmed(line: _Line, blocks: _Blocks) -> _Line:
+    """Return a line with the slope within halves, where that does not show the same rate."""
+    slope, sigma = blocks.within_halves()
+    if line.kind != "line" or np.sign(line.slope) * slope >= WITHIN * sigma:
+        return line
+    return replace(line, slope=slope, slope_sigma=sigma)
 
 
 def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:

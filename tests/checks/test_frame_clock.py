@@ -12,6 +12,7 @@ import pytest
 from softmap_edge import Run, _core
 from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.cli import main
+from softmap_edge.run.protocol import standard_protocol
 
 SECONDS = 160.0
 
@@ -216,3 +217,32 @@ def test_rows_with_one_stamp_for_commands_and_frames_have_one_clock():
     assert frame_clock(two).runs_fast
     command = np.stack([np.interp(two.t_seen, two.t, u) for u in two.command.T], axis=1)
     assert frame_clock(replace(two, t=two.t_seen, command=command)) is None
+
+
+@pytest.mark.parametrize(("law", "size"), [("backlash", [1.2, 1.0]), ("lag", [0.3]), (None, [])])
+@pytest.mark.parametrize("seed", range(2))
+def test_memory_that_acts_otherwise_in_parts_of_a_protocol_is_no_clock(law, size, seed):
+    """Slow, stepped and fast parts in a row: play and lag delay each of them otherwise."""
+    protocol = standard_protocol(seed=seed)
+    t, u = np.asarray(protocol.t), np.asarray(protocol.command)
+    t, u = t[t < 119], u[t < 119]
+    acted = u if law is None else _core.Chain([law], 2).rollout(np.array([size]), u.copy(), t)[0]
+    rng = np.random.default_rng(seed)
+
+    def seen_by(ppm):
+        true = np.arange(0.5, t[-1] - 1, 0.2) + rng.uniform(-0.003, 0.003, 588)
+        a = np.stack([np.interp(true, t, one) for one in acted.T], axis=1)
+        bent = [
+            np.column_stack(
+                [
+                    3 * k**2 * a + 0.02 * k * a * a[:, :1],
+                    120 * k - 0.05 * k * (a**2).sum(axis=1),
+                ]
+            )
+            for k in (1 / 3, 2 / 3, 1.0)
+        ]
+        places = np.stack(bent, axis=1) + rng.normal(0, 0.1, (len(true), 3, 3))
+        return Run(t=t, t_seen=true * (1 + 1e-6 * ppm), command=u, markers=places)
+
+    assert not frame_clock(seen_by(0.0)).differs
+    assert frame_clock(seen_by(800.0)).runs_fast
