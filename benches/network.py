@@ -24,6 +24,7 @@ from benches.row import ratio, side_by_side
 from softmap_edge import _core
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.model.model import Model
+from softmap_edge.model.shapes import NetworkArrays, PriorArrays
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +92,8 @@ def paper_sized() -> PaperSized:
         network[-2].weight.copy_(torch.as_tensor(found[:-1].T))
         network[-2].bias.copy_(torch.as_tensor(found[-1]))
     content = to_onnx(network, base.channels)
-    arrays = dict(base.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}}
+    assert base.arrays is not None
+    arrays = replace(base.arrays, prior=PriorArrays(NetworkArrays(content)))
     model = replace(
         base.with_structure(prior=_core.Network(content)), kind="network", arrays=arrays
     )

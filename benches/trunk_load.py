@@ -19,7 +19,7 @@ from benches.data import ROOT
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
 from softmap_edge.model.basis import Basis
 from softmap_edge.model.chain_labels import grouped
-from softmap_edge.model.polynomial_rod import RodParameters
+from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.learn import learn
 from softmap_edge.rod.regression import Drive, Record, Regression, rms
 from softmap_edge.run.folds import folds
@@ -58,7 +58,8 @@ def reference(free: Run) -> tuple[Model, Model]:
     with free tendons.
     """
     model = learn_model(free, hold_out=[HOLD_OUT])
-    slack = replace(RodParameters.from_arrays(model.arrays["prior"]), lock=0.0)
+    assert model.arrays is not None and isinstance(model.arrays.prior.shape, PolynomialRodArrays)
+    slack = replace(model.arrays.prior.shape, lock=0.0)
     return model, model.with_structure(fields=slack.fields())
 
 

@@ -58,7 +58,8 @@ Change = Callable[[Design, Loads, float], tuple[Design, Loads]]
 @lru_cache(maxsize=1)
 def model() -> Model:
     """Return the model of the clean rod. Grams are allowed: a known weight was hung on."""
-    from softmap_edge.model.shapes import family_from, fields_from
+    from softmap_edge.files.npz import Stored
+    from softmap_edge.model.shapes import FieldArrays, Grid
     from softmap_edge.sweep.build import model_from_file
 
     made = model_from_file(stored("rod-sweep", (sources(), SWEEP, KNOWN), _sweep))
@@ -71,19 +72,20 @@ def model() -> Model:
         (values / size).reshape(-1, values.shape[2]), full_matrices=False
     )
     modes = np.ascontiguousarray(modes[: int(np.sum(weight > 1e-3 * weight[0]))])
-    shared: dict[str, Any] = {"axis0": axis, "axis1": axis, "modes": modes}
-    rows = values @ modes.T
-    arrays = shared | {f"coefficients_{name}": rows[i] for i, name in enumerate(names)}
-    still = {"mean": np.zeros(modes.shape[1])}
+    grid, rows = Grid((axis, axis)), values @ modes.T
+    coefficients = {name: Stored(rows[i]) for i, name in enumerate(names)}
+    arrays = FieldArrays(grid, Stored(modes), coefficients)
+    still = np.zeros(modes.shape[1])
     cables = _core.Cables(
         finger(1).cable,
         _numbers([np.linspace(-REACH, REACH, SWEEP)] * 2, found["pull"]),
         _numbers([axis] * 2, _whole(found["stretch"], names)),
-        [family_from(shared | still | {"coefficients": rows[len(names) + c]}) for c in range(4)],
+        [grid.compiled(rows[len(names) + c], still, modes) for c in range(4)],
     )
     bent = kept("rod-second", (sources(), NODES, CAUSES), _bends)
-    made = made.with_structure(fields=fields_from(arrays), cables=cables, second=second_of(bent))
-    made = replace(made, arrays={**made.arrays, "fields": arrays})
+    made = made.with_structure(fields=arrays.compiled(), cables=cables, second=second_of(bent))
+    assert made.arrays is not None
+    made = replace(made, arrays=replace(made.arrays, fields=arrays))
     return replace(made, error_per_g_mm=_leaning_error(made))
 
 

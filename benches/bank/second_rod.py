@@ -109,6 +109,6 @@ def second_of(found: dict[str, Floats]) -> _core.Second:
             ],
             axis=1,
         )
-        for pairs, own in pairs_of(len(_core.LOADS), len(_core.MODULI), 4).values()
+        for pairs, own in pairs_of(len(_core.LOADS), len(_core.MODULI), 4)
     )
     return _core.Second(axes, plain, 4, np.ascontiguousarray(modes), moduli)

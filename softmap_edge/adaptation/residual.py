@@ -27,15 +27,15 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import Document
-from softmap_edge.model.shapes import family_from
 from softmap_edge.model.training_range import span
 from softmap_edge.model.views import laid
 from softmap_edge.run.folds import Folds, run_folds
 from softmap_edge.run.run import known
-from softmap_edge.sweep.scattered import fit_scattered, half_range
+from softmap_edge.sweep.scattered import ScatteredFit, fit_scattered, half_range
 
 if TYPE_CHECKING:
-    from softmap_edge.model.model import Arrays, Model
+    from softmap_edge.model.model import Model
+    from softmap_edge.model.shapes import ModeArrays
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
@@ -84,9 +84,8 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
     count = _predicted(commands, taught, parts)
     left, gains = missed.copy(), []
     for train, test in parts:
-        left[test] -= family_from(_fitted(commands[train], taught[train], count)).evaluate(
-            commands[test]
-        )
+        fitted = _fitted(commands[train], taught[train], count).compiled()
+        left[test] -= fitted.evaluate(commands[test])
         gains.append(_rms(missed[test], seen[test]) ** 2 - _rms(left[test], seen[test]) ** 2)
     arrays = _fitted(commands, taught, count)
     found = base.with_residual(arrays)
@@ -94,7 +93,7 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
         "frames": len(missed),
         "of_frames": sum(one.frames for one in runs),
         "modes": count,
-        "size_mm": _rms(family_from(arrays).evaluate(commands)),
+        "size_mm": _rms(arrays.compiled().evaluate(commands)),
         "before_rms_mm": _rms(missed, seen),
         "after_held_out_rms_mm": _rms(left, seen),
         "gain_in_se": float(
@@ -122,9 +121,8 @@ def strangers(runs: Sequence[Missed]) -> list[str]:
         if len(within) < LEAST_ALIKE or not seen[within].any():
             continue
         try:
-            rest = family_from(_fitted(u[some], theirs[some], MODES)).evaluate(
-                np.ascontiguousarray(commands[within])
-            )
+            fitted = _fitted(u[some], theirs[some], MODES).compiled()
+            rest = fitted.evaluate(np.ascontiguousarray(commands[within]))
         except SoftmapError:  # too few different commands to say
             continue
         before, after = (
@@ -203,27 +201,25 @@ def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
     predicted = np.zeros_like(weights)
     for train, test in parts:
         alone = _fitted_weights(commands[train], weights[train])
-        alone |= {"mean": np.zeros(len(modes)), "modes": np.eye(len(modes))}
-        predicted[test] = family_from(alone).evaluate(commands[test])
+        each = alone.of_modes(np.zeros(len(modes)), np.eye(len(modes)))
+        predicted[test] = each.compiled().evaluate(commands[test])
     kept = np.sum((weights - predicted) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(
         weights**2, axis=0
     )
     return 1 + int(np.flatnonzero(kept).max(initial=0))
 
 
-def _fitted(commands: Floats, taught: Floats, count: int) -> Arrays:
+def _fitted(commands: Floats, taught: Floats, count: int) -> ModeArrays:
     """Return the arrays of a scattered family of `count` modes for values (S, 3N) at commands (S,
     C).
     """
     mean, modes = _reduced(taught, count)
-    arrays = _fitted_weights(commands, (taught - mean) @ modes.T)
-    return arrays | {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
+    fitted = _fitted_weights(commands, (taught - mean) @ modes.T)
+    return fitted.of_modes(mean.astype(np.float32), modes.astype(np.float32))
 
 
-def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
-    """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S,
-    C).
-    """
+def _fitted_weights(commands: Floats, weights: Floats) -> ScatteredFit:
+    """Return the fit of weights (S, m) at commands (S, C)."""
     scale = half_range(commands)
     _, first, place = np.unique(
         np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True
@@ -240,7 +236,7 @@ def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
     middle = np.zeros((len(first), commands.shape[1]))
     np.add.at(middle, place, commands)
     order = np.argsort(first)  # as they were recorded: neighbours in time vouch for one another
-    return fit_scattered((middle / count)[order], (sums / count)[order], NODES).arrays
+    return fit_scattered((middle / count)[order], (sums / count)[order], NODES)
 
 
 def _rms(numbers: Floats, seen: NDArray[np.bool_] | None = None) -> float:

@@ -328,10 +328,14 @@ def _model_digest(model: Model) -> str:
     The arrays of prior and fields, template, chain, parameters and calibration.
     """
     sha = hashlib.sha256()
-    for room, arrays in sorted(model.arrays.items()):
-        for name in sorted(arrays):
-            sha.update(f"{room}/{name}".encode())
-            sha.update(np.ascontiguousarray(arrays[name]).tobytes())
+    kept: dict[str, bytes] = {}
+    if model.arrays is not None:
+        kept = {f"{name}/onnx": file for name, file in model.arrays.networks().items()}
+        for group, arrays in model.arrays.contents().items():
+            kept |= {f"{group}/{name}": array.tobytes() for name, array in arrays.items()}
+    for name, content in sorted(kept.items()):
+        sha.update(name.encode())
+        sha.update(content)
     sha.update(np.ascontiguousarray(model.rest, dtype=float).tobytes())
     sha.update(repr(sorted(model.params.items())).encode())
     sha.update(b"" if model.calibration is None else repr(model.calibration.to_dict()).encode())

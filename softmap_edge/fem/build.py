@@ -8,7 +8,7 @@ from the equilibria of the first, and its difference is added to that of the mod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,17 +20,19 @@ from softmap_edge.fem.bodies import Meshed
 from softmap_edge.fem.doubts import doubts, lost_in_tendons
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid
-from softmap_edge.files.npz import packed, unpacked
+from softmap_edge.files.npz import Stored
 from softmap_edge.geometry.sections import SECTIONS, sections_of, tip_of
-from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.model import Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.shapes import (
-    cables_from,
-    fields_from,
+    BundleArrays,
+    FieldArrays,
+    Grid,
+    ModeArrays,
+    PairArrays,
+    PriorArrays,
+    SecondArrays,
     pairs_of,
-    plain_table,
-    second_from,
-    table_from,
 )
 from softmap_edge.model.structure import Structure
 from softmap_edge.run.run import Run
@@ -131,9 +133,10 @@ def from_sweep(
     """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, sweep.command, sweep.pull)])]
-    prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
-    prior |= {f"axis{c}": np.asarray(axis) for c, axis in enumerate(sweep.axes)}
-    prior |= packed("pull", sweep.pull, PULL_STEP, np.int16)
+    table = compressed(sweep.axes, sweep.vertices.reshape(len(sweep.command), -1), modes)
+    prior = PriorArrays(table, pull=Stored.in_steps(sweep.pull, PULL_STEP, np.int16))
+    tensions = prior.tensions()
+    assert tensions is not None  # the prior is a table with pull
     many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
     steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
     field_axes = [_axis(axis[0], axis[-1], steps, len(axis) < EVEN_STEPS) for axis in sweep.axes]
@@ -141,24 +144,25 @@ def from_sweep(
     grid = tensor_grid(field_axes)
     # A tension given in N stays what it is under a load.
     stiffness = finger.cable_stiffness_n_mm if finger.command_unit == "mm" else 0.0
-    pull = plain_table(prior, "pull").evaluate(grid) if finger.tendons else np.zeros((len(grid), 0))
+    pull = tensions.evaluate(grid) if finger.tendons else np.zeros((len(grid), 0))
     fields = field_arrays(simulator.fields(grid, design=True), field_axes, pull, stiffness)
     if finger.tendons and stiffness:
-        fields["stiffness"] = np.full(len(finger.tendons), stiffness)
+        fields = replace(fields, stiffness=np.full(len(finger.tendons), stiffness))
     seconds = COARSE_SECOND_STEPS if many else SECOND_STEPS
     second_axes = [_axis(axis[0], axis[-1], seconds, len(axis) < EVEN_STEPS) for axis in sweep.axes]
     report("fields", 0.6)
-    basis = np.asarray(unpacked(fields)["modes"], float)
-    fields |= second_arrays(
-        simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), basis
+    assert fields.modes is not None
+    second = second_arrays(
+        simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), fields.modes.values
     )
+    fields = replace(fields, second=second)
     report("fields", 1.0)
     model = Model(
         structure=Structure(
-            prior=table_from(prior),
-            fields=fields_from(fields),
-            cables=cables_from(prior, fields),
-            second=second_from(fields),
+            prior=table.compiled(),
+            fields=fields.compiled(),
+            cables=fields.cables(tensions),
+            second=fields.second_order(),
             rest=np.asarray(np.float32(rest), float),
             triangles=np.asarray(triangles, np.int32),
             tip_indices=tip_of(sweep.vertices),
@@ -180,7 +184,7 @@ def from_sweep(
             "modes": modes,
             **({"notes": notes} if notes else {}),
         },
-        arrays={"prior": prior, "fields": fields},
+        arrays=BundleArrays(prior, fields),
     )
     report("form error", 0.0)
     error, vertex_error, grown = form_error(model, finger, simulator)
@@ -215,18 +219,16 @@ def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
     return np.sort(np.array(chosen, np.int64))
 
 
-def compress(values: Floats, modes: int) -> Arrays:
-    """Return `mean` (M,), `modes` (m, M) and `coefficients` (S, m) of values (S, M).
+def compressed(axes: Sequence[Floats], values: Floats, modes: int) -> ModeArrays:
+    """Return the table of values (S, M) over the grid of `axes`, in as many modes.
 
     In steps of 1/32767 of the largest: 0.001 mm RMS of a finger's sweep.
     """
     mean = values.mean(axis=0)
     centred = values - mean
-    arrays = {"mean": mean.astype(np.float32)} | packed(
-        "modes", leading(centred, modes), np.zeros((1, 1)), np.int16
-    )
-    basis = np.asarray(unpacked(arrays)["modes"], float)
-    return arrays | packed("coefficients", centred @ np.linalg.pinv(basis), 0.0, np.int16)
+    basis = Stored.in_steps(leading(centred, modes), np.zeros((1, 1)), np.int16)
+    weights = Stored.in_steps(centred @ np.linalg.pinv(basis.values), 0.0, np.int16)
+    return ModeArrays(Grid(tuple(axes)), mean.astype(np.float32), basis, weights)
 
 
 def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
@@ -293,11 +295,8 @@ def _leaning(gravity: Floats) -> Floats:
 
 def field_arrays(
     compliance: Compliance, axes: list[Floats], pull: Floats, stiffness: float
-) -> Arrays:
-    """Compress all fields to modes that they share.
-
-    `coefficients_NAME` on the grid of `axes`, `stretch` under loads and tensions, `stretch_NAME`
-    under all else.
+) -> FieldArrays:
+    """Compress all fields to modes that they share, on the grid of `axes`.
 
     At constant tension a change of design moves the body several times as far as it does once the
     tendons have answered, so modes and steps are chosen by what is then left. `pull` (S, T) N at
@@ -307,30 +306,32 @@ def field_arrays(
     flat = {name: compliance.fields[name].reshape(len(compliance.stretch), -1) for name in names}
     size = _sizes(compliance, flat, pull, stiffness)
     basis = leading(np.concatenate([flat[name] / size[name] for name in names]), FIELD_MODES)
-    arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
-    arrays |= packed("modes", basis, np.zeros((len(basis), 1)), np.int8)
-    back = np.linalg.pinv(np.asarray(unpacked(arrays)["modes"], float))
+    modes = Stored.in_steps(basis, np.zeros((len(basis), 1)), np.int8)
+    back = np.linalg.pinv(modes.values)
+    coefficients = {}
     for name in names:
         step = FIELD_PART * size[name] * float(np.sqrt(basis.shape[1]))
-        arrays |= packed(f"coefficients_{name}", flat[name] @ back, step, np.int16)
+        coefficients[name] = Stored.in_steps(flat[name] @ back, step, np.int16)
     stretch, loads, count = compliance.stretch, len(_core.LOADS), len(_core.FIELDS)
     both = np.concatenate([stretch[..., :loads], stretch[..., count:]], axis=2).reshape(
         len(stretch), -1
     )
-    arrays |= packed("stretch", both, np.zeros((1, both.shape[1])), np.int16)
-    for f, name in enumerate(_core.FIELDS):
-        if f >= loads and name in flat and stretch.shape[1]:
-            arrays |= packed(f"stretch_{name}", stretch[..., f], 0.0, np.int16)
-    return arrays
+    return FieldArrays(
+        Grid(tuple(axes)),
+        modes,
+        coefficients,
+        stretch=Stored.in_steps(both, np.zeros((1, both.shape[1])), np.int16),
+        stretch_of={
+            name: Stored.in_steps(stretch[..., f], 0.0, np.int16)
+            for f, name in enumerate(_core.FIELDS)
+            if f >= loads and name in flat and stretch.shape[1]
+        },
+    )
 
 
-def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> Arrays:
-    """Compress what loads and moduli do beyond their fields: `second_weights` (S, P, m) of the few
-    `second_modes` (m, M), made of the `modes` (M, 3N) of the fields, then `second_stretch` and
-    `second_growth`, on the grid of `axes`; those of pairs with a modulus as
-    `second_moduli_weights`, `…_stretch` and `…_growth`.
-
-    Those of tensions only if they `answers`.
+def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> SecondArrays:
+    """Compress what loads and moduli do beyond their fields, on the grid of `axes`: to a few modes,
+    made of the `modes` (m, 3N) of the fields. Those of tensions only if they `answers`.
     """
     loads, moduli, causes = len(_core.LOADS), len(_core.MODULI), bend.growth.shape[1]
     first, other = np.triu_indices(causes)
@@ -346,28 +347,24 @@ def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) 
     amount = usual[kind[first]] * usual[kind[other]]
     parts = pairs_of(loads, moduli, causes - loads - moduli if answers else 0)
     row = {pair: p for p, pair in enumerate(zip(first.tolist(), other.tolist()))}
-    kept = [np.array([row[min(pair), max(pair)] for pair in pairs]) for pairs, _ in parts.values()]
+    kept = [np.array([row[min(pair), max(pair)] for pair in pairs]) for pairs, _ in parts]
     fields = bend.fields.reshape(len(bend.fields), len(first), -1) @ np.linalg.pinv(modes)
     every = np.concatenate(kept)
     basis = leading(
         (fields * amount[:, None])[:, every].reshape(-1, fields.shape[2]), SECOND_MODES
     ).astype(np.float32)
-    arrays: Arrays = {f"second_axis{c}": axis for c, axis in enumerate(axes)} | {
-        "second_modes": basis
-    }
-    for (name, (_, own)), pairs in zip(parts.items(), kept):
+    found = []
+    for (_, own), pairs in zip(parts, kept):
         amounts = amount[pairs, None]
         weights = fields[:, pairs] @ basis.T.astype(np.float64)
         stretch = bend.stretch[:, pairs] if answers else np.zeros((len(fields), len(pairs), 0))
-        for what, values in (("weights", weights), ("stretch", stretch)):
-            arrays |= packed(
-                f"{name}_{what}",
-                values,
-                SECOND_PART * _rms(values * amounts) / amounts[None],
-                np.int16,
-            )
-        arrays |= packed(f"{name}_growth", bend.growth[:, own], 1e-3, np.int16)
-    return arrays
+        bent, longer = (
+            Stored.in_steps(values, SECOND_PART * _rms(values * amounts) / amounts[None], np.int16)
+            for values in (weights, stretch)
+        )
+        growth = Stored.in_steps(bend.growth[:, own], 1e-3, np.int16)
+        found.append(PairArrays(bent, longer, growth))
+    return SecondArrays(Grid(tuple(axes)), basis, *found)
 
 
 def _rms(values: Floats) -> float:

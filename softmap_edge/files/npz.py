@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.files.atomic import replacement_of
 
+Arrays = dict[str, NDArray[np.generic]]  # the content of an archive, by name
+Floats = NDArray[np.float64]
+
 MAX_BYTES = 4 << 30
 MOST_ARRAYS = 1000
 OBJECTS = "it holds Python objects, which are never read"
@@ -22,14 +25,14 @@ _MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; that of 10
 _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
 # of what stands before that record in an archive of more than 4 GiB
 _ZIP64, _ZIP64_BYTES = b"PK\6\7", 20
-_STEP = "_step"
+STEP = "_step"  # what ends the name of the steps of an array
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """Write `arrays` to `path`, replacing it only when complete; equal content gives equal bytes.
 
-    Tables of whole numbers go column after column: what `packed` made is smooth down a column and a
+    Tables of whole numbers go column after column: numbers of steps are smooth down a column and a
     fifth smaller so.
     """
     with (
@@ -167,43 +170,72 @@ def array_header(stream: IO[bytes]) -> ArrayHeader:
     return ArrayHeader(shape, fortran, dtype)
 
 
-def packed(
-    name: str, values: NDArray[np.float64], step: NDArray[np.float64] | float, kind: type
-) -> dict[str, NDArray[np.generic]]:
-    """Return `values` as whole numbers of steps under `name`, and the steps under `name_step`.
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """Numbers as an archive keeps them: as they are, or as whole numbers of steps.
 
-    `step` is one number or broadcasts to the values; it is widened where values would not fit into
-    `kind` (np.int8 or np.int16). Half a step is lost at most.
+    `array` is what stands under a name, `step` (broadcasts to it) what stands under `name_step`.
     """
-    step = np.asarray(step, np.float64)
-    alike = (
-        tuple(axis for axis, length in enumerate(step.shape) if length == 1) if step.ndim else None
-    )
-    largest = np.max(np.abs(values), axis=alike, keepdims=step.ndim > 0, initial=0.0)
-    # Up by more than what float32 may round it down.
-    exact = np.maximum(
-        np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)), np.float32(1e-30)
-    )
-    return {
-        name: np.round(values / exact.astype(np.float64)).astype(kind),
-        f"{name}{_STEP}": np.asarray(exact),
-    }
+
+    array: NDArray[np.generic]
+    step: NDArray[np.generic] | None = None
+
+    @classmethod
+    def in_steps(cls, values: Floats, step: Floats | float, kind: type) -> Stored:
+        """Return `values` as whole numbers of steps; half a step is lost at most.
+
+        `step` is one number or broadcasts to the values; it is widened where values would not fit
+        into `kind` (np.int8 or np.int16).
+        """
+        step = np.asarray(step, np.float64)
+        alike = (
+            tuple(axis for axis, length in enumerate(step.shape) if length == 1)
+            if step.ndim
+            else None
+        )
+        largest = np.max(np.abs(values), axis=alike, keepdims=step.ndim > 0, initial=0.0)
+        # Up by more than what float32 may round it down.
+        exact = np.maximum(
+            np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)),
+            np.float32(1e-30),
+        )
+        return cls(np.round(values / exact.astype(np.float64)).astype(kind), np.asarray(exact))
+
+    @classmethod
+    def from_npz(cls, arrays: Mapping[str, NDArray[np.generic]], name: str) -> Stored:
+        """Read the numbers called `name`.
+
+        Raises:
+            SoftmapError: they are missing, or their steps do not fit.
+        """
+        array, step = array_of(arrays, name), arrays.get(f"{name}{STEP}")
+        if step is not None and not _broadcasts(step.shape, array.shape):
+            raise SoftmapError(f"steps {step.shape} of '{name}' {array.shape}")
+        return cls(array, step)
+
+    def to_npz(self, name: str) -> Arrays:
+        """Return the arrays of the numbers called `name`."""
+        return {name: self.array} | ({} if self.step is None else {f"{name}{STEP}": self.step})
+
+    @property
+    def values(self) -> Floats:
+        """The numbers themselves."""
+        values = np.asarray(self.array, np.float64)
+        return values if self.step is None else values * np.asarray(self.step, np.float64)
 
 
-def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
-    """Return `arrays` with the inverse of `packed`.
+def _broadcasts(shape: tuple[int, ...], to: tuple[int, ...]) -> bool:
+    try:
+        return np.broadcast_shapes(shape, to) == to
+    except ValueError:
+        return False
 
-    ValueError where steps do not fit their array.
-    """
-    steps = {f"{name}{_STEP}" for name in arrays}
-    plain = {name: array for name, array in arrays.items() if name not in steps}
-    for name, array in plain.items():
-        if f"{name}{_STEP}" in arrays:
-            step = np.asarray(arrays[f"{name}{_STEP}"], np.float64)
-            if np.broadcast_shapes(step.shape, array.shape) != array.shape:
-                raise ValueError(f"steps {step.shape} of '{name}' {array.shape}")
-            plain[name] = np.asarray(array, np.float64) * step
-    return plain
+
+def array_of(arrays: Mapping[str, NDArray[np.generic]], name: str) -> NDArray[np.generic]:
+    """Return the array of that name; raise SoftmapError if there is none."""
+    if name not in arrays:
+        raise SoftmapError(f"array '{name}' is missing")
+    return arrays[name]
 
 
 def _read_array(

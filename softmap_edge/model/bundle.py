@@ -43,14 +43,14 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.files.atomic import MOST_TEXT, Document
-from softmap_edge.files.npz import read_npz, write_npz
+from softmap_edge.files.npz import Arrays, read_npz, write_npz
 from softmap_edge.model.manifest import (
     LARGEST,
     MAX_EFFECT_BYTES,
@@ -60,12 +60,20 @@ from softmap_edge.model.manifest import (
     load_manifest,
     read_json,
 )
-from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.model import Model
 from softmap_edge.model.safety import Safety, derived, read_safety
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.model.shapes import cables_from, family_from, fields_from, second_from
+from softmap_edge.model.shapes import (
+    BundleArrays,
+    FieldArrays,
+    Grid,
+    ModeArrays,
+    NetworkArrays,
+    NumbersBefore,
+    PriorArrays,
+)
 from softmap_edge.model.structure import Structure
-from softmap_edge.model.template import template_arrays, template_from
+from softmap_edge.model.template import Template
 from softmap_edge.run.output import Output
 
 if TYPE_CHECKING:
@@ -95,7 +103,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     with further files.
     """
     folder = Path(path).resolve()
-    if not model.arrays:
+    if model.arrays is None:
         raise BundleError(
             "this model has no arrays to write; build it, learn it, or load it from a bundle"
         )
@@ -103,18 +111,15 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     partial.chmod(0o777 & ~_umask())
-    kept = [name for name in ("prior", "fields", "residual") if name in model.arrays]
     files = list(_FILES)
-    for name in kept:
-        arrays = dict(model.arrays[name])
-        network = arrays.pop("onnx", None)
-        if network is not None:
-            files.append(f"{name}.onnx")
-            (partial / files[-1]).write_bytes(network.tobytes())
+    for name, network in model.arrays.networks().items():
+        files.append(f"{name}.onnx")
+        (partial / files[-1]).write_bytes(network)
+    for name, arrays in model.arrays.contents().items():
         if arrays or f"{name}.npz" in _FILES:
             files += [] if f"{name}.npz" in _FILES else [f"{name}.npz"]
             write_npz(partial / f"{name}.npz", arrays)
-    write_npz(partial / "template.npz", template_arrays(model))
+    write_npz(partial / "template.npz", Template.of(model).to_npz())
     if model.calibration is not None:
         files.append("calibration.json")
         (partial / files[-1]).write_text(json.dumps(model.calibration.to_dict(), indent=1) + "\n")
@@ -190,7 +195,8 @@ def _schema(model: Model, files: list[str], own: bool) -> int:
     if "residual.npz" in files:
         return 4
     designed = model.kind != "rod" and bool(set(model.fields) - set(_core.LOADS))
-    if own or designed or any(key.endswith("_step") for key in model.arrays["prior"]):
+    in_steps = model.arrays is not None and model.arrays.prior.in_steps
+    if own or designed or in_steps:
         return 3
     return 2 if model.kind == "scattered" or model.structure.body is not None else 1
 
@@ -309,74 +315,80 @@ def _named(manifest: Document) -> list[str]:
     return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
-def _arrays(folder: Path, manifest: Document, trusted: Trust) -> tuple[dict[str, Arrays], Document]:
-    """Read the archives of a bundle, and the provenance of graphs that became tables.
+def _read_archive(folder: Path, file: str) -> Arrays:
+    """Read an archive of a bundle.
 
     Only finite numbers of a plausible size, which also keeps overflow out later.
     """
-    learned = _named(manifest)
-    foreign: Document = {}
-    files = [
-        "prior.npz",
-        "fields.npz",
-        "template.npz",
-        *(name for name in learned if name.endswith(".npz")),
-    ]
-    arrays = {
-        file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES)
-        for file in files
-    }
-    for name, group in arrays.items():
-        for key, array in group.items():
-            if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
-                raise BundleError(
-                    f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again"
-                )
-            low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
-            if max(high, -low) > LARGEST or (key == "form_error_mm" and low < 0):
-                raise BundleError(
-                    f"{folder.name}: {name}.npz: '{key}' holds {low:.4g} to {high:.4g}, allowed is "
-                    f"{'0 to ' if key == 'form_error_mm' else '±'}{LARGEST:g}; build it again"
-                )
-            if key in ("triangles", "tip", "handles") and array.dtype.kind not in "iu":
-                raise BundleError(
-                    f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole "
-                    "numbers"
-                )
+    arrays = read_npz(folder / file, BundleError, _MAX_BYTES)
+    for key, array in arrays.items():
+        if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
+            raise BundleError(
+                f"{folder.name}: {file}: '{key}' is not all finite numbers; build it again"
+            )
+        low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
+        if max(high, -low) > LARGEST or (key == "form_error_mm" and low < 0):
+            raise BundleError(
+                f"{folder.name}: {file}: '{key}' holds {low:.4g} to {high:.4g}, allowed is "
+                f"{'0 to ' if key == 'form_error_mm' else '±'}{LARGEST:g}; build it again"
+            )
+        if key in ("triangles", "tip", "handles") and array.dtype.kind not in "iu":
+            raise BundleError(
+                f"{folder.name}: {file}: '{key}' holds {array.dtype}, expected whole numbers"
+            )
+    return arrays
+
+
+def _bundle_arrays(
+    folder: Path, manifest: Document, trusted: Trust
+) -> tuple[BundleArrays, Document]:
+    """Read what a structure is compiled from, and the provenance of graphs that became tables."""
+    named, foreign = _named(manifest), Document()
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
-    for file in (name for name in learned if name.endswith(".onnx")):
-        group = arrays.setdefault(file.removesuffix(".onnx"), {})
+
+    def shape(name: str, arrays: Arrays) -> ModeArrays | NetworkArrays:
+        if f"{name}.onnx" not in named:
+            return ModeArrays.from_npz(arrays)
         from softmap_edge.model.onnx import read_network
 
-        found, description = read_network(folder / file, between, group, trusted)
-        group |= found
+        grid = Grid.from_npz(arrays)
+        found, description = read_network(folder / f"{name}.onnx", between, grid, trusted)
         if description is not None:
-            foreign[file.removesuffix(".onnx")] = description
-    return arrays, foreign
+            foreign[name] = description
+        return found
+
+    stored = {
+        file.removesuffix(".npz"): _read_archive(folder, file)
+        for file in ("prior.npz", "fields.npz", *named)
+        if file.endswith(".npz")
+    }
+    if (manifest["kind"] == "network") != ("prior.onnx" in named):
+        raise BundleError(
+            f"{folder.name}: a prior.onnx goes with the kind network, not with {manifest['kind']}"
+        )
+    if manifest["kind"] == "rod":
+        prior = _learned_prior(stored["prior"], manifest["channels"])
+    else:
+        prior = PriorArrays.from_npz(shape("prior", stored["prior"]), stored["prior"])
+    fields, residual = FieldArrays.from_npz(stored["fields"]), None
+    if "residual.npz" in named or "residual.onnx" in named:
+        residual = shape("residual", stored.get("residual", {}))
+    return BundleArrays(prior, fields, residual), foreign
+
+
+def _learned_prior(arrays: Arrays, channels: int) -> PriorArrays:
+    """Read the prior of a model that was learned from runs: a rod and its coverage."""
+    from softmap_edge.model.coverage import Coverage
+    from softmap_edge.model.polynomial_rod import read_rod
+
+    rod, coverage = read_rod(arrays), Coverage.from_npz(arrays, channels)
+    return PriorArrays(rod, coverage=coverage, before=NumbersBefore.from_npz(arrays))
 
 
 def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
-    arrays, foreign = _arrays(folder, manifest, trusted)
-    template = template_from(folder.name, arrays["template"])
-    if manifest["kind"] != "rod":
-        if (manifest["kind"] == "network") != ("prior.onnx" in _named(manifest)):
-            raise BundleError(
-                f"{folder.name}: a prior.onnx goes with the kind network, not with "
-                f"{manifest['kind']}"
-            )
-        prior: Any = family_from(arrays["prior"])
-        fields = fields_from(arrays["fields"])
-        cables = cables_from(arrays["prior"], arrays["fields"])
-        second = second_from(arrays["fields"])
-    else:
-        from softmap_edge.model.polynomial_rod import rod_from_arrays
-
-        prior, fields = rod_from_arrays(arrays["prior"])
-        from softmap_edge.model.coverage import Coverage
-
-        # or reports what is wrong with it
-        Coverage.from_arrays(arrays["prior"], manifest["channels"])
-        cables = second = None
+    template = Template.from_npz(folder.name, _read_archive(folder, "template.npz"))
+    arrays, foreign = _bundle_arrays(folder, manifest, trusted)
+    prior = arrays.prior.shape.compiled()
     rest = template.rest
     if prior.size != rest.size:
         raise BundleError(
@@ -393,9 +405,9 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     model = Model(
         structure=Structure(
             prior=prior,
-            fields=fields,
-            cables=cables,
-            second=second,
+            fields=arrays.compiled_fields(),
+            cables=arrays.fields.cables(arrays.prior.tensions()),
+            second=arrays.fields.second_order(),
             rest=rest,
             triangles=template.triangles,
             tip_indices=template.tip,
@@ -416,7 +428,7 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
         handles=template.handles,
         calibration=_calibration(folder, manifest),
         safety=_safety(folder, manifest),
-        arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
+        arrays=replace(arrays, residual=None),
     )
     features = len(model.structure.positions)
     if model.form_error.shape != (features, 3):
@@ -432,9 +444,9 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
             f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name"
         )
     model = model.with_effects(names, params)
-    if "residual" not in arrays:
+    if arrays.residual is None:
         return model
-    return replace(model.with_residual(arrays["residual"]), made_from=made_from)
+    return replace(model.with_residual(arrays.residual), made_from=made_from)
 
 
 def _calibration(folder: Path, manifest: Document) -> Calibration | None:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.npz import Arrays
 from softmap_edge.model.basis import RIDGE, SQUARES, Basis
 
 Floats = NDArray[np.float64]
@@ -70,17 +71,18 @@ class Coverage:
         """Return which commands (n,) are unlike those that taught the model."""
         return np.asarray(self.excess(acting) > LARGER)
 
-    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
+    def to_npz(self) -> Arrays:
         """Return the arrays as `prior.npz` holds them."""
-        arrays = {
-            f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")
+        return {
+            "coverage_middle": self.middle,
+            "coverage_half": self.half,
+            "coverage_root": self.root,
+            "coverage_most": self.most,
+            "coverage_basis": np.array([self.basis.degree, self.basis.pulled], float),
         }
-        return arrays | {"coverage_basis": np.array([self.basis.degree, self.basis.pulled], float)}
 
     @classmethod
-    def from_arrays(
-        cls, arrays: Mapping[str, NDArray[np.generic]], channels: int
-    ) -> Coverage | None:
+    def from_npz(cls, arrays: Mapping[str, NDArray[np.generic]], channels: int) -> Coverage | None:
         """Read the arrays of `prior.npz`; return None if it has none.
 
         Raises:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.npz import Arrays
 from softmap_edge.model.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
 # Loads, its modulus along the body, its curvature at rest; arcs have neither sides nor a twist.
 FIELDS = (*_core.LOADS, *(f"stiff_{k}" for k in range(7)), "curve_x", "curve_y")
@@ -83,10 +83,9 @@ class Change:
 
 
 @dataclass(frozen=True, eq=False)
-class ElasticParameters:
-    """A rod with its numbers (P,) and the nominal `flexibility` (mm per N) of its tendons.
-
-    The flexibility serves its load fields.
+class ElasticRodArrays:
+    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its
+    load fields.
 
     `free` has, for each number, the group in which a fit changed it; -1 where it was known and
     stayed fixed.
@@ -100,7 +99,7 @@ class ElasticParameters:
     @classmethod
     def nominal(
         cls, layout: RodLayout, numbers: Floats, free: tuple[int, ...] = ()
-    ) -> ElasticParameters:
+    ) -> ElasticRodArrays:
         """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
         unscaled = cls(layout, numbers, 1.0, free)
         fields, home = unscaled.fields(), np.zeros((1, layout.channels))
@@ -125,7 +124,7 @@ class ElasticParameters:
         names = (*FIELDS, *(ROUTING[:channels] if channels <= len(ROUTING) else ()))
         return {name: _core.ElasticField(rod, name, self.flexibility) for name in names}
 
-    def to_arrays(self) -> Arrays:
+    def to_npz(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
         layout = self.layout
         return {
@@ -140,7 +139,7 @@ class ElasticParameters:
         } | ({"free": np.array(self.free, np.int64)} if self.free else {})
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> ElasticParameters:
+    def from_npz(cls, arrays: Mapping[str, NDArray[np.generic]]) -> ElasticRodArrays:
         """Read the arrays of `prior.npz`.
 
         Raises:
@@ -226,7 +225,7 @@ class ElasticParameters:
             )
         return found
 
-    def with_numbers(self, numbers: Floats) -> ElasticParameters:
+    def with_numbers(self, numbers: Floats) -> ElasticRodArrays:
         """Return the rod with other numbers, as many.
 
         Raises:
@@ -239,7 +238,7 @@ class ElasticParameters:
             )
         return replace(self, numbers=numbers)
 
-    def changed(self, values: Mapping[str, float]) -> ElasticParameters:
+    def changed(self, values: Mapping[str, float]) -> ElasticRodArrays:
         """Return the rod with changes by label; what is not named stays as it is.
 
         Raises:

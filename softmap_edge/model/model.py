@@ -28,25 +28,22 @@ from softmap_edge.model import views
 from softmap_edge.model.chain_labels import named, readings, spread, valued
 from softmap_edge.model.predictors import Shape, all_points, tip
 from softmap_edge.model.servo_calibration import Calibration, converted
-from softmap_edge.model.shapes import family_from
+from softmap_edge.model.shapes import BundleArrays, ModeArrays, NetworkArrays, NumbersBefore
 from softmap_edge.model.structure import Structure
 from softmap_edge.run.output import Output
 from softmap_edge.run.plane import flat
 
 if TYPE_CHECKING:
     from softmap_edge.model.coverage import Coverage
-    from softmap_edge.model.elastic_rod import Change, ElasticParameters
+    from softmap_edge.model.elastic_rod import Change, ElasticRodArrays
     from softmap_edge.model.learned_in import LearnedIn
     from softmap_edge.model.safety import Safety
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 # where stiffness is not known: 1 N across the tip moves it by this share of the length
 TIP_PER_NEWTON = 0.1
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
-# arrays of a prior whose numbers were changed with an effect
-BEFORE = ("numbers_before", "error_before_mm")
 KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 
 
@@ -72,7 +69,7 @@ class Model:
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Document = field(default_factory=dict)
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
-    arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
+    arrays: BundleArrays | None = field(default=None, repr=False)
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None
     output: Output | None = None  # meaning of the markers, for a model of forces, angles, levels
@@ -180,12 +177,10 @@ class Model:
             for part, first, last in parts
         )
 
-    @cached_property
+    @property
     def coverage(self) -> Coverage | None:
         """The commands that taught a learned model; None if they were not kept."""
-        from softmap_edge.model.coverage import Coverage
-
-        return Coverage.from_arrays(self.arrays.get("prior", {}), self.channels)
+        return None if self.arrays is None else self.arrays.prior.coverage
 
     @property
     def params(self) -> dict[str, float]:
@@ -278,23 +273,19 @@ class Model:
         """Return the model without its effects and its residual: the prior alone."""
         return self.with_effects([], {})
 
-    def with_residual(self, arrays: Arrays | None) -> Model:
-        """Return the model with another residual, or with none.
-
-        `arrays` are those of the residual's shape family; it takes the place of the model's own.
+    def with_residual(self, arrays: ModeArrays | NetworkArrays | None) -> Model:
+        """Return the model with the residual of `arrays` in place of its own, or with none.
 
         Raises:
             SoftmapError: it is of other commands or points.
         """
-        kept = {name: group for name, group in self.arrays.items() if name != "residual"}
+        kept = None if self.arrays is None else replace(self.arrays, residual=arrays)
         if arrays is None:
             made = {name: details for name, details in self.made_from.items() if name != "residual"}
             return replace(self.with_structure(residual=None), arrays=kept, made_from=made)
-        residual = family_from(arrays)
+        residual = arrays.compiled()
         _core.Sum(self.prior, residual)  # raises unless they agree
-        return replace(
-            self.with_structure(residual=residual), arrays=kept | {"residual": dict(arrays)}
-        )
+        return replace(self.with_structure(residual=residual), arrays=kept)
 
     def changes(self, names: Sequence[str]) -> list[Change]:
         """Return the changes of the prior's numbers that are fitted along with the effects `names`.
@@ -316,45 +307,53 @@ class Model:
         rod = self._elastic.changed(
             {label.split(".", 1)[1]: value for label, value in values.items()}
         )
-        before = dict(zip(BEFORE, (self._elastic.numbers, self.form_error)))
-        return self._with_rod(
-            rod, {name: self.arrays["prior"].get(name, array) for name, array in before.items()}
-        )
+        before = self._before or NumbersBefore(self._elastic.numbers, self.form_error)
+        return self._with_rod(rod, before)
 
     @property
     def has_earlier_numbers(self) -> bool:
-        """Whether the prior's numbers changed along with an effect, and earlier ones are known."""
-        return set(BEFORE) <= set(self.arrays.get("prior", {}))
+        """Whether the prior's numbers were changed along with an effect and are known as they were
+        before.
+        """
+        return self._before is not None
+
+    @property
+    def _before(self) -> NumbersBefore | None:
+        before = None if self.arrays is None else self.arrays.prior.before
+        return before if isinstance(before, NumbersBefore) else None
 
     def _before_laws(self) -> Model:
-        """Return the model with its rod's numbers, and its error, from before any was changed."""
-        if not self.has_earlier_numbers or self._elastic is None:
+        """Return the model with the numbers of its rod, and its error, as they were before any of
+        them was changed.
+        """
+        before = self._before
+        if before is None or self._elastic is None:
             return self
-        numbers, error = (np.asarray(self.arrays["prior"][name], float) for name in BEFORE)
+        error = before.form_error
         if error.shape != self.form_error.shape or np.any(error < 0):
             raise SoftmapError(
                 f"elastic rod: an error {error.shape} of before, now {self.form_error.shape}; "
                 "learn again"
             )
-        model = self._with_rod(self._elastic.with_numbers(numbers), {})
+        model = self._with_rod(self._elastic.with_numbers(before.numbers), None)
         overall = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
         return replace(model, form_error=error, vertex_error_mm=overall)
 
-    def _with_rod(self, rod: ElasticParameters, kept: Arrays) -> Model:
-        coverage = {} if self.coverage is None else self.coverage.to_arrays()
-        arrays = {**self.arrays, "prior": rod.to_arrays() | coverage | kept}
+    def _with_rod(self, rod: ElasticRodArrays, before: NumbersBefore | None) -> Model:
+        assert self.arrays is not None  # that is where the rod comes from
+        prior = replace(self.arrays.prior, shape=rod, before=before)
         return replace(
-            self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())), arrays=arrays
+            self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())),
+            arrays=replace(self.arrays, prior=prior),
         )
 
     @cached_property
-    def _elastic(self) -> ElasticParameters | None:
+    def _elastic(self) -> ElasticRodArrays | None:
         """The elastic rod of the prior, if some of its numbers were fitted to a run."""
-        if "free" not in self.arrays.get("prior", {}):
-            return None
-        from softmap_edge.model.elastic_rod import ElasticParameters
+        from softmap_edge.model.elastic_rod import ElasticRodArrays
 
-        return ElasticParameters.from_arrays(self.arrays["prior"])
+        rod = None if self.arrays is None else self.arrays.prior.shape
+        return rod if isinstance(rod, ElasticRodArrays) and rod.free else None
 
     # --- from runs ------------------------------------------------------------------------------
 

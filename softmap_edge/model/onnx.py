@@ -19,7 +19,7 @@ and tests/files/test_untrusted_bundles.py.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,10 +30,11 @@ from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
+from softmap_edge.files.npz import Stored
 from softmap_edge.model.manifest import MAX_ONNX_BYTES
+from softmap_edge.model.shapes import Grid, ModeArrays, NetworkArrays
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
 BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
@@ -52,17 +53,18 @@ NODES = {1: 201, 2: 61, 3: 21}
 def read_network(
     file: Path,
     command_range: Floats,
-    prior: Mapping[str, object],
+    grid: Grid,
     trusted: Callable[[Path, str], bool],
-) -> tuple[Arrays, Document | None]:
-    """Read an ONNX file: its arrays, and a description if only onnxruntime can read it.
+) -> tuple[NetworkArrays | ModeArrays, Document | None]:
+    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read
+    it.
 
-    One that training wrote stays a network (`onnx`); another becomes a table.
+    One that training wrote stays a network; another becomes a table.
 
     Args:
         file: the file.
         command_range: (C, 2) mm, within which both are compared.
-        prior: other arrays of the prior: a table takes its axes, where there are some.
+        grid: kept with the network: a table takes its axes, where there are some.
         trusted: asked whether onnxruntime may run a graph that the core does not read,
             `trusted(file, sha256)`.
 
@@ -89,12 +91,12 @@ def read_network(
                 "load_bundle(path, trust_onnx=True)) lets onnxruntime run it, in a child process "
                 "with limits"
             ) from None
-        return table_from_onnxruntime(file.name, content, command_range, prior, str(fault))
+        return table_from_onnxruntime(file.name, content, command_range, grid, str(fault))
     if network.channels != len(command_range):
         raise BundleError(
             f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}"
         )
-    return {"onnx": np.frombuffer(content, np.uint8)}, None
+    return NetworkArrays(content, grid), None
 
 
 def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -> float | None:
@@ -126,15 +128,15 @@ def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -
 
 
 def table_from_onnxruntime(
-    name: str, content: bytes, command_range: Floats, prior: Mapping[str, object], why: str
-) -> tuple[Arrays, Document]:
+    name: str, content: bytes, command_range: Floats, grid: Grid, why: str
+) -> tuple[ModeArrays, Document]:
     """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
 
     Args:
         name: of the file.
         content: its bytes.
         command_range: (C, 2) mm.
-        prior: as for `read_network`.
+        grid: as for `read_network`.
         why: why the core does not read it.
 
     Raises:
@@ -150,7 +152,7 @@ def table_from_onnxruntime(
         low, high = command_range.T
         more = BEYOND * (high - low)
         axes = [np.linspace(a, b, ASKED[channels]) for a, b in zip(low - more, high + more)]
-        axes = [np.asarray(prior.get(f"axis{c}", axis), np.float64) for c, axis in enumerate(axes)]
+        axes[: len(grid.axes)] = [np.asarray(axis, np.float64) for axis in grid.axes[:channels]]
         if (count := np.prod([len(axis) for axis in axes], dtype=object)) > MOST_NODES:
             raise BundleError(
                 f"its axes in prior.npz make a table of {count} nodes, at most {MOST_NODES} are "
@@ -190,8 +192,7 @@ def table_from_onnxruntime(
             f"allowed is {APART_MM:g}; train a network of layers that are read (`softmap train "
             "prior`)"
         )
-    arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
-    arrays |= {"mean": mean, "modes": modes, "coefficients": weights}
+    arrays = ModeArrays(Grid(tuple(axes)), mean, Stored(modes), Stored(weights))
     return arrays, {
         "graph_sha256": hashlib.sha256(content).hexdigest(),
         "why": why,

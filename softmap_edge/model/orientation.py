@@ -94,7 +94,7 @@ def prior_under_gravity(model: Model, gravity: Floats | None = None) -> Shape:
     asked = Run(t=t, command=grid, t_seen=t, gravity=gravity, command_unit=model.command_unit)
     bare = model.with_effects((), {}) if model.chain_names else model
     if model.residual is not None:
-        bare = bare.with_residual(model.arrays["residual"])
+        bare = bare.with_structure(residual=model.residual)
     shapes = np.asarray(bare.predict(asked)).reshape(len(grid), -1)
     mean = shapes.mean(axis=0)
     left, size, modes = np.linalg.svd(shapes - mean, full_matrices=False)

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.npz import Arrays
 from softmap_edge.model.basis import RIDGE, Basis
-from softmap_edge.model.elastic_rod import ElasticParameters
+from softmap_edge.model.elastic_rod import ElasticRodArrays
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
 MOST_INTERVALS = 64  # of splines, of each command
 # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
@@ -43,7 +42,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class RodParameters:
+class PolynomialRodArrays:
     """The numbers of a rod.
 
     `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad,
@@ -83,23 +82,27 @@ class RodParameters:
         rod = self.compiled()
         return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}
 
-    def to_arrays(self) -> Arrays:
+    def to_npz(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
-        arrays: Arrays = {
-            name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")
+        return {
+            "base": self.base,
+            "centre": self.centre,
+            "scale": self.scale,
+            "angles": self.angles,
+            "lengths": self.lengths,
+            "degree": np.array([self.degree]),
+            "compliance": np.array([self.compliance]),
+            "lock": np.array([self.lock]),
+            "pulled": np.array([self.pulled]),
+            "intervals": np.array([self.intervals]),
         }
-        single = {
-            name: getattr(self, name)
-            for name in ("degree", "compliance", "lock", "pulled", "intervals")
-        }
-        return arrays | {name: np.array([value]) for name, value in single.items()}
 
     def __str__(self) -> str:
         """Return a one-line description."""
         return f"rod of {self.lengths.shape[1]} chords, {self.basis}"
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
+    def from_npz(cls, arrays: Mapping[str, NDArray[np.generic]]) -> PolynomialRodArrays:
         """Read the arrays of `prior.npz`.
 
         Raises:
@@ -167,10 +170,15 @@ def compiled(weights: Weights, base: Floats, basis: Basis) -> _core.Rod:
     )
 
 
-def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, Document]:
-    """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
-    kind: type[ElasticParameters | RodParameters] = (
-        ElasticParameters if "numbers" in arrays else RodParameters
-    )
-    parameters = kind.from_arrays(arrays)
-    return parameters.compiled(), dict(parameters.fields())
+RodArrays = ElasticRodArrays | PolynomialRodArrays
+
+
+def read_rod(arrays: Mapping[str, NDArray[np.generic]]) -> RodArrays:
+    """Read the rod in the arrays of `prior.npz`, of either kind.
+
+    Raises:
+        SoftmapError: an array is missing, or holds what no rod has.
+    """
+    if "numbers" in arrays:
+        return ElasticRodArrays.from_npz(arrays)
+    return PolynomialRodArrays.from_npz(arrays)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.toml import TomlTable, quoted
-from softmap_edge.model.shapes import plain_table
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -324,11 +323,13 @@ def _looks(low: Floats, high: Floats) -> Floats:
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon; None if the model has no tendon pull."""
-    prior = model.arrays.get("prior", {})
-    if "pull" not in prior or not any(key.startswith("axis") for key in prior):
+    """Return the largest tension (N) of any tendon, None where the model has no pull of its
+    tendons.
+    """
+    tensions = None if model.arrays is None else model.arrays.prior.tensions()
+    if tensions is None:
         return None
-    pull = np.asarray(plain_table(prior, "pull").evaluate(looks))
+    pull = np.asarray(tensions.evaluate(looks))
     return max(0.0, float(pull.max())) if pull.size else None
 
 

@@ -1,167 +1,486 @@
-"""Compiled shapes from a bundle's arrays: prior, fields, response of cables, and second order.
+"""The arrays of a bundle as types, and the shapes, fields and cables compiled from them.
 
-The name of an array gives its role: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a
-family, or `onnx`; `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and
-`stretch` of cables; `second_…`. Arrays may be whole numbers of steps (`npz.unpacked`). Units: those
-of `_core.FIELDS`. Pinned by tests/model/test_bundle.py.
+`prior.npz`, `fields.npz` and `residual.npz` are read here once; the names of their arrays stand
+nowhere else. Arrays may be whole numbers of steps (`npz.Stored`). S counts commands, C their
+channels, M = 3N the numbers of N points in mm, m modes, T tendons, L the loads of `_core.LOADS`.
+Units of fields: those of `_core.FIELDS`. Rods have types of their own (`elastic_rod.py`,
+`polynomial_rod.py`). Pinned by tests/model/test_bundle_arrays.py and tests/model/test_bundle.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.files.atomic import Document
-from softmap_edge.files.npz import unpacked
+from softmap_edge.errors import SoftmapError
+from softmap_edge.files.npz import STEP, Arrays, Stored, array_of
 
-# what the fields of one bundle have in common besides their axes
-_SHARED = ("modes", "nodes", "scale", "power")
+if TYPE_CHECKING:
+    from softmap_edge.model.coverage import Coverage
+    from softmap_edge.model.polynomial_rod import RodArrays
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.generic]  # of any width, as they are stored
+ReadArrays = Mapping[str, NDArray[np.generic]]
+
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
+_FIELD, _STRETCH = "coefficients_", "stretch_"  # what stands before the name of a field
 
 
-def family_from(
-    arrays: Mapping[str, NDArray[np.generic]],
-) -> _core.Table | _core.Scattered | _core.Network:
-    """Return the compiled shape family of a bundle's arrays.
+# --- over which commands numbers are given ------------------------------------------------------
 
-    These are `coefficients`, `mean` and `modes` over `axis0…` or over scattered `nodes`; or the
-    network of `onnx`, the bytes of its file.
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Commands on a grid: ascending `axes` (S_c,), one a channel; the last one is the fastest."""
+
+    axes: tuple[Numbers, ...] = ()
+
+    def compiled(self, coefficients: Floats, mean: Floats, modes: Floats) -> _core.Table:
+        """Return the table of coefficients (S, m) of modes (m, M) about a mean (M,)."""
+        return _core.Table([_float(axis) for axis in self.axes], coefficients, mean, modes)
+
+    def table(self, numbers: Floats) -> _core.Table:
+        """Return the table of numbers (S, n), each its own mode."""
+        width = numbers.shape[1]
+        return self.compiled(numbers, np.zeros(width), np.eye(width))
+
+    def to_npz(self, before: str = "") -> Arrays:
+        """Return the arrays `axis0…`, their names with `before` in front."""
+        return {f"{before}axis{c}": axis for c, axis in enumerate(self.axes)}
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays, before: str = "") -> Grid:
+        """Read the arrays `axis0…`, as many as there are."""
+        axes: list[Numbers] = []
+        while f"{before}axis{len(axes)}" in arrays:
+            axes.append(arrays[f"{before}axis{len(axes)}"])
+        return cls(tuple(axes))
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Scattered commands: `nodes` (n, C), `scale` (C,) of each command, power of the kernel, 1 or
+    3.
     """
-    if "onnx" in arrays:
-        return _core.Network(np.asarray(arrays["onnx"], np.uint8).tobytes())
-    arrays = unpacked(arrays)
-    mean, modes, coefficients = (
-        np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients")
-    )
-    if "nodes" in arrays:
-        nodes, scale = (np.asarray(arrays[name], np.float64) for name in ("nodes", "scale"))
-        return _core.Scattered(nodes, scale, int(arrays["power"].item()), coefficients, mean, modes)
-    axes: list[NDArray[np.float64]] = []
-    while f"axis{len(axes)}" in arrays:
-        axes.append(np.asarray(arrays[f"axis{len(axes)}"], np.float64))
-    return _core.Table(axes, coefficients, mean, modes)
+
+    nodes: Numbers
+    scale: Numbers
+    power: int
+
+    def compiled(self, coefficients: Floats, mean: Floats, modes: Floats) -> _core.Scattered:
+        """Return the family of coefficients (n + 1 + C, m) of modes (m, M) about a mean (M,)."""
+        nodes, scale = _float(self.nodes), _float(self.scale)
+        return _core.Scattered(nodes, scale, self.power, coefficients, mean, modes)
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays `nodes`, `scale` and `power`."""
+        return {"nodes": self.nodes, "scale": self.scale, "power": np.array(self.power)}
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> Nodes:
+        """Read the arrays `nodes`, `scale` and `power`; raise SoftmapError if one is missing."""
+        nodes, scale = (array_of(arrays, name) for name in ("nodes", "scale"))
+        return cls(nodes, scale, int(_single(arrays, "power")))
 
 
-def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
-    """Return the compiled table stored in `arrays` as `axis0…`, `coefficients`, `mean`, `modes`."""
-    family = family_from({name: array for name, array in arrays.items() if name != "nodes"})
-    assert isinstance(family, _core.Table)
-    return family
+def _over(arrays: ReadArrays) -> Grid | Nodes:
+    return Nodes.from_npz(arrays) if "nodes" in arrays else Grid.from_npz(arrays)
 
 
-def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
-    """Return the compiled fields of a bundle.
+# --- shapes -------------------------------------------------------------------------------------
 
-    They are stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`.
+
+@dataclass(frozen=True, eq=False)
+class ModeArrays:
+    """A shape in modes, mean + coefficients(u) · modes: a table over a grid, or a scattered family.
+
+    `mean` (M,) mm, `modes` (m, M), `coefficients` (S, m) over a grid or (n + 1 + C, m) over nodes.
     """
-    arrays = unpacked(arrays)
-    shared = {
-        key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED
-    }
-    names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
-    size = shared["modes"].shape[1] if names else 0
-    return {
-        name: family_from(
-            {**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)}
+
+    over: Grid | Nodes
+    mean: Numbers
+    modes: Stored
+    coefficients: Stored
+
+    def compiled(self) -> _core.Table | _core.Scattered:
+        """Return the compiled shape."""
+        mean = _float(self.mean)
+        return self.over.compiled(self.coefficients.values, mean, self.modes.values)
+
+    def to_npz(self) -> Arrays:
+        """Return its arrays by name."""
+        return {
+            **self.over.to_npz(),
+            "mean": self.mean,
+            **self.modes.to_npz("modes"),
+            **self.coefficients.to_npz("coefficients"),
+        }
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> ModeArrays:
+        """Read a shape in modes.
+
+        Raises:
+            SoftmapError: an array is missing, or the steps of one do not fit.
+        """
+        modes, coefficients = (Stored.from_npz(arrays, name) for name in ("modes", "coefficients"))
+        return cls(_over(arrays), array_of(arrays, "mean"), modes, coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkArrays:
+    """A network: the bytes of its ONNX file, and the grid of the numbers that are kept with it."""
+
+    onnx: bytes
+    grid: Grid = Grid()
+
+    def compiled(self) -> _core.Network:
+        """Return the compiled network."""
+        return _core.Network(self.onnx)
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays that are kept next to its file."""
+        return self.grid.to_npz()
+
+
+# --- priors -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedOver:
+    """The model's own error, `form_error` (V, 3) and of vertices, mm, without a trained prior's."""
+
+    form_error: Floats
+    vertex_error_mm: float
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays of `prior.npz`."""
+        return {"form_before": self.form_error, "error_before_mm": np.array(self.vertex_error_mm)}
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> TrainedOver | None:
+        """Read the arrays of `prior.npz`; None if its prior was not trained."""
+        if not {"form_before", "error_before_mm"} <= set(arrays):
+            return None
+        return cls(_float(arrays["form_before"]), _single(arrays, "error_before_mm"))
+
+
+@dataclass(frozen=True, eq=False)
+class NumbersBefore:
+    """A rod before an effect changed its law: its `numbers` (P,) and `form_error` (V, 3) mm."""
+
+    numbers: Floats
+    form_error: Floats
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays of `prior.npz`."""
+        return {"numbers_before": self.numbers, "error_before_mm": self.form_error}
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> NumbersBefore | None:
+        """Read the arrays of `prior.npz`; None if no effect changed its numbers."""
+        if not {"numbers_before", "error_before_mm"} <= set(arrays):
+            return None
+        return cls(_float(arrays["numbers_before"]), _float(arrays["error_before_mm"]))
+
+
+@dataclass(frozen=True, eq=False)
+class PriorArrays:
+    """A prior and what is kept with it in `prior.npz`.
+
+    `pull` (S, T) N is the tension of each tendon over the grid of a simulated prior, below zero
+    where it is slack; `coverage` the commands that a rod was learned from; `before` what the model
+    was before its prior was trained, or before an effect changed the numbers of its rod.
+    """
+
+    shape: ModeArrays | NetworkArrays | RodArrays
+    pull: Stored | None = None
+    coverage: Coverage | None = None
+    before: TrainedOver | NumbersBefore | None = None
+
+    @property
+    def grid(self) -> Grid | None:
+        """The grid of a table, or the one kept with a network; None for scattered and rods."""
+        over = self.shape.over if isinstance(self.shape, ModeArrays) else None
+        over = self.shape.grid if isinstance(self.shape, NetworkArrays) else over
+        return over if isinstance(over, Grid) else None
+
+    def tensions(self) -> _core.Table | None:
+        """Return the tensions (n, T) N of the tendons over commands; None if they are not known."""
+        return None if self.pull is None or self.grid is None else self.grid.table(self.pull.values)
+
+    @property
+    def in_steps(self) -> bool:
+        """Whether some of its arrays are whole numbers of steps, which schema 3 began with."""
+        stored = [self.pull]
+        if isinstance(self.shape, ModeArrays):
+            stored += [self.shape.modes, self.shape.coefficients]
+        return any(one is not None and one.step is not None for one in stored)
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays of `prior.npz`."""
+        arrays = self.shape.to_npz()
+        arrays |= {} if self.pull is None else self.pull.to_npz("pull")
+        arrays |= {} if self.coverage is None else self.coverage.to_npz()
+        return arrays | ({} if self.before is None else self.before.to_npz())
+
+    @classmethod
+    def from_npz(cls, shape: ModeArrays | NetworkArrays, arrays: ReadArrays) -> PriorArrays:
+        """Read what `prior.npz` has besides a shape that is no rod."""
+        pull = Stored.from_npz(arrays, "pull") if "pull" in arrays else None
+        return cls(shape, pull=pull, before=TrainedOver.from_npz(arrays))
+
+
+# --- fields -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PairArrays:
+    """Second derivatives for P pairs of causes: `weights` (S, P, m'), `stretch` (S, P, T) mm,
+    `growth` (S, causes).
+    """
+
+    weights: Stored
+    stretch: Stored
+    growth: Stored
+
+    def rows(self) -> Floats:
+        """Return all numbers of each command (S, n), as `_core.Second` takes them."""
+        growth = self.growth.values
+        pairs = np.concatenate([self.weights.values, self.stretch.values], axis=2)
+        return np.concatenate([pairs.reshape(len(growth), -1), growth], axis=1)
+
+    def to_npz(self, before: str) -> Arrays:
+        """Return the arrays, their names with `before` in front."""
+        return {
+            **self.weights.to_npz(f"{before}weights"),
+            **self.stretch.to_npz(f"{before}stretch"),
+            **self.growth.to_npz(f"{before}growth"),
+        }
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays, before: str) -> PairArrays:
+        """Read the arrays; raise SoftmapError if one is missing."""
+        weights, stretch, growth = (
+            Stored.from_npz(arrays, before + name) for name in ("weights", "stretch", "growth")
         )
-        for name in sorted(names)
-        if not name.startswith(_TENSION)
-    }
+        return cls(weights, stretch, growth)
 
 
-def cables_from(
-    prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
-) -> _core.Cables | None:
-    """Return the cables of a bundle.
+@dataclass(frozen=True, eq=False)
+class SecondArrays:
+    """What loads and moduli do beyond their fields, over a grid of its own.
 
-    They are stored as `pull` alongside the prior, and as `stiffness`, `stretch` and tension fields.
-
-    None for a prior without them: its fields answer loads alone.
+    `modes` (m', m) are made of the modes of the fields; `pairs` are those of loads and tensions,
+    `moduli` those with a modulus, which bundles of earlier versions do not have.
     """
-    if "stiffness" not in fields:
-        return None
-    prior, fields = unpacked(prior), unpacked(fields)
-    shared = {
-        key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"
-    }
-    still = np.zeros(shared["modes"].shape[1])
-    names = [f"coefficients_{_TENSION}{i}" for i in range(fields["stiffness"].size)]
-    return _core.Cables(
-        np.asarray(fields["stiffness"], np.float64),
-        plain_table(prior, "pull"),
-        plain_table({**fields, "stretch": _stretch(fields)}, "stretch"),
-        [table_from({**shared, "coefficients": fields[name], "mean": still}) for name in names],
-    )
+
+    grid: Grid
+    modes: Numbers
+    pairs: PairArrays
+    moduli: PairArrays | None = None
+
+    def compiled(self, modes: Floats) -> _core.Second:
+        """Return the compiled second order; `modes` (m, M) are those of the fields."""
+        own = _float(self.modes) @ modes
+        axes = [_float(axis) for axis in self.grid.axes]
+        moduli = None if self.moduli is None else self.moduli.rows()
+        tendons = self.pairs.stretch.array.shape[2]
+        return _core.Second(axes, self.pairs.rows(), tendons, own, moduli)
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays `second_…`."""
+        return {
+            **self.grid.to_npz("second_"),
+            "second_modes": self.modes,
+            **self.pairs.to_npz("second_"),
+            **({} if self.moduli is None else self.moduli.to_npz("second_moduli_")),
+        }
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> SecondArrays | None:
+        """Read the arrays `second_…`; None if there are none.
+
+        Raises:
+            SoftmapError: some are missing.
+        """
+        if "second_weights" not in arrays:
+            return None
+        moduli = "second_moduli_weights" in arrays
+        return cls(
+            Grid.from_npz(arrays, "second_"),
+            array_of(arrays, "second_modes"),
+            PairArrays.from_npz(arrays, "second_"),
+            PairArrays.from_npz(arrays, "second_moduli_") if moduli else None,
+        )
 
 
-def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
-    """Return the stretch (S, T·(F + T)) of each tendon for each of `_core.FIELDS` and each tension.
+@dataclass(frozen=True, eq=False)
+class FieldArrays:
+    """Displacements per unit of a load or a change of design, in `modes` (m, M) that they share.
 
-    Zero where a bundle has no such field.
+    `coefficients` by name of a field, `tension_0…` of the tendons among them: (S, m) over a grid,
+    or (n + 1 + C, m) over nodes. Of tendons that answer loads: `stiffness` (T,) N/mm; `stretch`
+    (S, T·(L + T)) mm of each under each load and tension, `stretch_of` (S, T) under other fields,
+    by name. Empty for a rod, which makes its fields itself.
     """
-    tendons, loads = fields["stiffness"].size, len(_core.LOADS)
-    stored = np.asarray(fields["stretch"], np.float64).reshape(
-        len(fields["stretch"]), tendons, loads + tendons
-    )
-    full = np.zeros((len(stored), tendons, len(_core.FIELDS) + tendons))
-    full[..., :loads], full[..., len(_core.FIELDS) :] = stored[..., :loads], stored[..., loads:]
-    for f, name in enumerate(_core.FIELDS):
-        if f"stretch_{name}" in fields:
-            full[..., f] = fields[f"stretch_{name}"]
-    return full.reshape(len(full), -1)
+
+    over: Grid | Nodes = Grid()
+    modes: Stored | None = None
+    coefficients: Mapping[str, Stored] = field(default_factory=dict)
+    stiffness: Numbers | None = None
+    stretch: Stored | None = None
+    stretch_of: Mapping[str, Stored] = field(default_factory=dict)
+    second: SecondArrays | None = None
+
+    def compiled(self) -> dict[str, _core.Shape]:
+        """Return the compiled fields by name, without those of tensions."""
+        names = sorted(name for name in self.coefficients if not name.startswith(_TENSION))
+        modes = self._modes() if names else np.zeros((0, 0))
+        return {name: self.over.compiled(*self._about_zero(name, modes)) for name in names}
+
+    def cables(self, pull: _core.Table | None) -> _core.Cables | None:
+        """Return the compiled cables; None where fields answer loads alone.
+
+        Args:
+            pull: the tensions of the prior (`PriorArrays.tensions`).
+
+        Raises:
+            SoftmapError: an array is missing, or the fields are not on a grid.
+        """
+        if self.stiffness is None:
+            return None
+        if pull is None or self.stretch is None or not isinstance(self.over, Grid):
+            raise SoftmapError("'stiffness' without 'pull', 'stretch' and fields on a grid")
+        grid, stiffness, modes = self.over, _float(self.stiffness), self._modes()
+        stretch = grid.table(self._full_stretch(self.stretch.values, stiffness.size))
+        tensions = [
+            grid.compiled(*self._about_zero(f"{_TENSION}{i}", modes)) for i in range(stiffness.size)
+        ]
+        return _core.Cables(stiffness, pull, stretch, tensions)
+
+    def second_order(self) -> _core.Second | None:
+        """Return the compiled second order of loads; None for a bundle without it."""
+        return None if self.second is None else self.second.compiled(self._modes())
+
+    def _modes(self) -> Floats:
+        if self.modes is None:
+            raise SoftmapError("array 'modes' is missing")
+        return self.modes.values
+
+    def _about_zero(self, name: str, modes: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the coefficients of a field, its mean, which is zero, and its modes."""
+        if name not in self.coefficients:
+            raise SoftmapError(f"array '{_FIELD}{name}' is missing")
+        return self.coefficients[name].values, np.zeros(modes.shape[1]), modes
+
+    def _full_stretch(self, stored: Floats, tendons: int) -> Floats:
+        """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each
+        tension; zero where a bundle has no such field.
+        """
+        loads, fields = len(_core.LOADS), len(_core.FIELDS)
+        given = stored.reshape(len(stored), tendons, loads + tendons)
+        full = np.zeros((len(stored), tendons, fields + tendons))
+        full[..., :loads], full[..., fields:] = given[..., :loads], given[..., loads:]
+        for f, name in enumerate(_core.FIELDS):
+            if name in self.stretch_of:
+                full[..., f] = self.stretch_of[name].values
+        return full.reshape(len(full), -1)
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays of `fields.npz`."""
+        arrays = self.over.to_npz()
+        arrays |= {} if self.modes is None else self.modes.to_npz("modes")
+        for before, group in ((_FIELD, self.coefficients), (_STRETCH, self.stretch_of)):
+            for name, numbers in group.items():
+                arrays |= numbers.to_npz(before + name)
+        arrays |= {} if self.stiffness is None else {"stiffness": self.stiffness}
+        arrays |= {} if self.stretch is None else self.stretch.to_npz("stretch")
+        return arrays | ({} if self.second is None else self.second.to_npz())
+
+    @classmethod
+    def from_npz(cls, arrays: ReadArrays) -> FieldArrays:
+        """Read the arrays of `fields.npz`.
+
+        Raises:
+            SoftmapError: some arrays are missing, or the steps of one do not fit.
+        """
+
+        def group(before: str) -> dict[str, Stored]:
+            names = [name for name in arrays if name.startswith(before)]
+            return {
+                name.removeprefix(before): Stored.from_npz(arrays, name)
+                for name in names
+                if not name.endswith(STEP)
+            }
+
+        return cls(
+            over=_over(arrays),
+            modes=Stored.from_npz(arrays, "modes") if "modes" in arrays else None,
+            coefficients=group(_FIELD),
+            stiffness=arrays.get("stiffness"),
+            stretch=Stored.from_npz(arrays, "stretch") if "stretch" in arrays else None,
+            stretch_of=group(_STRETCH),
+            second=SecondArrays.from_npz(arrays),
+        )
 
 
-def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
-    """Return the second-order response to loads and moduli, stored as `second_…`.
+@dataclass(frozen=True, eq=False)
+class BundleArrays:
+    """What a structure was compiled from, as its bundle keeps it."""
 
-    It has weights (S, P, m), stretch (S, P, T) and growth (S, L + T) over its own axes, and modes
-    (m, M) made of the `modes` of the fields. It is None for a bundle without it. Those of pairs
-    with a modulus, `second_moduli_…`, may be absent.
-    """
-    if "second_weights" not in fields:
-        return None
-    unpacked_fields = unpacked(fields)
-    numbers = {
-        name.removeprefix("second_"): np.asarray(array, np.float64)
-        for name, array in unpacked_fields.items()
-        if name.startswith("second_")
-    }
-    modes = numbers["modes"] @ np.asarray(unpacked_fields["modes"], np.float64)
-    axes = [numbers[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in numbers))]
+    prior: PriorArrays
+    fields: FieldArrays = FieldArrays()
+    residual: ModeArrays | NetworkArrays | None = None
 
-    def rows(of: str) -> NDArray[np.float64]:
-        weights, stretch, growth = (numbers[of + what] for what in ("weights", "stretch", "growth"))
-        pairs = np.concatenate([weights, stretch], axis=2).reshape(len(growth), -1)
-        return np.concatenate([pairs, growth], axis=1)
+    def compiled_fields(self) -> Mapping[str, _core.Shape]:
+        """Return the compiled fields by name; a rod makes them itself."""
+        shape = self.prior.shape
+        if isinstance(shape, ModeArrays | NetworkArrays):
+            return self.fields.compiled()
+        return shape.fields()
 
-    moduli = rows("moduli_") if "moduli_weights" in numbers else None
-    return _core.Second(axes, rows(""), numbers["stretch"].shape[2], modes, moduli)
+    def contents(self) -> dict[str, Arrays]:
+        """Return the arrays of its archives, by their names without `.npz`."""
+        found = {"prior": self.prior.to_npz(), "fields": self.fields.to_npz()}
+        return found | ({} if self.residual is None else {"residual": self.residual.to_npz()})
+
+    def networks(self) -> dict[str, bytes]:
+        """Return its ONNX files, by their names without `.onnx`."""
+        shapes = {"prior": self.prior.shape, "residual": self.residual}
+        return {
+            name: shape.onnx for name, shape in shapes.items() if isinstance(shape, NetworkArrays)
+        }
 
 
-def pairs_of(
-    loads: int, moduli: int, tensions: int
-) -> dict[str, tuple[list[tuple[int, int]], list[int]]]:
-    """Return the pairs of causes as `_core.Second` takes them, and whose growth goes with them.
+Pairs = tuple[list[tuple[int, int]], list[int]]  # of causes, and the causes whose growth is kept
 
-    Causes are loads, then moduli, then tensions. The pairs are those among loads and tensions, then
-    those of each modulus with all of these and with moduli from itself on.
+
+def pairs_of(loads: int, moduli: int, tensions: int) -> tuple[Pairs, Pairs]:
+    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them,
+    and whose growth goes with them: pairs among loads and tensions, then of each modulus with all
+    of these and moduli from itself on.
     """
     plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
     own = list(range(loads, loads + moduli))
-    return {
-        "second": ([(k, l) for i, k in enumerate(plain) for l in plain[i:]], plain),
-        "second_moduli": ([(k, l) for i, k in enumerate(own) for l in plain + own[i:]], own),
-    }
-
-
-def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:
-    """Return the table of the numbers (S, n) called `name` over `axis0…`, each its own mode."""
-    arrays = unpacked(arrays)
-    axes = {key: value for key, value in arrays.items() if key.startswith("axis")}
-    width = arrays[name].shape[1]
-    return table_from(
-        {**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)}
+    return (
+        ([(k, l) for i, k in enumerate(plain) for l in plain[i:]], plain),
+        ([(k, l) for i, k in enumerate(own) for l in plain + own[i:]], own),
     )
+
+
+def _float(array: NDArray[np.generic]) -> Floats:
+    return np.asarray(array, np.float64)
+
+
+def _single(arrays: ReadArrays, name: str) -> float:
+    array = array_of(arrays, name)
+    if array.size != 1:
+        raise SoftmapError(f"array '{name}' holds {array.size} numbers, expected one")
+    return float(_float(array).item())

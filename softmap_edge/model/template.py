@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import BundleError
+from softmap_edge.files.npz import Arrays, array_of
 from softmap_edge.geometry.sections import SECTIONS, BodyCoordinates
-from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.model import Model
 
 MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -36,51 +37,60 @@ class Template:
     body: BodyCoordinates | None
     handles: NDArray[np.int64] | None
 
-
-def template_arrays(model: Model) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that keep a model's template."""
-    found: dict[str, NDArray[np.generic]] = {
-        "rest": model.rest.astype(np.float32),
-        "triangles": model.triangles.astype(np.uint16 if len(model.rest) < 65536 else np.uint32),
-        "tip": model.tip_indices.astype(np.uint32),
-        "form_error_mm": model.form_error.astype(np.float32),
-    }
-    body = model.structure.body
-    if body is not None:
-        found |= {"section": body.section.astype(np.uint16), "along": body.along.astype(np.float32)}
-        if body.angle is not None:
-            found["angle"] = body.angle.astype(np.float32)
-    if model.handles is not None:
-        found["handles"] = model.handles.astype(np.uint32)
-    return found
-
-
-def template_from(bundle: str, arrays: Arrays) -> Template:
-    """Return the template that arrays of finite numbers keep; `bundle` is named in errors.
-
-    Raises:
-        BundleError: an array has another shape or type, or points outside the vertices.
-    """
-    rest = np.asarray(arrays["rest"], float)
-    if rest.ndim != 2 or rest.shape[1] != 3:
-        raise BundleError(
-            f"{bundle}: template 'rest' of shape {rest.shape}, expected (N, 3); build it again"
+    @classmethod
+    def of(cls, model: Model) -> Template:
+        """Return the template of a model."""
+        body = model.structure.body
+        return cls(
+            model.rest, model.triangles, model.tip_indices, model.form_error, body, model.handles
         )
-    triangles = np.asarray(arrays["triangles"], np.int32).reshape(-1, 3)
-    body = _body(bundle, arrays, len(rest)) if "section" in arrays else None
-    what = "markers" if body is None and not len(triangles) else "vertices"
-    if not 1 <= len(rest) <= MOST_POINTS[what]:
-        raise BundleError(
-            f"{bundle}: template of {len(rest)} {what}, allowed are 1 to {MOST_POINTS[what]}"
-        )
-    tip = np.asarray(arrays["tip"], np.int64)
-    for name, index in (("triangles", triangles), ("tip", tip)):
-        if index.size and not 0 <= index.min() <= index.max() < len(rest):
+
+    def to_npz(self) -> Arrays:
+        """Return the arrays of `template.npz`."""
+        found: Arrays = {
+            "rest": self.rest.astype(np.float32),
+            "triangles": self.triangles.astype(np.uint16 if len(self.rest) < 65536 else np.uint32),
+            "tip": self.tip.astype(np.uint32),
+            "form_error_mm": self.form_error.astype(np.float32),
+        }
+        if self.body is not None:
+            found["section"] = self.body.section.astype(np.uint16)
+            found["along"] = self.body.along.astype(np.float32)
+            if self.body.angle is not None:
+                found["angle"] = self.body.angle.astype(np.float32)
+        if self.handles is not None:
+            found["handles"] = self.handles.astype(np.uint32)
+        return found
+
+    @classmethod
+    def from_npz(cls, bundle: str, arrays: Arrays) -> Template:
+        """Read the arrays of `template.npz`, finite numbers; `bundle` is named in errors.
+
+        Raises:
+            SoftmapError: an array is missing, has another shape or type, or points outside the
+                vertices.
+        """
+        rest = np.asarray(array_of(arrays, "rest"), float)
+        if rest.ndim != 2 or rest.shape[1] != 3:
             raise BundleError(
-                f"{bundle}: template '{name}' points outside its {len(rest)} vertices"
+                f"{bundle}: template 'rest' of shape {rest.shape}, expected (N, 3); build it again"
             )
-    handles = _handles(bundle, arrays["handles"], len(rest)) if "handles" in arrays else None
-    return Template(rest, triangles, tip, np.asarray(arrays["form_error_mm"], float), body, handles)
+        triangles = np.asarray(array_of(arrays, "triangles"), np.int32).reshape(-1, 3)
+        body = _body(bundle, arrays, len(rest)) if "section" in arrays else None
+        what = "markers" if body is None and not len(triangles) else "vertices"
+        if not 1 <= len(rest) <= MOST_POINTS[what]:
+            raise BundleError(
+                f"{bundle}: template of {len(rest)} {what}, allowed are 1 to {MOST_POINTS[what]}"
+            )
+        tip = np.asarray(array_of(arrays, "tip"), np.int64)
+        for name, index in (("triangles", triangles), ("tip", tip)):
+            if index.size and not 0 <= index.min() <= index.max() < len(rest):
+                raise BundleError(
+                    f"{bundle}: template '{name}' points outside its {len(rest)} vertices"
+                )
+        form_error = np.asarray(array_of(arrays, "form_error_mm"), float)
+        handles = _handles(bundle, arrays["handles"], len(rest)) if "handles" in arrays else None
+        return cls(rest, triangles, tip, form_error, body, handles)
 
 
 def _handles(bundle: str, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:

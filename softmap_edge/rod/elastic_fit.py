@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RobotError, RunError
 from softmap_edge.model.basis import Basis
-from softmap_edge.model.elastic_rod import Coordinates, ElasticParameters
+from softmap_edge.model.elastic_rod import Coordinates, ElasticRodArrays
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.memory import FRAMES, Memory, find_memory
@@ -78,7 +78,7 @@ def fit_elastic(
         x = descend(data.term(), x, space.low, space.high)[0]
     residuals, refits = cross_validate(data, x, parts)
     return Fitted(
-        rod=ElasticParameters.nominal(robot.layout, space.numbers(x), space.groups),
+        rod=ElasticRodArrays.nominal(robot.layout, space.numbers(x), space.groups),
         memory=memory,
         residuals=residuals.reshape(seen.markers.shape),
         parts=parts,

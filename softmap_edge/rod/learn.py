@@ -31,10 +31,11 @@ from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.model import NOMINAL, Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.servo_calibration import from_home
+from softmap_edge.model.shapes import BundleArrays, PriorArrays
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import fit_polynomial
-from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames, Rod, observe
+from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run.folds import folds
 from softmap_edge.run.pieces import spans
@@ -44,11 +45,11 @@ from softmap_edge.run.run import HOME_TICKS, Run
 from softmap_edge.version import __version__
 
 if TYPE_CHECKING:
+    from softmap_edge.model.polynomial_rod import RodArrays
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run.run import Source
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 # share of that straying from which a held-out error says that commands explain little
@@ -72,7 +73,7 @@ class LearnedRod:
     frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
     """
 
-    rod: Rod
+    rod: RodArrays
     input: Source
     chain_names: tuple[str, ...]
     chain_params: Mapping[str, float]
@@ -87,10 +88,6 @@ class LearnedRod:
     numbers: tuple[FittedNumber, ...] = ()
     learned_in: tuple[LearnedIn, ...] = ()
     notes: tuple[str, ...] = ()
-
-    def to_arrays(self) -> Arrays:
-        """Return the arrays of `prior.npz` (effects live in `effects.json`)."""
-        return self.rod.to_arrays()
 
     def __str__(self) -> str:
         """Say in a few lines what was fitted and how far it is off."""
@@ -433,7 +430,7 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         input=learned.input,
         output=run.output,
         made_from=learned.made_from,
-        arrays={"prior": learned.to_arrays() | learned.coverage.to_arrays(), "fields": {}},
+        arrays=BundleArrays(PriorArrays(learned.rod, coverage=learned.coverage)),
     )
     return replace(
         model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model)

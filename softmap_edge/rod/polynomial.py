@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.model.basis import SPLINE_DEGREE, SQUARES, Basis
 from softmap_edge.model.model import TIP_PER_NEWTON
-from softmap_edge.model.polynomial_rod import RodParameters
+from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
@@ -28,7 +28,6 @@ from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
 DEGREES = (1, 2, 3)
 # of a single command: the highest that the frames identify, without a ridge
@@ -79,7 +78,7 @@ def fit_polynomial(
         )
         u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
-    rod = RodParameters(
+    rod = PolynomialRodArrays(
         fit.base,
         weights.centre,
         weights.scale,

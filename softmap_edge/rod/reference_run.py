@@ -4,14 +4,13 @@ behind them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.basis import SQUARES, Basis
@@ -21,6 +20,7 @@ from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run, Source, known
 
 if TYPE_CHECKING:
+    from softmap_edge.model.polynomial_rod import RodArrays
     from softmap_edge.rod.memory import Memory
     from softmap_edge.run.output import Output
 
@@ -29,19 +29,6 @@ Floats = NDArray[np.float64]
 SLOW = 0.25  # s between samples of the command from which a log shows nothing of delay and lag
 APART = 1000.0  # s between runs that are learned from together: more than any gap next to a block
 STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
-
-
-class Rod(Protocol):
-    """The numbers of a rod of any kind: what makes a model of it, and what a bundle keeps."""
-
-    def compiled(self) -> _core.Shape:
-        """Return the compiled rod."""
-
-    def fields(self) -> Mapping[str, _core.Shape]:
-        """Return its load fields by name."""
-
-    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays of `prior.npz`."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +153,7 @@ class Fitted:
     `basis` has the terms in which its runs cover commands.
     """
 
-    rod: Rod
+    rod: RodArrays
     memory: Memory
     residuals: Floats
     parts: Folds

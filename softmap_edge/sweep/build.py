@@ -25,11 +25,12 @@ from softmap_edge.errors import SweepError, brief
 from softmap_edge.fem.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
 from softmap_edge.fem.simulator import Sweep, tensor_grid
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.npz import Stored
 from softmap_edge.geometry.centreline import Centreline, farthest, find_centreline
 from softmap_edge.geometry.sections import tip_of
-from softmap_edge.model.model import NOMINAL, Arrays, Model
+from softmap_edge.model.model import NOMINAL, Model
 from softmap_edge.model.safety import derived
-from softmap_edge.model.shapes import family_from, fields_from
+from softmap_edge.model.shapes import BundleArrays, FieldArrays, Grid, ModeArrays, PriorArrays
 from softmap_edge.model.structure import Structure
 from softmap_edge.sweep.bending import Stiffness, fields, weigh
 from softmap_edge.sweep.scattered import fit_scattered
@@ -96,21 +97,20 @@ def model_from_shapes(
     progress("modes", 0.0)
     notes = list(sweep.notes)
     flat = sweep.vertices.reshape(len(sweep.vertices), -1)
-    prior = _modes(flat)
-    values = (flat - prior["mean"].astype(float)) @ prior["modes"].astype(float).T
+    mean, modes = _modes(flat)
+    values = (flat - mean.astype(float)) @ modes.astype(float).T
     if sweep.axes is None:
         fit = fit_scattered(sweep.command, values)
-        prior |= fit.arrays
+        prior = fit.of_modes(mean, modes)
         left, rows = fit.left_out, fit.tested
         how = {"kernel": f"r^{fit.power}", "smoothing": fit.smoothing, "nodes": len(fit.nodes)}
         notes += _gaps(fit.reach)
     else:
-        prior |= {f"axis{c}": axis for c, axis in enumerate(sweep.axes)} | {
-            "coefficients": values.astype(np.float32)
-        }
+        coefficients = Stored(values.astype(np.float32))
+        prior = ModeArrays(Grid(sweep.axes), mean, Stored(modes), coefficients)
         left, rows, order = _left_out_of_grid(sweep.axes, values)
         how = {"grid": [len(axis) for axis in sweep.axes], "order": order}
-    shape = family_from(prior)
+    shape = prior.compiled()
     rest = np.asarray(np.float32(_home(shape, sweep.command)), float)
     line = find_centreline(rest, sweep.base)
     _stands_on_its_base(line, sweep.vertices)
@@ -141,7 +141,7 @@ def model_from_shapes(
         "softmap-edge": __version__,
         **(source or {}),
         "commands": len(flat),
-        "modes": len(prior["modes"]),
+        "modes": len(modes),
         **how,
         "held_out": "interpolation of the sweep, by leaving out",
         "notes": notes,
@@ -152,17 +152,19 @@ def model_from_shapes(
         "compliance": _described(stiffness),
     }
     return replace(
-        model.with_structure(fields=fields_from(stored), stiffness_known=stiffness.known),
+        model.with_structure(fields=stored.compiled(), stiffness_known=stiffness.known),
         form_error=form_error,
         vertex_error_mm=vertex_error,
         made_from=made_from,
-        arrays={"prior": prior, "fields": stored},
+        arrays=BundleArrays(PriorArrays(prior), stored),
         safety=derived(model),
     )
 
 
-def _modes(flat: Floats) -> Arrays:
-    """Return `mean` and as many `modes` as hold the movement of shapes (S, M) to HELD of itself."""
+def _modes(flat: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the mean (M,) and as many modes (m, M) as hold the movement of shapes (S, M) to HELD
+    of itself.
+    """
     some = flat[:: max(1, -(-len(flat) // MODE_ROWS))]
     mean = flat.mean(axis=0)
     basis = leading(some - mean, min(MODES, *some.shape))
@@ -170,7 +172,7 @@ def _modes(flat: Floats) -> Arrays:
     left = np.sum((some - mean) ** 2) - np.cumsum(np.sum(weights**2, axis=0))
     enough = np.flatnonzero(left <= HELD**2 * np.sum((some - mean) ** 2))
     count = int(enough[0]) + 1 if len(enough) else len(basis)
-    return {"mean": mean.astype(np.float32), "modes": basis[:count].astype(np.float32)}
+    return mean.astype(np.float32), basis[:count].astype(np.float32)
 
 
 def _gaps(reach: float) -> list[str]:
@@ -242,14 +244,14 @@ def _coarser(
 
 
 def _error(
-    model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floats
+    model: Model, prior: ModeArrays, flat: Floats, values: Floats, left: Floats
 ) -> tuple[Floats, float]:
     """Return the RMS error (V, 3) mm of each feature and of the vertices mm, from errors `left` (n,
     m) of the weights.
 
     What the modes do not hold of the shapes `flat` (n, M) counts too.
     """
-    modes, mean = prior["modes"].astype(float), prior["mean"].astype(float)
+    modes, mean = prior.modes.values, prior.mean.astype(float)
     squares, vertex = np.zeros((len(model.structure.feature_map.weights), 3)), 0.0
     for k in range(0, len(flat), 64):
         rows = slice(k, k + 64)
@@ -277,7 +279,7 @@ def _stiffness(
 
 def _fields(
     sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: Stiffness
-) -> Arrays:
+) -> FieldArrays:
     """Return the arrays of the load fields: on a coarser grid, or over some of the scattered
     commands.
     """
@@ -288,28 +290,23 @@ def _fields(
             steps -= 1
         axes = [np.linspace(axis[0], axis[-1], min(steps, len(axis))) for axis in sweep.axes]
         commands = tensor_grid(axes)
-        arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
     else:
         scaled = sweep.command / np.ptp(sweep.command, axis=0)
         commands = sweep.command[farthest(scaled, min(FIELD_NODES, FIELD_NUMBERS // points))]
-        arrays = {}
     shapes = shape.evaluate(np.ascontiguousarray(commands)).reshape(len(commands), -1, 3)
     rest = np.asarray(_home(shape, sweep.command), float)
     both = fields(line, shapes, stiffness) | stretch_fields(line, shapes, rest, stiffness.lock)
     found = {name: field.reshape(len(commands), -1) for name, field in both.items()}
     basis = leading(np.concatenate(list(found.values())), min(FIELD_MODES, 3 * points))
-    arrays["modes"] = basis.astype(np.float32)
-    values = {
-        name: field @ np.linalg.pinv(arrays["modes"].astype(float)) for name, field in found.items()
-    }
-    if sweep.axes is None:
-        together = fit_scattered(commands, np.concatenate(list(values.values()), axis=1))
-        parts = np.split(together.coefficients, len(values), axis=1)
-        values = dict(zip(values, parts))
-        arrays |= {name: array for name, array in together.arrays.items() if name != "coefficients"}
-    # weights of radial basis functions cancel
-    kind = np.float32 if sweep.axes is not None else np.float64
-    return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
+    modes = Stored(basis.astype(np.float32))
+    values = {name: field @ np.linalg.pinv(modes.values) for name, field in found.items()}
+    if sweep.axes is not None:
+        kept = {name: Stored(value.astype(np.float32)) for name, value in values.items()}
+        return FieldArrays(Grid(tuple(axes)), modes, kept)
+    together = fit_scattered(commands, np.concatenate(list(values.values()), axis=1))
+    parts = np.split(together.coefficients, len(values), axis=1)
+    # in double precision: weights of radial basis functions cancel
+    return FieldArrays(together.over, modes, dict(zip(values, map(Stored, parts))))
 
 
 def _described(stiffness: Stiffness) -> Document | str:

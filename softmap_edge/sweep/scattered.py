@@ -25,7 +25,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.npz import Stored
 from softmap_edge.geometry.centreline import distances, farthest
+from softmap_edge.model.shapes import ModeArrays, Nodes, Numbers
 
 Floats = NDArray[np.float64]
 
@@ -63,10 +65,13 @@ class ScatteredFit:
     reach: float
 
     @property
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What a family of shapes is made from, less its mean and modes (`model/shapes.py`)."""
-        kept = {"nodes": self.nodes, "scale": self.scale, "coefficients": self.coefficients}
-        return kept | {"power": np.array(self.power)}
+    def over(self) -> Nodes:
+        """The nodes of its coefficients, as a bundle keeps them."""
+        return Nodes(self.nodes, self.scale, self.power)
+
+    def of_modes(self, mean: Numbers, modes: Numbers) -> ModeArrays:
+        """Return the shape of these coefficients in modes (m, M) about a mean (M,)."""
+        return ModeArrays(self.over, mean, Stored(modes), Stored(self.coefficients))
 
 
 def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> ScatteredFit:

@@ -28,6 +28,7 @@ from softmap_edge import (
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.files.npz import Stored
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run.protocol import Limits
 from softmap_edge.synthetic.finger import HiddenEffect, Truth
@@ -163,15 +164,13 @@ def test_it_belongs_to_its_effects(adapted, loaded):
     assert model.with_effects(["gain"], {"gain.factor[0]": 1.02}).residual is None
     assert (
         model.with_residual(None).residual is None
-        and "residual" not in model.with_residual(None).arrays
+        and model.with_residual(None).arrays.residual is None
     )
     with pytest.raises(
         SoftmapError, match="the residual maps 2 commands to 3 numbers, the prior 2 to"
     ):
-        few = model.arrays["residual"] | {
-            "mean": np.zeros(3),
-            "modes": model.arrays["residual"]["modes"][:, :3],
-        }
+        known = model.arrays.residual
+        few = replace(known, mean=np.zeros(3), modes=Stored(known.modes.array[:, :3]))
         MODEL.with_residual(few)
     worn = MODEL.with_effects(["backlash"], {"backlash.gap": 0.5})
     changed, _ = refit(learn_residual(worn, loaded)[0], loaded)

@@ -187,8 +187,7 @@ def bundle(tmp_path, content):
     folder = tmp_path / "bundle"
     shutil.copytree(Path(network.__file__).parents[1] / "data" / "finger", folder)
     (folder / "prior.onnx").write_bytes(content)
-    arrays = {k: v for k, v in BASE.arrays["prior"].items() if k.startswith("cable")}
-    write_npz(folder / "prior.npz", arrays)
+    write_npz(folder / "prior.npz", {})
     write_npz(folder / "fields.npz", {})
     return signed(folder, kind="network", schema=8)
 

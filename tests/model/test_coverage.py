@@ -10,6 +10,7 @@ from recorded_arms import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.model.basis import Basis
 from softmap_edge.model.coverage import LARGER, Coverage
 from softmap_edge.model.training_range import command_extrapolation
 
@@ -88,10 +89,12 @@ def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):
         "most": np.zeros(1),
         "basis": np.array([9.0, 0]),
     }.items():
-        arrays = dict(model.arrays["prior"]) | {f"coverage_{name}": wrong}
+        arrays = model.arrays.prior.to_npz() | {f"coverage_{name}": wrong}
         with pytest.raises(SoftmapError, match="coverage"):
-            Coverage.from_arrays(arrays, 2)
-        damaged = replace(model, arrays={**model.arrays, "prior": arrays})
+            Coverage.from_npz(arrays, 2)
+        changed = {"basis": Basis(9)} if name == "basis" else {name: wrong}
+        prior = replace(model.arrays.prior, coverage=replace(model.coverage, **changed))
+        damaged = replace(model, arrays=replace(model.arrays, prior=prior))
         save_bundle(damaged, tmp_path / name)
         with pytest.raises(BundleError, match="coverage"):
             load_bundle(tmp_path / name)

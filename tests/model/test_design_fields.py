@@ -12,9 +12,10 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
-from softmap_edge.files.npz import unpacked
+from softmap_edge.files.npz import Stored
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.model import Model
+from softmap_edge.model.shapes import BundleArrays, FieldArrays, Grid, ModeArrays, PriorArrays
 from softmap_edge.run.run import Run
 
 COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
@@ -90,24 +91,31 @@ def test_the_built_in_model_answers_a_change_of_design_as_the_simulator_does(nam
     assert miss < allowed * size, f"{miss:.3f} of {size:.3f} mm"
 
 
+def in_single_precision(prior):
+    """A table as it was kept before there were steps."""
+    single, shape = (lambda stored: Stored(np.float32(stored.values))), prior.shape
+    over = Grid(tuple(np.float32(axis) for axis in shape.over.axes))
+    modes, coefficients = single(shape.modes), single(shape.coefficients)
+    return PriorArrays(ModeArrays(over, shape.mean, modes, coefficients), single(prior.pull))
+
+
 @pytest.fixture(scope="module")
 def old(tmp_path_factory):
     """The built-in bundle as it was before there were fields of a design."""
     model = builtin_model()
     design = set(_core.FIELDS) - set(_core.LOADS)
-    kept = {
+    fields = model.arrays.fields.to_npz()
+    kept = FieldArrays.from_npz({
         key: value
-        for key, value in model.arrays["fields"].items()
+        for key, value in fields.items()
         if not any(key.removesuffix("_step").endswith(f"_{name}") for name in design)
-    }
-    prior = {
-        key: np.asarray(value, np.float32) for key, value in unpacked(model.arrays["prior"]).items()
-    }
+    })  # fmt: skip
+    prior = in_single_precision(model.arrays.prior)
     model = replace(
         model.with_structure(
             fields={name: field for name, field in model.fields.items() if name not in design}
         ),
-        arrays={"prior": prior, "fields": kept},
+        arrays=BundleArrays(prior, kept),
         safety=None,
     )
     folder = save_bundle(model, tmp_path_factory.mktemp("bundles") / "old")

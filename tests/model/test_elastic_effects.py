@@ -14,7 +14,7 @@ from softmap_edge import Diagnosis, _core, builtin_model, diagnose, learn_model,
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model.elastic_rod import ROUTING, ElasticParameters, RodLayout
+from softmap_edge.model.elastic_rod import ROUTING, ElasticRodArrays, RodLayout
 from softmap_edge.model.model import Model
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.learn import learned_model
@@ -31,7 +31,7 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
     """
     robot = arm().with_slack(slack)
     places, lengths = robot.layout.places(), np.array([70.0, 50.0])
-    fields = ElasticParameters(robot.layout, robot.start, 1.0).fields()
+    fields = ElasticRodArrays(robot.layout, robot.start, 1.0).fields()
     u = np.random.default_rng(5).uniform(-6, 6, (20, 6))
 
     def changed(kind, by):
@@ -66,9 +66,7 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
     straight = robot.start.copy()
     straight[places["tilt"]] = straight[places["pretension"]] = 0.0
     moved = (
-        ElasticParameters(robot.layout, straight, 1.0)
-        .fields()["curve_x"]
-        .evaluate(np.zeros((1, 6)))
+        ElasticRodArrays(robot.layout, straight, 1.0).fields()["curve_x"].evaluate(np.zeros((1, 6)))
     )
     np.testing.assert_allclose(moved[0, -3:], [1.0, 0.0, 0.0], atol=1e-9)
     one = _core.ElasticRod(
@@ -97,7 +95,7 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
         np.zeros(9),
     ]
     layout = RodLayout(2, 2, (1,) * 4, (0, 1, 0, 1), (1.0, 1.0, -1.0, -1.0), (0.5, 1.0, 1.5, 2.0))
-    rod = ElasticParameters(layout, np.concatenate(numbers), 1.0)
+    rod = ElasticRodArrays(layout, np.concatenate(numbers), 1.0)
     aside = rod.numbers.copy()
     aside[[1, 3]] += np.radians(8.0)
     model = Model(
@@ -127,7 +125,7 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
     phase = [found.effects[0].params[f"routing.phase[{c}]"].value for c in range(2)]
     assert phase == pytest.approx([8.0, 0.0], abs=0.8)  # linear in the angle
     assert found.error.after < 0.3 * found.error.before
-    assert not set(ROUTING) & set(ElasticParameters(arm().layout, arm().start, 1.0).fields())
+    assert not set(ROUTING) & set(ElasticRodArrays(arm().layout, arm().start, 1.0).fields())
 
 
 def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
@@ -183,7 +181,7 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
         entry.params["slack.ratio"].value < 0.02 and "slack.stiffness[0]" in entry.refitted.params
     )
     assert found.error.after < 0.1 * before
-    numbers, truth = ElasticParameters.from_arrays(found.model.arrays["prior"]).numbers, arm()
+    numbers, truth = found.model.arrays.prior.shape.numbers, arm()
     for kind in ("angle", "radius", "stiffness", "length"):
         place = truth.layout.places()[kind]
         np.testing.assert_allclose(
@@ -222,14 +220,12 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
     assert "again what they were before" in capsys.readouterr().out
     before, less = load_bundle(tmp_path / "rods"), load_bundle(tmp_path / "less")
     np.testing.assert_array_equal(
-        less.arrays["prior"]["numbers"], before.arrays["prior"]["numbers"]
+        less.arrays.prior.shape.numbers, before.arrays.prior.shape.numbers
     )
     np.testing.assert_array_equal(less.predict(worn), before.predict(worn))
     np.testing.assert_allclose(less.form_error, before.form_error)
     assert less.vertex_error_mm == pytest.approx(before.vertex_error_mm)
-    old = replace(again, arrays={**again.arrays, "prior": {
-        name: array for name, array in again.arrays["prior"].items() if "before" not in name
-    }})  # fmt: skip
+    old = replace(again, arrays=kept_with(again, None))
     save(old, tmp_path / "old")  # of before bundles kept them
     assert (
         main(
@@ -246,10 +242,15 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
         == 0
     )
     assert "stay as they were fitted with the effect" in capsys.readouterr().out
-    spoilt = again.arrays["prior"] | {"numbers_before": np.zeros(3)}
+    spoilt = replace(again.arrays.prior.before, numbers=np.zeros(3))
     with pytest.raises(SoftmapError, match="numbers of before"):
-        replace(again, arrays={**again.arrays, "prior": spoilt}).with_effects((), {})
+        replace(again, arrays=kept_with(again, spoilt)).with_effects((), {})
     assert np.abs(again.predict(worn) - added.predict(worn)).max() < 0.5
+
+
+def kept_with(model, before):
+    """The arrays of a rod, with other numbers of before an effect changed its law."""
+    return replace(model.arrays, prior=replace(model.arrays.prior, before=before))
 
 
 def test_rods_that_push_are_not_called_slack():
@@ -291,7 +292,7 @@ def test_changes_of_another_rod_are_refused(taken_for_rods):
     found["effects"][0]["refitted"]["params"] = {"slack.radius": 3}
     with pytest.raises(SoftmapError, match="damaged diagnosis"):
         Diagnosis.from_dict(found)
-    arrays = model.arrays["prior"]
+    arrays = model.arrays.prior.to_npz()
     for damaged in (arrays["free"][:-1], arrays["free"] * 0 + 999, arrays["free"] + 0.5):
         with pytest.raises(SoftmapError, match="'free'"):
-            ElasticParameters.from_arrays({**arrays, "free": damaged})
+            ElasticRodArrays.from_npz({**arrays, "free": damaged})

@@ -186,17 +186,15 @@ def bundle_sample(folder):
 
 
 def residual_sample(folder):
+    from softmap_edge.files.npz import Stored
     from softmap_edge.model.bundle import builtin_model, save_bundle
+    from softmap_edge.model.shapes import ModeArrays, Nodes
 
     model, rng = builtin_model(), np.random.default_rng(0)
-    residual = {
-        "nodes": rng.uniform(-9, 9, (6, 2)),
-        "scale": np.array([9.0, 9.0]),
-        "power": np.array(3),
-        "coefficients": 0.1 * rng.normal(size=(9, 2)),
-        "mean": rng.normal(size=model.prior.size),
-        "modes": rng.normal(size=(2, model.prior.size)),
-    }
+    over = Nodes(rng.uniform(-9, 9, (6, 2)), np.array([9.0, 9.0]), 3)
+    coefficients = Stored(0.1 * rng.normal(size=(9, 2)))
+    mean, modes = rng.normal(size=model.prior.size), rng.normal(size=(2, model.prior.size))
+    residual = ModeArrays(over, mean, Stored(modes), coefficients)
     return save_bundle(model.with_residual(residual), folder / "bundle")
 
 

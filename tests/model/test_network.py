@@ -25,6 +25,7 @@ from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError  # noqa: E402
 from softmap_edge.model import onnx as onnx_of_model  # noqa: E402
 from softmap_edge.model.onnx import run_onnxruntime  # noqa: E402
+from softmap_edge.model.shapes import BundleArrays, NetworkArrays, PriorArrays  # noqa: E402
 from softmap_edge.robot.motion.kinematics import Kinematics  # noqa: E402
 
 torch.set_num_threads(1)
@@ -178,7 +179,7 @@ def foreign(curve):
 
 def bundle(tmp_path, content):
     """Write a bundle whose prior is that file, and return its folder."""
-    arrays = dict(BASE.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}}
+    arrays = BundleArrays(PriorArrays(NetworkArrays(content)))
     bare = BASE.with_structure(fields={}, cables=None, second=None)
     model = replace(bare, kind="network", arrays=arrays)
     return save_bundle(model, tmp_path / "foreign")

@@ -83,7 +83,7 @@ def test_a_stretched_or_sheared_sheet_has_the_strain_of_its_closed_form(gamma):
             triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32),
             body=None,
         ),
-        arrays={},
+        arrays=None,
     )
     strain = 0.25 if gamma == 0.0 else gamma / 2 + np.sqrt(1 + gamma**2 / 4) - 1
     assert derived(sheet).simulated["strain"] == pytest.approx(strain, abs=1e-4)

@@ -12,8 +12,9 @@ from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.fem.build import build_model
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
+from softmap_edge.files.npz import read_npz
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
-from softmap_edge.model.shapes import second_from
+from softmap_edge.model.shapes import FieldArrays
 from softmap_edge.run.run import Run
 
 NEWTON = 9.80665e-3  # a gram
@@ -127,12 +128,15 @@ def test_a_softer_or_stiffer_section_moves_the_finger_as_the_simulator_says(name
     assert min(off[1], off[3]) > linear, f"{off} of {rms(truth):.2f} mm: nothing to improve"
 
 
+def with_fields(model, fields):
+    """The model with other arrays of fields to save."""
+    return replace(model, arrays=replace(model.arrays, fields=fields))
+
+
 def without_moduli():
     """The second level of the built-in bundle as it was before it knew the modulus."""
-    fields = builtin_model().arrays["fields"]
-    return second_from(
-        {name: array for name, array in fields.items() if not name.startswith("second_moduli")}
-    )
+    fields = builtin_model().arrays.fields
+    return replace(fields, second=replace(fields.second, moduli=None)).second_order()
 
 
 def test_without_a_change_of_the_modulus_the_answer_is_that_without_its_pairs():
@@ -231,27 +235,21 @@ def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
 
 def test_a_bundle_without_a_second_level_is_read_and_a_spoiled_one_refused(tmp_path):
     model = builtin_model()
-    fields = model.arrays["fields"]
-    kept = {name: array for name, array in fields.items() if not name.startswith("second_")}
-    old = load_bundle(
-        save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "old")
-    )
-    assert old.structure.second is None and second_from(kept) is None
+    fields = model.arrays.fields
+    folder = save_bundle(with_fields(model, replace(fields, second=None)), tmp_path / "old")
+    assert not any(name.startswith("second_") for name in read_npz(folder / "fields.npz"))
+    old = load_bundle(folder)
+    assert old.structure.second is None
     linear = moved(model.with_structure(second=None), LEANING, 60.0)
     np.testing.assert_array_equal(moved(old, LEANING, 60.0), linear)
-    kept = {name: array for name, array in fields.items() if not name.startswith("second_moduli")}
-    old = load_bundle(
-        save_bundle(
-            replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "loads alone"
-        )
-    )
+    kept = replace(fields, second=replace(fields.second, moduli=None))
+    old = load_bundle(save_bundle(with_fields(model, kept), tmp_path / "loads alone"))
     np.testing.assert_array_equal(moved(old, LEANING, 60.0), moved(model, LEANING, 60.0))
     of_moduli = ("second_moduli_weights", "second_moduli_stretch", "second_moduli_growth")
     for name in ("second_growth", "second_modes", "second_axis1", "second_stretch", *of_moduli):
-        short = {**fields, name: fields[name][:-1]}
-        folder = save_bundle(
-            replace(model, arrays={**model.arrays, "fields": short}), tmp_path / name
-        )
+        stored = fields.to_npz()
+        short = FieldArrays.from_npz({**stored, name: stored[name][:-1]})
+        folder = save_bundle(with_fields(model, short), tmp_path / name)
         with pytest.raises(BundleError):
             load_bundle(folder)
     with pytest.raises(SoftmapError, match="numbers a node"):

@@ -12,7 +12,6 @@ from waiting import hold_for, until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.cli import main
-from softmap_edge.model.shapes import plain_table
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.emulated.finger import FRAMES, EmulatedFinger, hidden_laws
@@ -114,7 +113,7 @@ def test_tendons_ask_for_what_the_model_says(model):
     np.testing.assert_allclose(drawn, -drawn[::-1], atol=1.0)
     # 10 mm of the first pair: its one tendon pulls with what the simulation says, on a spool of
     # 1/280 mm a tick.
-    pull = plain_table(model.arrays["prior"], "pull").evaluate(np.array([[10.0, 0.0]]))[0]
+    pull = model.arrays.prior.tensions().evaluate(np.array([[10.0, 0.0]]))[0]
     torque = max(pull) * 1e-3 * 4096 / (2 * np.pi * 280)
     assert drawn[-1] == pytest.approx(torque / 0.52 * 1470.0, rel=1e-3) and 20 < drawn[-1] < 60
     np.testing.assert_allclose(np.array(second), np.array(first), atol=1.0)

@@ -14,7 +14,7 @@ from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bund
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
-from softmap_edge.model.elastic_rod import ElasticParameters
+from softmap_edge.model.elastic_rod import ElasticRodArrays
 from softmap_edge.rod.learn import learn
 from softmap_edge.run.folds import folds
 
@@ -274,8 +274,8 @@ def test_a_bundle_is_a_rod_like_any_other(run, learned, tmp_path):
     assert model.kind == "rod" and model.form_error.shape == (3, 3) and model.channels == 6
     assert model.robot == "arm" and model.made_from["numbers"]
     assert compare(model, run).error["rms_mm"] < 1e-2
-    arrays = learned.rod.to_arrays()
-    again = ElasticParameters.from_arrays(arrays)
+    arrays = learned.rod.to_npz()
+    again = ElasticRodArrays.from_npz(arrays)
     np.testing.assert_array_equal(
         again.compiled().evaluate(run.command), learned.rod.compiled().evaluate(run.command)
     )
@@ -286,7 +286,7 @@ def test_a_bundle_is_a_rod_like_any_other(run, learned, tmp_path):
             np.full(len(arrays[name]) + 1, -0.5),
         ):
             with pytest.raises(SoftmapError):
-                spoiled = ElasticParameters.from_arrays({**arrays, name: wrong})
+                spoiled = ElasticRodArrays.from_npz({**arrays, name: wrong})
                 spoiled.fields()
 
 

@@ -12,7 +12,7 @@ from pulled_finger import finger
 from rod_commands import commands
 
 from softmap_edge import Run, load_bundle, save_bundle
-from softmap_edge.model.polynomial_rod import RodParameters
+from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.learn import learn, learned_model
 
 
@@ -57,7 +57,9 @@ def test_a_polynomial_that_follows_the_robot_is_kept():
     )
     lengths = np.zeros((15, 2))
     lengths[0] = 100.0, 80.0
-    smooth = RodParameters(np.zeros(3), np.zeros(2), np.full(2, 10.0), 2, angles, lengths, 1e-6)
+    smooth = PolynomialRodArrays(
+        np.zeros(3), np.zeros(2), np.full(2, 10.0), 2, angles, lengths, 1e-6
+    )
     run = recorded(
         shape=lambda u: smooth.compiled().evaluate(np.ascontiguousarray(u)).reshape(len(u), 2, 3)
     )
@@ -72,10 +74,10 @@ def test_pulls_go_with_the_bundle_and_older_bundles_have_none(tmp_path):
     assert np.array_equal(again.predict(run), model.predict(run))
     arrays = {
         k: v
-        for k, v in learn(replace(run, command=run.commands() + 20.0)).to_arrays().items()
+        for k, v in learn(replace(run, command=run.commands() + 20.0)).rod.to_npz().items()
         if k != "pulled"
     }
-    assert not RodParameters.from_arrays(arrays).pulled
+    assert not PolynomialRodArrays.from_npz(arrays).pulled
 
 
 @pytest.mark.parametrize("u", [(0.0, 0.0), (0.0, 3.0), (-4.0, 0.0)])

@@ -16,7 +16,7 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.model.basis import Basis
 from softmap_edge.model.bundle import load_bundle, save_bundle
-from softmap_edge.model.polynomial_rod import RodParameters
+from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
 from softmap_edge.rod.regression import Drive, Record, Regression, rms
 from softmap_edge.run.folds import folds
@@ -34,7 +34,9 @@ def truth():
     angles[1:3] = [[0.5, 0.05, -0.1, 0.3], [0.0, 0.4, 0.6, 0.1]]
     lengths = np.zeros((15, 2))
     lengths[0], lengths[5], lengths[14] = (110.0, 90.0), (-4.0, 0.0), (0.0, -3.0)
-    return RodParameters(np.zeros(3), np.zeros(2), np.array([10.0, 8.0]), 2, angles, lengths, 1e-6)
+    return PolynomialRodArrays(
+        np.zeros(3), np.zeros(2), np.array([10.0, 8.0]), 2, angles, lengths, 1e-6
+    )
 
 
 def delayed_and_lagged(t):
@@ -155,7 +157,7 @@ def test_hidden_markers_are_left_out(plain):
 def test_slopes_match_finite_differences_also_in_the_straight_pose(truth):
     angles = truth.angles.copy()
     angles[0] = 0.0
-    rod = RodParameters(
+    rod = PolynomialRodArrays(
         truth.base, truth.centre, truth.scale, 2, angles, truth.lengths, 1e-6
     ).compiled()
     for u in ([0.0, 0.0], [1e-6, -1e-6], [4.0, -7.0]):
@@ -176,7 +178,7 @@ def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length():
     lengths = np.zeros((15, 2))
     lengths[0] = 120.0, 80.0
     compliance = 0.1 * 200.0 / ((120.0**3 + 80.0**3) / 12.0)
-    fields = RodParameters(
+    fields = PolynomialRodArrays(
         np.zeros(3), np.zeros(1), np.ones(1), 1, straight, lengths, compliance
     ).fields()
     assert set(fields) == set(_core.LOADS)
@@ -203,15 +205,17 @@ def test_learned_rods_have_that_compliance(learned):
 
 
 def test_arrays_carry_the_whole_rod(learned):
-    again = RodParameters.from_arrays(learned.to_arrays())
+    again = PolynomialRodArrays.from_npz(learned.rod.to_npz())
     u = np.array([[3.0, -2.0]])
     np.testing.assert_array_equal(again.compiled().evaluate(u), learned.rod.compiled().evaluate(u))
-    for name in learned.to_arrays():
-        damaged = {**learned.to_arrays(), name: np.zeros((2, 2, 2))}
+    for name in learned.rod.to_npz():
+        damaged = {**learned.rod.to_npz(), name: np.zeros((2, 2, 2))}
         with pytest.raises(SoftmapError, match=name):
-            RodParameters.from_arrays(damaged)
+            PolynomialRodArrays.from_npz(damaged)
     with pytest.raises(_core.CoreError, match="angle"):
-        RodParameters.from_arrays({**learned.to_arrays(), "angles": np.zeros((3, 4))}).compiled()
+        PolynomialRodArrays.from_npz(
+            {**learned.rod.to_npz(), "angles": np.zeros((3, 4))}
+        ).compiled()
 
 
 def test_a_bundle_predicts_like_the_rod_it_was_made_from(truth, tmp_path):

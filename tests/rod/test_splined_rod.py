@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 from softmap_edge import Run, _core, learn_model, load_bundle, save_bundle
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.basis import Basis
-from softmap_edge.model.polynomial_rod import RodParameters
+from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.regression import _ridge
 
@@ -59,14 +59,16 @@ def test_splines_go_with_the_bundle_and_wrong_ones_are_refused(tmp_path):
     model = learned_model(run, found)
     save_bundle(model, tmp_path / "finger")
     assert np.array_equal(load_bundle(tmp_path / "finger").predict(run), model.predict(run))
-    arrays = found.to_arrays()
+    arrays = found.rod.to_npz()
     assert (
-        RodParameters.from_arrays({k: v for k, v in arrays.items() if k != "intervals"}).intervals
+        PolynomialRodArrays.from_npz(
+            {k: v for k, v in arrays.items() if k != "intervals"}
+        ).intervals
         == 0
     )
     for wrong in (-1.0, 2.5, 1e9, np.nan):
         with pytest.raises(SoftmapError, match="intervals, expected 0 to 64"):
-            RodParameters.from_arrays(arrays | {"intervals": np.array([wrong])})
+            PolynomialRodArrays.from_npz(arrays | {"intervals": np.array([wrong])})
     with pytest.raises(SoftmapError, match="rows"):
         replace(found.rod, intervals=7).compiled()
     with pytest.raises(SoftmapError, match="not both"):

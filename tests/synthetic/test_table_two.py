@@ -11,7 +11,7 @@ import pytest
 from softmap_edge import SoftmapError, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.fem.simulator import Simulator
-from softmap_edge.model.shapes import family_from
+from softmap_edge.model.shapes import Grid
 from softmap_edge.synthetic.table_two import (
     COMPENSATED,
     OURS,
@@ -32,13 +32,11 @@ def model():
 
 def worse(model):
     """Return a rival that bends a tenth too little: its commands lead too far."""
-    arrays = dict(model.arrays)
-    prior = dict(arrays["prior"])
-    for c in range(2):
-        prior[f"axis{c}"] = 1.1 * np.asarray(prior[f"axis{c}"])
+    shape = model.arrays.prior.shape
+    shape = replace(shape, over=Grid(tuple(1.1 * axis for axis in shape.over.axes)))
     return replace(
-        model.with_structure(prior=family_from(prior), fields={}, cables=None, second=None),
-        arrays=arrays | {"prior": prior},
+        model.with_structure(prior=shape.compiled(), fields={}, cables=None, second=None),
+        arrays=replace(model.arrays, prior=replace(model.arrays.prior, shape=shape)),
     )
 
 

@@ -28,7 +28,6 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.model.shapes import family_from
 from softmap_edge.sweep.scattered import fit_scattered, half_range
 from softmap_training import choices
 from softmap_training.errors import TrainingError
@@ -100,7 +99,7 @@ def reduced(points: Floats) -> tuple[Floats, Floats, Floats]:
 def _table(commands: Floats, weights: Floats, seed: int) -> Regressor:
     fit = fit_scattered(commands, weights)
     count = weights.shape[1]
-    shape = family_from(fit.arrays | {"mean": np.zeros(count), "modes": np.eye(count)})
+    shape = fit.of_modes(np.zeros(count), np.eye(count)).compiled()
     return lambda u: np.asarray(shape.evaluate(np.ascontiguousarray(u))), fit.coefficients.size
 
 

@@ -271,15 +271,14 @@ def size_of(model: Model) -> int:
     """Return how many numbers make a model's shapes: of its prior and of its residual."""
     if is_decoder(model):  # its table is only what onnxruntime makes of them
         return int(model.made_from["prior"]["parameters"])
-    shapes = [
-        (model.arrays["prior"], model.prior),
-        (model.arrays.get("residual", {}), model.residual),
-    ]
+    if model.arrays is None:
+        raise TrainingError(f"the model of '{model.robot}' has no arrays; load it from a bundle")
+    contents = model.arrays.contents()
     return sum(
         shape.parameters
         if isinstance(shape, _core.Network)
-        else sum(np.size(array) for array in arrays.values())
-        for arrays, shape in shapes
+        else sum(np.size(array) for array in contents.get(name, {}).values())
+        for name, shape in (("prior", model.prior), ("residual", model.residual))
     )
 
 

@@ -36,11 +36,19 @@ from torch import Tensor, nn
 from softmap_edge import _core
 from softmap_edge.alignment.register import clamped
 from softmap_edge.fem.simulator import tensor_grid
-from softmap_edge.files.npz import unpacked
+from softmap_edge.files.npz import Stored
 from softmap_edge.geometry.sections import tip_of
-from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.model import Model
 from softmap_edge.model.onnx import run_onnxruntime, table_from_onnxruntime
-from softmap_edge.model.shapes import family_from
+from softmap_edge.model.shapes import (
+    BundleArrays,
+    FieldArrays,
+    Grid,
+    ModeArrays,
+    NetworkArrays,
+    PriorArrays,
+    TrainedOver,
+)
 from softmap_edge.model.structure import Structure
 from softmap_edge.model.training_range import BEYOND, UNLIKE, span
 from softmap_training import baselines, encodings
@@ -85,18 +93,21 @@ class Trained:
     content: bytes
     report: dict[str, Any]
 
-    @property
-    def arrays(self) -> Arrays:
-        """What a bundle keeps of it."""
-        return {"onnx": np.frombuffer(self.content, np.uint8)}
+    def arrays(self, grid: Grid) -> NetworkArrays:
+        """Return what a bundle keeps of it, with a grid."""
+        return NetworkArrays(self.content, grid)
 
 
 @dataclass(frozen=True)
 class Tabulated:
     """A regressor as the arrays of a table, and its report."""
 
-    arrays: Arrays
+    table: ModeArrays
     report: dict[str, Any]
+
+    def arrays(self, _grid: Grid) -> ModeArrays:
+        """Return what a bundle keeps of it: its table, which has a grid of its own."""
+        return self.table
 
 
 def train_prior(
@@ -192,20 +203,18 @@ def fit_prior(
     fitted = baselines.fit_baseline(
         cast(baselines.Name, kind), commands[train], points[train], seed
     )
-    table = unpacked(base.arrays["prior"])
-    axes = [
-        np.asarray(table[f"axis{c}"], np.float64)
-        for c in range(base.channels)
-        if f"axis{c}" in table
-    ]
+    axes = [np.asarray(axis, np.float64) for axis in _grid(base).axes]
     axes = axes or [np.linspace(low, high, NODES) for low, high in base.command_range]
     mean, modes, weights = baselines.reduced(fitted.predict(tensor_grid(axes)))
-    arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
-    arrays |= {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
-    arrays |= {"coefficients": weights.astype(np.float32)}
-    found = family_from(arrays).evaluate(commands[test])
+    arrays = ModeArrays(
+        Grid(tuple(axes)),
+        mean.astype(np.float32),
+        Stored(modes.astype(np.float32)),
+        Stored(weights.astype(np.float32)),
+    )
+    found = arrays.compiled().evaluate(commands[test])
     report = {"kind": kind, "seed": seed, "seconds": fitted.seconds}
-    report["parameters"] = sum(array.size for array in arrays.values())
+    report["parameters"] = sum(array.size for array in arrays.to_npz().values())
     return Tabulated(arrays, report | _evaluated(commands[train], found, points[test]))
 
 
@@ -259,13 +268,13 @@ def decoder_model(
         "test_chamfer_mm": float(apart.mean()),
     }
     arrays, tabulated = table_from_onnxruntime(
-        "prior.onnx", content, base.command_range, {}, "a decoder is no chain of layers"
+        "prior.onnx", content, base.command_range, Grid(), "a decoder is no chain of layers"
     )
     half = float(np.sqrt(np.mean((apart / 2) ** 2)))
     triangles = np.zeros((0, 3), np.int32) if fitted.triangles is None else fitted.triangles
     bare = Model(
         structure=Structure(
-            prior=family_from(arrays),
+            prior=arrays.compiled(),
             fields={},
             rest=rest,
             triangles=triangles,
@@ -280,7 +289,7 @@ def decoder_model(
         command_unit=base.command_unit,
         input=base.input,
         made_from={"prior": report},
-        arrays={"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}},
+        arrays=BundleArrays(PriorArrays(NetworkArrays(content)), FieldArrays()),
     )
     form = np.full((len(bare.structure.positions), 3), half / np.sqrt(3.0))
     return replace(bare, form_error=form), report | {"table_off_mm": tabulated["table_off_mm"]}
@@ -349,29 +358,33 @@ def with_prior(
         TrainingError: the prior is of other commands or points than the model.
     """
     check_set(base, commands, points)
-    core, table = family_from(trained.arrays), base.arrays["prior"]
+    stored = base.arrays
+    if stored is None:
+        raise TrainingError(f"the model of '{base.robot}' has no arrays; load it from a bundle")
+    arrays = trained.arrays(_grid(base))
+    core, kept = arrays.compiled(), stored.prior
     base = base.with_residual(None)
-    kept = {
-        name: array
-        for name, array in table.items()
-        if name.startswith("axis") or name.removesuffix("_step") == "pull"
-    }
     # its own, not that of one trained earlier
-    form = np.asarray(table.get("form_before", base.form_error), np.float64)
-    error = float(table.get("error_before_mm", base.vertex_error_mm))
-    kept |= {"form_before": form, "error_before_mm": np.array(error)}
-    arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
+    own_error = TrainedOver(np.asarray(base.form_error, np.float64), base.vertex_error_mm)
+    before = kept.before if isinstance(kept.before, TrainedOver) else own_error
+    form, error = before.form_error, before.vertex_error_mm
+    prior = PriorArrays(arrays, pull=kept.pull, before=before)
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
     own = np.sqrt(np.mean(base.structure.feature_map(missed) ** 2, axis=0))
     taught = _taught(base, np.asarray(trained.report["command_range"]))
     return replace(
         base.with_structure(prior=core, command_range=taught),
         kind="network" if isinstance(core, _core.Network) else "table",
-        arrays=arrays,
+        arrays=BundleArrays(prior, stored.fields),
         form_error=np.hypot(form, own),
         vertex_error_mm=float(np.hypot(error, rms(missed.reshape(len(points), -1)))),
         made_from=dict(base.made_from) | {"prior": trained.report},
     )
+
+
+def _grid(model: Model) -> Grid:
+    """Return the grid of a model's prior; one without axes where there is none."""
+    return (model.arrays.prior.grid if model.arrays is not None else None) or Grid()
 
 
 def check_set(base: Model, commands: Floats, points: Floats) -> None:

@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from softmap_edge import _core
 from softmap_edge.alignment.register import clamped
 from softmap_edge.model.model import Model
+from softmap_edge.model.shapes import NetworkArrays
 from softmap_edge.model.training_range import span
 from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run
@@ -117,7 +118,7 @@ def train_residual(
         "warnings": lesson.remarks,
         "command_range": span(lesson.commands),
     }
-    found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})
+    found = base.with_residual(NetworkArrays(content))
     made = dict(base.made_from) | {"residual": {"run": lesson.runs, **report}}
     return replace(found, made_from=made), report
 

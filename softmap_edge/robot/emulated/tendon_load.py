@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TURN, Calibration, tendon_mm
-from softmap_edge.model.shapes import plain_table
 from softmap_edge.robot.servo.models import ServoModel
 from softmap_edge.run.rest_command import home_command
 
@@ -52,10 +51,9 @@ def tendon_loads(
 
 def _forces(model: Model, u: Floats) -> Floats:
     """Return with how many N each command (n, C) is pulled back, (n, C)."""
-    prior = model.arrays.get("prior", {})
-    if model.structure.cables is None or "pull" not in prior:
+    pull = None if model.arrays is None else model.arrays.prior.tensions()
+    if model.structure.cables is None or pull is None:
         return NOMINAL * tendon_mm(model.command_unit) * (u - home_command(model.command_range))
-    pull = plain_table(prior, "pull")
     reach = 0.5 * np.diag(np.min(np.abs(np.asarray(model.command_range, float)), axis=1))  # (C, C)
     change = np.asarray(pull.evaluate(reach)) - np.asarray(pull.evaluate(-reach))  # (C, tendons)
     most = np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-12)
