@@ -21,6 +21,7 @@ from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
+from softmap_edge.logs.plausible import overlong_stroke
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
 from softmap_edge.run.conditions import HOME, conditions, orientations
@@ -318,6 +319,8 @@ def _warnings(run: Run) -> list[str]:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
     notes += roll_overs_of(run)
     notes += [f"0 channels: {NO_COMMANDS}"] if run.channels == 0 else []
+    small = _too_small(run)
+    notes += [] if small is None else [small]
     away = _far_away(run)
     if away is not None:
         notes.append(away)
@@ -326,6 +329,16 @@ def _warnings(run: Run) -> list[str]:
             f"commands are in {run.command_unit}: every figure about the drive carries that unit"
         )
     return notes
+
+
+def _too_small(run: Run) -> str | None:
+    """Say so where the body is smaller than the pull of its tendons."""
+    seen = run.vertices if run.vertices is not None else run.markers
+    if seen is None or run.command is None or run.output is not None or run.command_unit != "mm":
+        return None
+    places = np.where(known(run, seen)[..., None], seen, np.nan)
+    found = overlong_stroke(places, run.command)
+    return None if found is None else f"{found}; give both in mm (`unit` in the mapping)"
 
 
 def _far_away(run: Run) -> str | None:

@@ -19,7 +19,7 @@ from softmap_edge.logs.clock import counting_on, find_jump, find_steps
 from softmap_edge.logs.guess_columns import Sheet, last_of, unit_in_name
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
-from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock
+from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock, fractions
 from softmap_edge.logs.time_names import TIME_NAME, is_time_unit, time_unit
 from softmap_edge.logs.time_text import DAY
 from softmap_edge.run.fields import ROW_S
@@ -27,6 +27,7 @@ from softmap_edge.run.fields import ROW_S
 Array = NDArray[np.float64]
 RATE_HZ = 100  # assumed rate of a counter
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
+_FRAMES = re.compile(r"^frame#?$", re.IGNORECASE)  # never holds time
 _WHOLE = re.compile(r"(seconds|secs?|s)$", re.IGNORECASE)
 _FRACTION = {
     "ns": re.compile(r"(nano_?sec(onds|s)?|n_?secs?|ns)$", re.IGNORECASE),
@@ -123,15 +124,10 @@ def _single(sheet: Sheet) -> str | None:
     )
     if best is not None and not _coarse(sheet, best):
         return best
-    rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
-    falling = [
-        name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)
-    ]
-    straying = [
-        name
-        for name in dict.fromkeys(sheet.names)
-        if name not in (*rising, *falling) and _strays(sheet, name)
-    ]
+    names = [name for name in dict.fromkeys(sheet.names) if not _broken_counts(sheet, name).any()]
+    rising = [name for name in names if _rises(_known(sheet, name))]
+    falling = [name for name in names if name not in rising and _falls(sheet, name)]
+    straying = [name for name in names if name not in (*rising, *falling) and _strays(sheet, name)]
     for names in (rising, falling, straying):
         for pattern in (TIME_NAME, _COUNTERS):
             fits = [
@@ -148,6 +144,20 @@ def _single(sheet: Sheet) -> str | None:
     if first == sheet.names[0] and (not sheet.header or _ticks_evenly(sheet.column(first))):
         return first
     return None
+
+
+def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
+    """Return which values of a column called as a counter is are no whole numbers.
+
+    A column that is whole in fewer than half of its rows counts nothing: it is left to its values,
+    but for one of frames.
+    """
+    known = _known(sheet, name)
+    broken = fractions(known)
+    if not sheet.header or not _called_so(sheet, name, _COUNTERS):
+        return np.zeros(len(known), bool)
+    frames = _called_so(sheet, name, _FRAMES)
+    return broken if frames or broken.mean() < 0.5 else np.zeros(len(known), bool)
 
 
 def _bare(name: str) -> str:
@@ -173,6 +183,11 @@ def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
                 f"holds '{odd}'" + (" as well" if most else ", which is not read as time"),
                 most,
             )
+    for name in sheet.names:
+        broken = _broken_counts(sheet, name)
+        if broken.any():
+            value = _known(sheet, name)[int(np.argmax(broken))]
+            return name, f"holds {value:.6g}, which is not the number of a row or frame", False
     one = next((name for name, form in sheet.clocks.items() if form != "day"), None)
     return None if one is None else (one, "holds one date only", False)
 

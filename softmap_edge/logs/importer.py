@@ -30,9 +30,9 @@ from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import (
+    doubts_of_base,
     doubts_of_both,
     doubts_of_frozen,
-    doubts_of_rest,
     doubts_of_rows,
     doubts_of_time,
 )
@@ -119,7 +119,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         _rest(t_seen, fields, mapping, notes)
         t_seen = choose_frames(t, t_seen, fields, mapping, notes)
         fields["t_seen"] = t_seen
-        doubts += [] if "output" in fields else doubts_of_rest(t, t_seen, fields, mapping)
+        doubts += [] if "output" in fields else doubts_of_base(t, t_seen, fields, mapping)
     if mapping.zero_time:
         zero = t[0]
         t = t - zero

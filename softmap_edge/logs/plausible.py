@@ -1,10 +1,11 @@
 """Reports numbers that do not look like what a mapping declares: units, or base frame.
 
 Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a
-robot of 3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range
-tells (cm for mm, a scale of 2) is not found. The robot's rest axis is z of the base frame by
-definition, so markers that run along another axis at rest mean a y-up log or swapped axes. Pinned
-by tests/logs/test_import_doubts.py.
+robot of 3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. A tendon is
+pulled by less than the length of its body, so centimetres that are read as millimetres are found
+where the commands are in mm. A scale of 2 is not found. The robot's rest axis is z of the base
+frame by definition, so markers that run along another axis at rest mean a y-up log or swapped axes.
+Pinned by tests/logs/test_import_doubts.py and tests/logs/test_import_lengths.py.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity
+from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity
 from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
@@ -24,6 +25,9 @@ TENDON = (0.2, 300.0)  # mm: the largest command
 _USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: what a proposed unit must give
 # rad: degrees are rarely below the one, radians rarely beyond the other
 HALF_TURN, TURNS = 3.2, 25.0
+# of the length of the body, from slack to the other end: no tendon is pulled farther
+STROKE = 1.2
+METRES = 3.0  # mm: where a clamp farther away, given in m, appears to stand
 _HOME = 0.1  # of the largest command: nearer than this the robot is taken to be at rest
 # rows of a reading that stands still, and of the range of a command meanwhile
 _STILL_ROWS, _CROSSED = 20, 0.5
@@ -83,10 +87,30 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
         guess = "A" if unit == "mA" and peak < 10 else "mA" if unit == "A" and peak > 100 else None
     elif name == "load" and unit == "g" and peak < 0.5:
         guess = "kg"
+    elif unit in ANGLE and quantity.spool_radius_mm < METRES / 10:
+        guess = _spool_in_metres(peak * (np.pi / 180.0 if unit == "deg" else 1.0), quantity)
+        return [] if guess is None else [f"{name}: {guess}"]
     if guess is None or guess == unit:
         return []
     remedy = f'set unit = "{guess}" if so' if " " not in guess else "name their unit"
     return [f'{name}: at most {peak:.4g} with unit = "{unit}" looks like {guess}: {remedy}']
+
+
+def _spool_in_metres(turned: float, quantity: Quantity) -> str | None:
+    """Return the suspicion that the radius of a spool is given in m; None if 1 mm would be absurd.
+
+    Args:
+        turned: by how much the spool turns at most, rad.
+        quantity: the angle of the spool.
+    """
+    radius, pulled = quantity.spool_radius_mm, turned * quantity.spool_radius_mm
+    largest = float(np.abs(quantity.scale).max()) * 1000.0 * pulled
+    if not _USUAL["tendon"][0] <= largest <= TENDON[1]:
+        return None
+    return (
+        f"spool_radius_mm = {radius:g} makes {turned:.3g} rad to {pulled:.3g} mm of tendon, which "
+        f"looks like a radius in m: set spool_radius_mm = {1000 * radius:g}"
+    )
 
 
 def doubts_of_both(fields: dict[str, Any]) -> list[str]:
@@ -175,6 +199,76 @@ def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[st
         f'{name}: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = '
         f'"{guess}"'
     ]
+
+
+def overlong_stroke(points: Array, command: Array) -> str | None:
+    """Return the suspicion that a body is smaller than the pull of its tendons; None without one.
+
+    Args:
+        points: (K, M, 3) mm in the base frame; NaN where nothing was seen.
+        command: (T, C) mm of tendon.
+    """
+    sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    pulled = command[np.isfinite(command).all(axis=1)]
+    if len(sample) < 2 or not pulled.size:
+        return None
+    stroke = float(np.ptp(pulled, axis=0).max())
+    body = max(float(np.ptp(sample, axis=0).max()), float(np.linalg.norm(sample, axis=1).max()))
+    if not 0.0 < STROKE * body < stroke:
+        return None
+    return (
+        f"the robot measures {body:.3g} mm, less than the {stroke:.3g} mm over which its tendons are "
+        "pulled: the places look like cm, or the commands are in another unit than mm"
+    )
+
+
+def doubts_of_base(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> list[str]:
+    """Say whether places look like cm, the origin of the base frame like m, or the frame is not the
+    base frame.
+
+    Args:
+        t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
+        fields: the fields of the run. mapping: as declared.
+    """
+    markers, command, base = fields["markers"], fields.get("command"), fields.get("base_markers")
+    small = None
+    if command is not None and mapping.command_unit == "mm":
+        small = overlong_stroke(markers, command)
+    start = at_rest(t, t_seen, command, markers) if base is None else _middle(base)
+    metres = _origin_in_metres(start, mapping)
+    return [
+        *([] if small is None else [f'markers: {small}; set unit = "cm" if so']),
+        *(doubts_of_rest(t, t_seen, fields, mapping) if metres is None else [metres]),
+    ]
+
+
+def _origin_in_metres(rest: Array, mapping: Mapping) -> str | None:
+    """Return the suspicion that the origin of the base is given in m: 1000 times as far, it is at
+    the robot.
+
+    Args:
+        rest: (M, 3) mm, places of the robot or of its clamp at rest, in the base frame as declared.
+        mapping: as declared.
+    """
+    origin = np.asarray(mapping.origin_mm, float)
+    rest = rest[np.isfinite(rest).all(axis=1)]
+    if not 0.0 < np.abs(origin).max() < METRES or not len(rest):
+        return None
+    moved = rest - mapping.to_base(1000.0 * origin)
+    near, nearer = (float(np.linalg.norm(one, axis=1).min()) for one in (rest, moved))
+    size = float(np.linalg.norm(np.ptp(moved, axis=0)))
+    # a robot hangs or stands at one side of its clamp, so most of it lies along +z
+    beside = float(moved[:, 2].min()) < -0.1 * max(size, nearer)
+    if nearer >= near or beside:
+        return None
+    given = ", ".join(f"{x:g}" for x in origin)
+    better = ", ".join(f"{1000.0 * x:g}" for x in origin)
+    return (
+        f"frame: origin_mm = [{given}] leaves {near:.4g} mm to the nearest place of the robot, and "
+        f"1000 times as much leaves {nearer:.4g} mm, which looks like metres: set origin_mm = "
+        f"[{better}]"
+    )
 
 
 def _length(number: float, what: str) -> str | None:

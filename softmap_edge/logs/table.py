@@ -33,6 +33,7 @@ from softmap_edge.logs.readers.rosbag_sqlite import open_db3
 from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
 from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
+from softmap_edge.logs.time_keys import fractions
 from softmap_edge.logs.time_text import DAY
 
 _VENDORS: dict[str, Callable[[Path], Columns]] = {
@@ -333,7 +334,8 @@ def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clo
         clock: the time that the mapping declares.
 
     Raises:
-        RunError: there is no such column, or it holds dates where numbers are declared.
+        RunError: there is no such column, it holds dates where numbers are declared, or fractions
+            where it is declared to count.
     """
     if clock.column is None:
         return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
@@ -351,5 +353,21 @@ def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clo
                 )
             part = np.mod(part, DAY) if dated and texts[at].form == "day" else part
             dated, seconds = True, 1.0
+        elif clock.counter:
+            _refuse_fractions(path, columns.where, columns.names[at], part, cells)
         t = t + part * seconds
     return t
+
+
+def _refuse_fractions(path: Path, where: str, name: str, counts: Array, cells: Cells) -> None:
+    """Refuse a counter of frames or rows that holds fractions."""
+    broken = fractions(counts)
+    if not broken.any():
+        return
+    first = int(np.argmax(broken))
+    raise RunError(
+        f"{path}: {where} {cells.lines[first]}: '{name[:60]}' is {counts[first]:.9g}, and so are "
+        f"{int(broken.sum()) - 1} more of {len(counts)} no whole numbers; a counter (`column` with "
+        "`rate_hz`) holds whole numbers only. Mend the lines, or, if the column holds time, give "
+        "`unit` in place of `rate_hz`"
+    )

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from softmap_edge.errors import RunError
 from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import Column
@@ -16,6 +19,13 @@ KEYS = (
 )
 NO_TIME = "none"  # the `time` of a log without time: its rows are counted
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
+
+_WHOLE = 1e-6  # of a count: as far from a whole number as text with few digits may be
+
+
+def fractions(counts: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of some counts (rows,) are no whole numbers; an absent one is none of them."""
+    return np.isfinite(counts) & (np.abs(counts - np.rint(counts)) > _WHOLE)
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,7 @@ class Clock:
             day to a date.
         jumps: `mend` to count on over a roll-over, and to remove one step of a clock that was set.
         assumed: whether the rate is an assumption.
+        counter: whether the column counts rows or frames, at the rate that the mapping gives.
     """
 
     column: Column | None
@@ -44,6 +55,7 @@ class Clock:
     more: tuple[tuple[Column, float], ...] = ()
     jumps: str = "refuse"
     assumed: bool = False
+    counter: bool = False
 
     @property
     def columns(self) -> list[Column]:
@@ -96,6 +108,7 @@ def clock_of(log: TomlTable) -> Clock:
         more=tuple(several[1:]),
         jumps=time.choice("jumps", ("refuse", "mend"), "refuse"),
         assumed=bool(time.get("assumed", (bool,), False)),
+        counter=one is not None and rate is not None,
     )
 
 
