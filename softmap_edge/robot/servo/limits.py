@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,7 @@ IDLE = 0.05  # of a servo's stall current: what motor and gears take without a l
 ASTRAY = 0.03
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
-_Simple = Literal[
-    "stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
-    "jog_current", "band", "turns", "burst",
-]  # fmt: skip
-_SIMPLE: tuple[_Simple, ...] = (
+_SIMPLE: Final = (
     "stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
     "jog_current", "band", "turns", "burst",
 )  # fmt: skip
