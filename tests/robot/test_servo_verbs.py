@@ -180,8 +180,7 @@ def test_what_setup_mends_is_told(fresh, capsys):
     told = capsys.readouterr().out.splitlines()
     assert len(told) == 2, "the second time there is nothing to mend"
     assert told[0].endswith(": set up") and told[1] == (
-        f"  next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml, and "
-        "once all are: softmap servo home --rig rig.toml"
+        f"next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml"
     )
 
 
