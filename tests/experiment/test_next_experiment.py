@@ -196,7 +196,7 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     assert main(argv) == 0
     told = capsys.readouterr().out
     assert "Open      payload (ambiguous); alternatives: gravity" in told
-    assert f"`softmap record {tmp_path / 'c.csv'} --sim --out new.npz`" in told
+    assert told.endswith(f"next: softmap record {tmp_path / 'c.csv'} --sim --out new.npz\n")
     assert "another orientation (0.6 min): settles payload, gravity, stiffness; separation" in told
     assert "turn the robot until gravity points along 0.52 0.24 0.82" in told
     made, robot = read_commands(tmp_path / "c.csv")
@@ -227,14 +227,16 @@ def test_what_is_named_beside_a_rival_is_not_open():
     assert block.settles == ("lag", "latency") and block.block == known["lag"].experiment[0]
 
 
-def test_only_the_built_in_robot_is_told_how_to_be_played(tmp_path, capsys):
+def test_only_the_built_in_robot_is_played_on_the_simulated_finger(tmp_path, capsys):
     save_bundle(replace(MODEL, robot="arm"), tmp_path / "arm")
     argv = ["next", "--standard", "--out", str(tmp_path / "c.csv"), "--bundle"]
     assert main([*argv, str(tmp_path / "arm")]) == 0
-    assert "softmap record" not in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert told.endswith("c.csv --rig rig.toml --out new.npz\n") and "--sim" not in told
     save_bundle(MODEL, tmp_path / "ours")
     assert main([*argv, str(tmp_path / "ours")]) == 0
-    assert f"--sim --bundle {tmp_path / 'ours'} --out new.npz`" in capsys.readouterr().out
+    after = f"--sim --out new.npz --bundle {tmp_path / 'ours'}\n"
+    assert capsys.readouterr().out.endswith(after)
 
 
 def test_next_writes_the_standard_protocol_and_blocks_by_name(tmp_path, capsys):
