@@ -1,5 +1,6 @@
-"""Print the speed of the core beside plain NumPy/SciPy doing the same work, and what a user waits
-for.
+"""Print the speed of the core and of plain NumPy/SciPy, and what a user waits for.
+
+Both do the same work.
 
 Ratios are medians of alternating runs in this one process; the machine and the versions stand above
 them.
@@ -77,9 +78,7 @@ def main() -> int:
 
 
 def trunk() -> None:
-    """Print how well the rod predicts a real robot beside general regressors, where its logs
-    are.
-    """
+    """Print how well the rod and general regressors predict a real robot, if its logs exist."""
     from benches.data import find
     from benches.trunk import print_table
     from benches.trunk_load import FREE, read
@@ -136,8 +135,9 @@ def rollouts() -> dict[str, object]:
 
 
 def nine_tendons():
-    """The robot of examples/tdcr_robot.toml and 1600 commands that draw in and pay out all its
-    tendons.
+    """The robot of examples/tdcr_robot.toml and 1600 commands that move all its tendons.
+
+    They draw them in and pay them out.
     """
     robot = Robot.load(Path(__file__).parents[1] / "examples/tdcr_robot.toml")
     t = np.arange(1600) * 0.5
@@ -204,8 +204,9 @@ def full_sweep() -> dict[str, object]:
 
 
 def million_rows() -> dict[str, object]:
-    """`softmap import` of a log of a million rows and 17 columns; `python -m benches.import_rows`
-    tells its memory.
+    """Time `softmap import` of a log of a million rows and 17 columns.
+
+    `python -m benches.import_rows` reports its memory.
     """
     from benches.import_rows import measure, write_log
 
@@ -232,8 +233,9 @@ def imports() -> dict[str, object]:
 
 
 def table_against_simulator() -> dict[str, object]:
-    """Mean vertex error of the built-in table at commands off its grid, against the simulator on
-    the same mesh.
+    """Mean vertex error of the built-in table at commands off its grid.
+
+    It is against the simulator on the same mesh.
     """
     model, rng = builtin_model(), np.random.default_rng(7)
     low, high = model.command_range.T

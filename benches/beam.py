@@ -1,5 +1,6 @@
-"""Print every number of docs/learn/beam.md: a silicone beam that nothing commands, under its
-weight, 52 g and 101 g.
+"""Print every number of docs/learn/beam.md.
+
+A silicone beam that nothing commands, under its weight, 52 g and 101 g.
 
 The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements
 with it. `drop` is the mean of the three tip markers along gravity (mm), `rotation` that of the
@@ -73,8 +74,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Ring:
-    """How a recording rings: frequency Hz, tip stiffness N/m, weight g that these tell, with one
-    standard deviation.
+    """How a recording rings: frequency Hz, tip stiffness N/m, weight g, with their sigma.
+
+    Stiffness and weight follow from it.
 
     `alike_hz` is what a beam would ring at that drops as far because it is softer or heavier all
     along.
@@ -117,8 +119,9 @@ def rows(beam: Finger, runs: dict[str, Run]) -> list[Row]:
 
 
 def frequency(run: Run, down: Floats) -> tuple[float, float]:
-    """Return frequency and standard deviation (Hz) of what decays on top of a slow creep, after the
-    release.
+    """Return frequency and standard deviation (Hz) of the decay after the release.
+
+    It is on top of a slow creep.
     """
     drop = ((np.asarray(run.markers) - np.asarray(run.marker_rest)) @ down).mean(axis=1)
     t = run.t_seen - run.t_seen[int(np.argmax(drop > 0.5 * drop[-1]))]
@@ -142,8 +145,9 @@ def frequency(run: Run, down: Floats) -> tuple[float, float]:
 
 
 def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[Ring]:
-    """Return what the ringing of every recording tells, with the modulus that the beam's own weight
-    shows.
+    """Return the result of each recording's ringing, with the modulus of the beam.
+
+    The beam's own weight shows its modulus.
     """
     solid, down, found = Simulator(fit.finger), np.array(fit.finger.gravity), []
     softer = fit.numbers["young_mpa"].sigma / fit.finger.young_mpa

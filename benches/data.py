@@ -1,6 +1,4 @@
-"""Where the public recordings and meshes lie that some benchmarks and pages are made from (`make
-data`).
-"""
+"""The folder of public recordings and meshes of some benchmarks and pages (`make data`)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""What a diagnosis over the whole library takes on one core: processor time and peak memory, in a
-fresh process.
+"""Cost of a diagnosis over the complete library on one core, in a fresh process.
+
+Processor time and peak memory.
 
 `python -m benches.diagnosis_time [--profile]` prints the rows of `make bench`, with `--profile`
 what took it. The fingers are solved frame by frame (benches do not diagnose their own model), once

@@ -1,5 +1,4 @@
-"""Discovery in two levels on the built-in finger: what is named, what is left open, what stays
-silent.
+"""Discovery in two levels on the built-in finger: what is named, open, or silent.
 
 `python -m benches.discovery [--jobs N] [--out FILE]` prints one table and each wrong answer;
 minutes. Runs are the standard protocol on the model itself, so the model has no error and only the
@@ -85,9 +84,7 @@ GROUPS: dict[str, int] = {
 
 @dataclass(frozen=True)
 class Hidden:
-    """A run with something hidden, and what judges the answer: None if it is right, else what is
-    wrong with it.
-    """
+    """A run with a hidden effect, and its check: None if the answer is right, else the fault."""
 
     name: str
     run: Run
@@ -107,9 +104,7 @@ def static_laws() -> tuple[str, ...]:
 
 
 def protocol_run(warm: bool = False) -> Run:
-    """Return the standard protocol in the finger's rest shape; with a room that warms by 9 K and
-    cools again.
-    """
+    """Return the standard protocol in the rest shape; the room warms by 9 K and cools again."""
     model, shown = builtin_model(), standard_protocol(2)
     rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
     share = (shown.t - shown.t[0]) / np.ptp(shown.t)
@@ -279,7 +274,7 @@ def _null(number: int, rng: np.random.Generator) -> Hidden:
     return Hidden("nothing", measured(run, points, rng, float(rng.choice([0.1, 0.25, 0.5]))), wrong)
 
 
-# --- judged -------------------------------------------------------------------------------------
+# --- scored -------------------------------------------------------------------------------------
 
 
 def identified(found: Diagnosis) -> str | None:

@@ -1,5 +1,4 @@
-"""Nearest points, as-rigid-as-possible steps and registration beside their peers: rows of `make
-bench`.
+"""Nearest points, as-rigid-as-possible steps, registration, and peers: `make bench` rows.
 
 They are the processor time of a process of its own with one thread, since libraries choose their
 threads as they are loaded. pykdtree (LGPL) and libigl (MPL 2.0, its copyleft parts left out) are
@@ -62,8 +61,9 @@ def frames() -> dict[str, object]:
 
 
 def truths(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (K, 2) and shapes (K, N, 3) of another finger than the model's: mesh,
-    modulus, load, lean.
+    """Return commands (K, 2) and shapes (K, N, 3) of a finger other than the model's.
+
+    It has another mesh, modulus, load and lean.
     """
     finger = Finger.builtin()
     other = finger.replace(solid=finger.solid.along(0.75), young_mpa=0.9 * finger.young_mpa)
@@ -82,8 +82,9 @@ def half_clouds(shapes: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
 
 
 def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
-    """Both ways with all distances and the gradient, beside two trees, without one, and torch as in
-    a training loop.
+    """Time the Chamfer distance both ways with the gradient, and its peers.
+
+    They are two trees, without a gradient, and torch as in a training loop.
     """
 
     def ours():
@@ -100,7 +101,7 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
             return KDTree(cloud).query(template)[0], KDTree(template).query(cloud)[0]
 
         for distance, side in zip(peer(), ("to_cloud", "to_template")):
-            # as far as single precision tells them apart
+            # as far as single precision distinguishes them
             same(f"{name}, {side}", found[side][0], distance, 2e-4)
         trees = ratio(name, *side_by_side(ours, peer, CLOCK), "pykdtree", "wanted ≥ 4.5, aim 6")
     try:
@@ -126,8 +127,9 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
 
 
 def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
-    """One local and one global step of a surface whose ends are held and moved; ours with its
-    factorisation.
+    """Time a local and a global step of a surface whose ends are moved.
+
+    The ends are held; our time includes the factorisation.
     """
     name, height = f"ARAP local-global step, {len(rest)} vertices", rest[:, 2]
     ends = np.flatnonzero((height < height.min() + 1.0) | (height > height.max() - 1.0))
@@ -164,8 +166,9 @@ def halved(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def registration(model, shapes: np.ndarray, clouds: list[np.ndarray]) -> dict[str, object]:
-    """One cloud at a time, medians over the shapes, beside the published objective by libigl: time
-    and vertex error.
+    """Time one cloud at a time, medians over the shapes, with the vertex error.
+
+    It is compared with the published objective by libigl.
     """
 
     def measured(lay) -> tuple[float, float]:
@@ -212,9 +215,7 @@ def absent(name: str, ours, peer: str, wanted: str) -> dict[str, object]:
 
 
 def same(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:
-    """Raise unless both sides have done the same work: a ratio of different work would say
-    nothing.
-    """
+    """Raise unless both sides have done the same work: else a ratio has no meaning."""
     off = float(np.abs(ours - theirs).max())
     if not off <= tolerance:
         raise RuntimeError(
@@ -223,8 +224,9 @@ def same(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> N
 
 
 def main() -> None:
-    """Print the rows as one document, or with `--frames` the seconds that a registration of so many
-    takes.
+    """Print the rows as one document, or with `--frames` the time of a registration.
+
+    It is in seconds, for so many frames.
     """
     parser = argparse.ArgumentParser(prog="benches.geometry", description=__doc__)
     parser.add_argument("--shapes", type=int, default=SHAPES)

@@ -1,5 +1,4 @@
-"""How long `softmap import` takes for a log of a million rows, and how much memory: `python -m
-benches.import_rows`.
+"""Time and memory of `softmap import` of a million rows: `python -m benches.import_rows`.
 
 The log has 17 columns at 1 kHz (time, three commands, three encoders read at 250 Hz, three markers
 with dropouts in mm, a label); the command runs in a process of its own, whose peak of resident
@@ -69,8 +68,9 @@ def write_log(folder: Path, rows: int) -> None:
 
 
 def measure(folder: Path) -> tuple[float, float, float, int]:
-    """Import the log in a process of its own; return seconds by the clock and of work, peak memory
-    in MB, and rows.
+    """Import the log in a new process; return seconds, peak memory in MB, and rows.
+
+    The seconds are by the clock and of work.
     """
     argv = [
         "import",

@@ -30,8 +30,9 @@ CLOSE = 1e-8  # relative, of commands and of squared distances: SciPy's own usua
 
 
 def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
-    """Return the time of a waypoint, of so many a letter, beside SciPy's, and by how much distances
-    are above those of the paper's way.
+    """Return the time of a waypoint, of so many a letter, and SciPy's.
+
+    Also by how much distances are above those of the paper's way.
     """
     made = paper_sized()
     kinematics = Kinematics(made.model, axes="xy")
@@ -100,8 +101,7 @@ def letters(kinematics: Kinematics, waypoints: int = WAYPOINTS) -> Floats:
 def by_scipy(
     place: Callable[[Floats], Floats], slopes: Callable[[Floats], Floats], targets: Floats
 ) -> Floats:
-    """Return what must act (T, 2) for each target as SciPy finds it, each from where the last one
-    was found.
+    """Return effective commands (T, 2) for each target by SciPy, each from the last one.
 
     place: the tip (3,) at a command (2,). slopes: its slopes (2, 2) there, of x and y.
     """

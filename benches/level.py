@@ -1,5 +1,6 @@
-"""Benchmark of level 1: normal equations of all families on eight folds, next to NumPy on explicit
-columns.
+"""Benchmark of level 1: normal equations of all families on eight folds, and by NumPy.
+
+NumPy works on explicit columns.
 
 The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one
 matrix product per set of frames. The core never forms the columns (rust/families/gram.rs).
@@ -64,8 +65,9 @@ class Made:
         return level
 
     def grams(self) -> list[tuple[Floats, Floats]]:
-        """Return the Gram matrices (n + 1, n + 1) of the training and test frames of each fold, the
-        residual last.
+        """Return the Gram matrices (n + 1, n + 1) of each fold's training and test frames.
+
+        The residual is last.
         """
         parts = [base[which] * weight[:, :, None] for base, which, weight in self.columns.values()]
         x = np.concatenate([*parts, self.residual[None]])
@@ -111,9 +113,7 @@ def made(
 
 
 def rows(made_of: Made | None = None) -> list[dict[str, object]]:
-    """Return the time of the normal equations of all families at once, and their solution, next to
-    NumPy.
-    """
+    """Return the time of all families' normal equations and solution, next to NumPy."""
     made_of = made_of or made()
     level, names = made_of.level(), list(made_of.columns)
 

@@ -1,5 +1,4 @@
-"""Rows of the control loop on an emulated bus: how late its periods begin, at 1 kHz and while
-Python is busy.
+"""Lateness of the control loop on an emulated bus, at 1 kHz and while Python is busy.
 
 There is no peer in the same run: a loop's lateness is a number of its own. The emulated servos
 share the machine, so that what is measured is an upper bound.
@@ -36,9 +35,7 @@ def rows(quick: bool) -> list[dict[str, object]]:
 def lateness(
     name: str, speed: tuple[int, float], seconds: float, busy: bool
 ) -> list[dict[str, object]]:
-    """Drive two emulated servos for some seconds; return how late periods began and what the loop
-    cost.
-    """
+    """Drive two emulated servos for some seconds; return lateness and cost of the loop."""
     baud, rate = speed
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with _bench(baud, rate) as (rig, calibration, limits):

@@ -1,5 +1,6 @@
-"""Print the table of docs/do/mesh.md: a published mesh as 10-node tetrahedra, next to itself
-refined and to bricks.
+"""Print the table of docs/do/mesh.md: a published mesh as 10-node tetrahedra.
+
+Next to itself refined, and to bricks.
 
 Differences are mm RMS over the vertices of the mesh that are not held (its flange never moves and
 would flatter every figure). `refined` is the same solid with eight times the cells; `bricks` the

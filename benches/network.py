@@ -1,5 +1,6 @@
-"""Rows of the network pass: a paper-sized network beside its weights being read once, onnxruntime
-and torch.
+"""Rows of the network pass: a paper-sized network by us, onnxruntime and torch.
+
+It is also compared with its weights being read once.
 
     2 → 256-512-1024-512-256 → 1644, BatchNorm folded, ReLU: 1.74 million numbers, 6.9 MB
 
@@ -35,9 +36,7 @@ AGREE_MM = 1e-4
 
 @dataclass(frozen=True)
 class PaperSized:
-    """The network in torch, as the bytes of its file, in the core, and as the prior of the built-in
-    finger.
-    """
+    """The network in torch, as its file's bytes, in the core, and as the built-in prior."""
 
     torch: Any
     content: bytes

@@ -1,5 +1,6 @@
-"""The elastic-tendon rod in plain NumPy: all commands at once, Newton's method with halved steps,
-then the arcs.
+"""The elastic-tendon rod in plain NumPy: all commands at once.
+
+Newton's method with halved steps, then the arcs.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ import numpy as np
 
 
 def markers(numbers, places, ends, u):
-    """Return the tip (n, 3) mm of a rod of `numbers` (P,) at `places`, no rest bending, at commands
-    u (n, tendons).
+    """Return the tip (n, 3) mm of a rod of `numbers` (P,) at `places`.
+
+    It has no rest bending; commands are u (n, tendons).
     """
     slack, angle, radius, drawn, stiffness, length, _, base, tilt = (
         numbers[places[kind]] for kind in places
@@ -33,8 +35,9 @@ def markers(numbers, places, ends, u):
 
 
 def equilibrium(stiffness, reach, drawn, slack):
-    """Return the bending (n, 2S) rad of least energy for tendons drawn in by `drawn` (n, tendons)
-    mm.
+    """Return the bending (n, 2S) rad of least energy for tendons drawn by `drawn` mm.
+
+    It is (n, tendons).
     """
 
     def energy(bent, stretch):

@@ -1,5 +1,6 @@
-"""As-rigid-as-possible surfaces by libigl (MPL 2.0): its solver, and the published registration as
-a loop around it.
+"""As-rigid-as-possible surfaces by libigl (MPL 2.0).
+
+Its solver, and the published registration as a loop around it.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from pykdtree.kdtree import KDTree
 
 
 class Handles:
-    """A surface at `rest` (N, 3) mm whose `handles` (H,) go where told; spokes, as in
-    rust/geometry/arap.rs.
+    """A surface at `rest` (N, 3) mm whose `handles` (H,) are moved.
+
+    Spokes, as in rust/geometry/arap.rs.
     """
 
     def __init__(self, rest, triangles, handles, rounds):

@@ -15,8 +15,9 @@ from scipy.sparse.linalg import splu
 
 
 class NumpySolid:
-    """Bricks (E, 8) over nodes (n, 3) mm with Young's modulus (MPa) and Poisson's ratio; `fixed`
-    nodes are clamped.
+    """Bricks (E, 8) over nodes (n, 3) mm with Young's modulus (MPa) and Poisson's ratio.
+
+    `fixed` nodes are clamped.
     """
 
     def __init__(self, nodes, bricks, young, poisson, fixed):
@@ -47,9 +48,7 @@ class NumpySolid:
         self.rows, self.columns, self.dofs = rows[self.kept], columns[self.kept], dofs
 
     def tangent(self, x):
-        """Return the force (3n,) N and the stiffness (free, free) N/mm at the deformed nodes x (n,
-        3) mm.
-        """
+        """Return force (3n,) N and stiffness (free, free) N/mm at deformed nodes x (n, 3) mm."""
         f = np.einsum("eai,eqaj->eqij", x[self.bricks], self.gradient)
         j = np.linalg.det(f)
         theta = np.einsum("eq,eq->e", self.weight, j) / self.volume

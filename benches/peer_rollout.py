@@ -1,5 +1,6 @@
-"""Plain NumPy rollouts of the same effects: a Python loop over time, vectorised over parameter sets
-and channels.
+"""Plain NumPy rollouts of the same effects: a Python loop over time.
+
+It is vectorised over parameter sets and channels.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ EFFECTS = ["backlash", "creep"]
 
 
 def numbers(chain, params):
-    """Return the numbers of a chain of both effects for `backlash_and_creep`, copied from `params`
-    (B, P).
+    """Return the numbers of both effects for `backlash_and_creep`, from `params` (B, P).
+
+    They are those of their chain.
     """
     groups = np.array(chain.group_labels)
     gap, strength, tau, spread = (
@@ -22,8 +24,9 @@ def numbers(chain, params):
 
 
 def backlash_and_creep(gap, strength, tau, spread, u, t):
-    """Return (B, T, C) mm: play of full width `gap` (B, C) mm, then `strength` (B, C) times two
-    relaxations' mean.
+    """Return (B, T, C) mm: play of full width `gap` (B, C) mm, then creep.
+
+    Creep is `strength` (B, C) times two relaxations' mean.
 
     Their times `tau · spread` and `tau / spread` (B,) are in s.
     """

@@ -1,5 +1,6 @@
-"""Print the table of docs/do/registration.md: how far laid vertices are off, by default and by the
-published objective.
+"""Print the table of docs/do/registration.md.
+
+How far fitted vertices are off, by default and by the published objective.
 
 Twelve finite-element shapes of another finger than the model's (`benches.geometry.truths`), each
 seen as four kinds of clouds; median and worst of the mean distances to the true vertices, mm.

@@ -11,9 +11,7 @@ REPEATS = 9
 
 
 def side_by_side(ours, peer, clock: Callable[[], float] = time.perf_counter) -> tuple[float, float]:
-    """Return the medians in seconds of `ours` and `peer`, run alternately after one warm-up
-    each.
-    """
+    """Return median seconds of `ours` and `peer`, run alternately after one warm-up each."""
     ours(), peer()
     times = [[], []]
     for _ in range(REPEATS):

@@ -1,5 +1,6 @@
-"""Print every number of docs/learn/tdcr.md: a nine-tendon robot seen at its tip, its elastic rod
-and general regressors.
+"""Print every number of docs/learn/tdcr.md.
+
+A nine-tendon robot seen at its tip, its elastic rod and general regressors.
 
 Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out whole moves (the
 labels of the log, dealt out to ten folds, frames within 2 s apart left out); `unseen` is `val.csv`,
@@ -36,7 +37,7 @@ Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]
 
 # On new moves a Matérn kernel of one length errs less than the usual one (8 against 9.6 mm): the
-# stronger rival counts.
+# stronger alternative counts.
 PEERS = USUAL | {"Gaussian process": lambda: Process(Matern(3.0, (0.1, 100.0), nu=2.5))}
 BLOCKS, GAP_S = 5, 2.0
 SIMULATOR_MM = (
@@ -72,9 +73,7 @@ def error(model: Model, run: Run) -> float:
 def rods(
     train: Run, unseen: Run, only: Sequence[str] = ()
 ) -> Iterator[tuple[Row, LearnedRod, Model]]:
-    """Yield a line of the table for each law of the tendons (or for some), the fit behind it, and
-    its model.
-    """
+    """Yield a table line for each (or some) tendon law, the fit behind it, and its model."""
     for name, robot in robots().items():
         if only and name not in only:
             continue
@@ -130,9 +129,7 @@ def line(row: Row) -> str:
 
 
 def slack_share(model: Model, run: Run) -> tuple[float, float]:
-    """Return which share of the paid-out tendons carries tension, and which of the drawn-in ones is
-    slack.
-    """
+    """Return the share of paid-out tendons under tension, and which drawn-in ones are slack."""
     u = run.commands("goal")
     taut = model.prior.state(np.ascontiguousarray(u))[1] > 0
     return float(taut[u < -0.2].mean()), float((~taut[u > 0.2]).mean())
@@ -147,8 +144,9 @@ def story(model: Model, train: Run, unseen: Run) -> Iterator[Diagnosis]:
 
 
 def main() -> int:
-    """Print the table, the cables' numbers and what is diagnosed from two-sided tendons; `--json`:
-    the table alone.
+    """Print the table, the cables' numbers and the diagnosis from two-sided tendons.
+
+    `--json`: the table alone.
     """
     parser = argparse.ArgumentParser(prog="benches.tdcr", description=__doc__)
     parser.add_argument("--data", type=Path, help="folder of the logs (default data/tdcr)")

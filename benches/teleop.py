@@ -1,5 +1,4 @@
-"""Rows of teleoperation: from a picture of a hand to the period of the control loop whose target it
-first is.
+"""Rows of teleoperation: from a picture of a hand to the first loop period with its target.
 
 The whole chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand
 frame, filter, map, the loop's process; from when the picture is due to the `now` of the period that
@@ -94,7 +93,7 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     late = []
     for (_, before), (taken, command) in zip([(0.0, ()), *sent], sent):
         if command == before:
-            continue  # both at the end of the range: which of them was heard is not told
+            continue  # both at the end of the range: which of them was heard is not known
         after = [now for now in heard.get(command, []) if now >= taken]
         if after:
             late.append(after[0] - taken)

@@ -1,5 +1,6 @@
-"""Print every number of docs/learn/own_log.md; first the rod on the trunk robot, compared with
-general regressors.
+"""Print every number of docs/learn/own_log.md.
+
+First the rod on the trunk robot, compared with general regressors.
 
 Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the
 trunk logs. Commands reach every model after the drive's delay and lag as the rod found them;
@@ -42,9 +43,7 @@ INPUTS: tuple[tuple[Source, str], ...] = (("goal", "delayed commands"), ("presen
 
 
 class Process:
-    """A Gaussian process; without a `kernel` with one length scale an input, shared by the
-    outputs.
-    """
+    """A Gaussian process; without a `kernel`, one length scale per input for all outputs."""
 
     def __init__(self, kernel: Any = None) -> None:
         self.kernel = kernel
@@ -106,9 +105,7 @@ def print_table(run: Run) -> None:
 
 
 def table(run: Run) -> Iterator[dict[str, float | str]]:
-    """Yield the cross-validation errors of the rod and of its peers, on commands and on
-    encoders.
-    """
+    """Yield cross-validation errors of the rod and of its peers, on commands and encoders."""
     for source, name in INPUTS:
         start = time.perf_counter()
         rod = learn(run, source, BLOCKS, GAP_S)
@@ -130,9 +127,7 @@ def inputs(run: Run, rod: LearnedRod) -> Floats:
 
 
 def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:
-    """Return predicted − seen (n, K, 3) mm, each block predicted from the frames beyond its
-    gaps.
-    """
+    """Return predicted − seen (n, K, 3) mm, each block from the frames beyond its gaps."""
     residuals = np.empty_like(y)
     for train, test in parts:
         scaler = StandardScaler().fit(x[train])

@@ -1,5 +1,6 @@
-"""Numbers of docs/learn/own_log.md beyond its first table: the drive, withheld seconds, and the
-changes by the load.
+"""Numbers of docs/learn/own_log.md beyond its first table.
+
+The drive, withheld seconds, and the changes by the load.
 
 `python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers.
 "Later" is the last 30 % of a run; effects see only the first 60 % of the loaded one, and the rod
@@ -27,7 +28,7 @@ from softmap_edge.run.folds import folds
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
 HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
-FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, judged after the second
+FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, validated after the second
 BLOCKS, GAP_S = 5, 2.0
 # Of the unloaded run: seconds kept from the rod, diagnosed, and kept from both.
 HALVES = {
@@ -54,8 +55,9 @@ def read(folder: Path, observations: str) -> Run:
 
 
 def reference(free: Run) -> tuple[Model, Model]:
-    """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it
-    with free tendons.
+    """Return the rod of the unloaded run, on encoders, without the later moves.
+
+    Also the same with free tendons.
     """
     model = learn_model(free, hold_out=[HOLD_OUT])
     assert model.arrays is not None and isinstance(model.arrays.prior.shape, PolynomialRodArrays)
@@ -70,8 +72,9 @@ def error(model: Model, run: Run) -> float:
 
 
 def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
-    """Return the model with `effects` fitted to the run's frames before `FITTED` by plain least
-    squares.
+    """Return the model with `effects` fitted by least squares to frames before `FITTED`.
+
+    They are the run's frames; the squares are plain.
     """
     early = run.at(run.t_seen < FITTED)
     now = model.with_effects((*model.chain_names, *effects), model.params)
@@ -112,8 +115,9 @@ def load_table(
 
 
 def rods(free: Run) -> dict[str, float]:
-    """Return the rod's error (mm) and its drive (s) from commands and from encoders, and the rival
-    drive's error.
+    """Return the rod's error (mm) and drive (s) from commands and from encoders.
+
+    Also the error of the alternative drive.
     """
     found = {}
     for source in ("goal", "present"):
@@ -141,15 +145,17 @@ def rods(free: Run) -> dict[str, float]:
 
 
 def diagnosed(model: Model, loaded: Run, reference: Run | None = None) -> Diagnosis:
-    """Return the diagnosis of the loaded run's frames before `FITTED`, relative to a `reference` if
-    one is given.
+    """Return the diagnosis of the loaded run's frames before `FITTED`.
+
+    It is relative to a `reference` if one is given.
     """
     return diagnose(model, loaded.at(loaded.t_seen < FITTED), reference=reference)
 
 
 def without_load(free: Run) -> Iterator[tuple[str, Diagnosis]]:
-    """Yield what is claimed on either half of the unloaded run, with a rod that was learned from
-    the other half.
+    """Yield the claims on either half of the unloaded run.
+
+    The rod was learned from the other half.
     """
     for name, (kept_from_rod, seen, judge) in HALVES.items():
         model = learn_model(free, hold_out=[kept_from_rod])

@@ -1,5 +1,6 @@
-"""Make the pictures of the pages: a second finger with hidden backlash, found and added; the
-protocol; a mesh.
+"""Make the pictures of the pages: a hidden backlash found and added; protocol; mesh.
+
+The backlash is in a second finger.
 
 `python docs/figures.py` writes them into `docs/pictures/`; `--out` names another folder, `--seed`
 another finger. The picture of the mesh needs its data (`make data`) and is left as it is without
@@ -42,9 +43,7 @@ SEED = 1  # of the second finger; any other gives the same picture with other nu
 
 
 def plan(protocol: Protocol) -> bytes:
-    """Draw the commands of a protocol in its first orientation, its parts shaded and named
-    (SVG).
-    """
+    """Draw a protocol's commands in its first orientation, its parts shaded and named (SVG)."""
     turned = protocol.t[np.flatnonzero(np.any(protocol.gravity != protocol.gravity[0], axis=1))[0]]
     rows, frames = protocol.t < turned, protocol.t_seen < turned
     t, seen = protocol.t[rows], protocol.t_seen[frames]
@@ -76,8 +75,9 @@ def plan(protocol: Protocol) -> bytes:
 
 
 def mesh_and_bricks(folder: Path) -> bytes:
-    """Draw the mesh finger, and the built-in finger of the same dimensions, bent by 0, 8 and 16 mm
-    (SVG).
+    """Draw the mesh finger and the equal built-in finger, bent by 0, 8 and 16 mm (SVG).
+
+    They have the same dimensions.
     """
     commands = np.array([[0.0, 0.0], [8.0, 0.0], [16.0, 0.0]])
     meshed, bricks = Simulator(load(folder)), Simulator(Finger.builtin())

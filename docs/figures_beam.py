@@ -1,5 +1,6 @@
-"""Make the picture of docs/learn/beam.md: a silicone beam from the side, measured markers and
-prediction.
+"""Make the picture of docs/learn/beam.md: a silicone beam, measured and predicted markers.
+
+It is seen from the side.
 
 `python docs/figures_beam.py` writes it into `docs/pictures/`; `--out` names another folder. It
 needs the recordings (`make data`) and says so where they are absent.
@@ -41,8 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def side(beam: Finger, runs: dict[str, Run]) -> bytes:
-    """Draw the middle plane of the beam under each load: outline predicted, markers predicted and
-    seen (SVG).
+    """Draw the beam's middle plane under each load: outline and markers (SVG).
+
+    The outline is predicted, the markers are predicted and seen.
     """
     solid = Simulator(beam)
     rest = solid.template.vertices

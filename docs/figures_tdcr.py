@@ -1,5 +1,6 @@
-"""Make the pictures of docs/learn/tdcr.md: the tip of a nine-tendon robot on moves that its rods
-were not fitted to.
+"""Make the pictures of docs/learn/tdcr.md.
+
+The tip of a nine-tendon robot on moves that its rods were not fitted to.
 
 `python docs/figures_tdcr.py` writes them into `docs/pictures/`; `--out` names another folder. It
 needs the logs (`make data`) and says so where they are absent.
@@ -58,8 +59,9 @@ def tip(run: Run) -> Floats:
 
 
 def paths(run: Run, predicted: Mapping[str, Floats]) -> bytes:
-    """Draw three moves from above and from the side: measured, and as each law of the tendons
-    predicts them (SVG).
+    """Draw three moves from above and from the side (SVG).
+
+    Measured, and as each law of the tendons predicts them.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 6.2), layout="constrained")

@@ -1,5 +1,6 @@
-"""Make the picture of the page that drives by hand: an emulated finger, and the hand of a clip
-before the camera.
+"""Make the picture of the page that drives by hand.
+
+An emulated finger, and the hand of a clip before the camera.
 
 `python docs/figures_teleop.py` writes teleop.jpg into `docs/pictures/`; `--out` names another
 folder. It needs the command chromium (a browser that draws without a screen), the clip (`make
@@ -82,9 +83,7 @@ def browser(url: str) -> Iterator[ClientConnection]:
 
 
 def look(page: ClientConnection) -> tuple[str, float]:
-    """Return what kind of state the page shows, and the larger command, mm; "" before it is
-    there.
-    """
+    """Return the page's kind of state, and the larger command, mm; "" before it is there."""
     bars = (
         "[...document.querySelectorAll('.bar .value')].map(v => "
         "Math.abs(parseFloat(v.textContent)) || 0)"
@@ -100,8 +99,9 @@ def look(page: ClientConnection) -> tuple[str, float]:
 
 
 def teleop_page(clip: Path) -> bytes | None:
-    """Drive by the hand of a clip, and return the page as a JPEG while it drives; None where
-    something ended that.
+    """Drive by the hand of a clip, and return the page as a JPEG while it drives.
+
+    None where something ended that.
     """
     command = [sys.executable, "-c", "from softmap_edge.cli import main; raise SystemExit(main())"]
     command += ["teleop", "--sim", "--camera", str(clip), "--page", "0"]

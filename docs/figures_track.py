@@ -1,5 +1,6 @@
-"""Make the picture of docs/do/track.md: an S on an emulated finger that hides backlash and creep,
-and through them.
+"""Make the picture of docs/do/track.md.
+
+An S on an emulated finger that hides backlash and creep, and through them.
 
 `python docs/figures_track.py` writes track_s.svg into `docs/pictures/`; `--out` names another
 folder. It runs in real time, a minute, on emulated servos: a busy computer may end it. The numbers

@@ -1,5 +1,4 @@
-"""Write docs/reference/effects.md and its pictures from the registry: `python
-docs/make_effects.py`.
+"""Write docs/reference/effects.md and pictures by registry: `python docs/make_effects.py`.
 
 A picture shows one recording without and with the effect. Effects on commands, at their start: the
 commanded and the effective command over time, then what the effect adds, over the command. If one
@@ -82,8 +81,9 @@ NEWTON_PER_GRAM = 9.80665e-3
 
 
 def load_errors() -> dict[str, tuple[float, float, float]]:
-    """Return for each load how far the model misses the simulator, how far without a second level,
-    and how far the load moves the hanging finger: mm RMS.
+    """Return for each load how far the model misses the simulator, mm RMS.
+
+    Also how far without a second level, and how far the load moves the hanging finger.
     """
     model, simulator = builtin_model(), Simulator(Finger.builtin())
     u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
@@ -177,9 +177,7 @@ def pictured(effect: dict[str, Any]) -> bytes:
 
 
 def _rod() -> _core.Predictor:
-    """Return an elastic rod of 105 mm, bent by four tendons 6 mm off its axis that push as they
-    pull.
-    """
+    """Return an elastic rod of 105 mm with four push-pull tendons 6 mm off its axis."""
     quarter = np.pi / 2 * np.arange(4.0)
     numbers = [
         [1.0],
@@ -200,8 +198,9 @@ def _rod() -> _core.Predictor:
 
 
 def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
-    """Draw the commanded u and the effective command `acts` (T, 2) mm over t (T,) s, and what the
-    effect adds.
+    """Draw the commanded u and the effective command `acts` (T, 2) mm over t (T,) s.
+
+    Also what the effect adds.
     """
     time, plane = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
     for c, line in enumerate(("-", (0, (3, 2)))):
@@ -235,8 +234,9 @@ def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
 
 
 def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Floats) -> None:
-    """Draw section middles (T, S, 3) mm from the side at three moments, and what is added at the
-    tip over time.
+    """Draw section middles (T, S, 3) mm from the side at three moments.
+
+    Also what is added at the tip over time.
     """
     side, time = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
     for frames, colour in ((before, BEFORE), (after, AFTER)):

@@ -1,5 +1,4 @@
-"""Write the generated pages of docs/reference/: commands, Python names, finger.toml, schemas,
-confounds.
+"""Write docs/reference/: commands, Python names, finger.toml, schemas, confounds.
 
 `python docs/make_reference.py` writes them; `make docs` runs it before it builds the site.
 `pages()` returns the texts, which tests/project/test_reference.py compares with the committed
@@ -74,8 +73,9 @@ BETWEEN = {  # what in a run distinguishes two effects of the same form
 
 
 def alike_page() -> str:
-    """Return the page of effects and families that look the same, its tables made from the
-    registries.
+    """Return the page of effects and families that look the same, by the registries.
+
+    Its tables are made from them.
     """
     rows = ["| effect | looks like | separated by |", "|---|---|---|"]
     for effect in _core.effects():

@@ -1,5 +1,4 @@
-"""JSON schemas of the documents that other programs read most; `docs/make_reference.py` writes
-them.
+"""JSON schemas of the most used documents; `docs/make_reference.py` writes them.
 
 That of a diagnosis is made from its dataclasses. A document may hold further keys: a reader ignores
 those that it does not know. Documents of real runs are checked against the schemas by

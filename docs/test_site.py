@@ -1,5 +1,6 @@
-"""The site as `make docs` leaves it in out/docs: nothing is loaded from the network, the search
-works from a disk.
+"""The site as `make docs` leaves it in out/docs.
+
+Nothing is loaded from the network, and the search works from a disk.
 """
 
 import re

@@ -1,5 +1,4 @@
-"""Brings the public measurements used by the examples and tests into a folder: `python
-examples/fetch_data.py data`.
+"""Fetch the public measurements of examples and tests: `python examples/fetch_data.py data`.
 
 They are taken from `../shared/data` where that folder exists, else from the public commits below,
 and never trusted: every file must have the SHA-256 written here. Nothing of it belongs to this
@@ -187,8 +186,7 @@ SOURCES = [
 def fetch(
     folder: Path, sources: list[Source], base_url: str = BASE_URL, nearby: Path | None = NEARBY
 ) -> list[str]:
-    """Bring every file of `sources` into `folder/SET/`; files already there with the right checksum
-    stay.
+    """Fetch all files of `sources` into `folder/SET/`; those with the right checksum stay.
 
     Args:
         folder: where to; made if absent.

@@ -1,5 +1,6 @@
-"""Make the sample logs of docs/learn/own_csv.md: a finger with a hidden effect, as a CSV that a lab
-might write.
+"""Make the sample logs of docs/learn/own_csv.md.
+
+A finger with a hidden effect, as a CSV that a lab might write.
 
 `python examples/make_sample_log.py FOLDER` writes sample_log.csv and sample_other.csv there: time,
 two commands and six markers at 5 Hz. The finger is a simulated one on another mesh, of another

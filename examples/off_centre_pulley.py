@@ -1,5 +1,6 @@
-"""off_centre_pulley: a spool that turns about a point off its middle, so that a turn winds more
-here and less there.
+"""off_centre_pulley: a spool that turns about a point off its centre.
+
+So a turn winds more here and less there.
 """
 
 import numpy as np

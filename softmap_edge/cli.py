@@ -1,6 +1,4 @@
-"""The `softmap` command: finds the command, runs it, turns errors into one line and an exit
-code.
-"""
+"""The `softmap` command: runs the command, turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -30,8 +28,9 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130
-    when interrupted.
+    """Run one command and return its exit code.
+
+    It is 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted.
     """
     argv = sys.argv[1:] if argv is None else argv
     live = "--live" in argv  # it ends with its reader
@@ -155,7 +154,7 @@ def _run(command: Command, argv: list[str]) -> int:
     try:
         with printing_warnings(command.name) as incomplete:
             code = int(getattr(module, function)(args))
-        if sys.stdout is not None:  # closed by whoever started it
+        if sys.stdout is not None:  # closed by the parent process
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
         return code or (FAULT if incomplete else DONE)
     except BrokenPipeError:  # the reader of a live output has closed the pipe

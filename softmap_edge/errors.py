@@ -74,15 +74,11 @@ class ServoError(SoftmapError):
 
 
 class RecordingBroken(ServoError):
-    """A recording ended before the robot stopped (a full disk, for example); the part until then is
-    kept.
-    """
+    """A recording ended before the robot stopped (a full disk, for example); its start is kept."""
 
 
 class SessionWarning(UserWarning):
-    """The last session of a bench ended without shutting down: it was killed, or the computer
-    stopped.
-    """
+    """The last session of a rig ended without shutdown: it was killed, or the computer stopped."""
 
 
 class NoAnswer(ServoError):
@@ -158,9 +154,7 @@ def no_name(what: str, name: str, known: Iterable[str], most: int | None = None)
 
 
 def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
-    """Return the known names that are spelt most like `name`, the nearest first; none if none is
-    near.
-    """
+    """Return known names spelt most like `name`, the nearest first; none if none is near."""
     from difflib import get_close_matches
 
     names = {one.lower(): one for one in known}

@@ -1,3 +1,4 @@
-"""The benchmark bank: hidden laws with other formulas than the library's, and the score of a
-diagnosis.
+"""The benchmark bank: hidden laws with their own formulas, and the score of a diagnosis.
+
+The formulas are other than the library's.
 """

@@ -1,5 +1,6 @@
-"""Run the bank: make cases once, diagnose and score them, write one small JSON a case, print the
-table.
+"""Run the bank: make cases once, diagnose and score them, print the table.
+
+Each case gives one small JSON.
 
 python -m benches.bank --share 0.1            a tenth of the development seeds
 python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set
@@ -177,8 +178,9 @@ def set_of(rows: Sequence[dict[str, Any]]) -> str:
 def _judge(
     wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool, constants: str
 ) -> None:
-    """Diagnose and score the cases without a row of this code; make missing cases first unless
-    `only_made`.
+    """Diagnose and score the cases without a row of this code.
+
+    Make missing cases first, or nothing else with `only_made`.
     """
     now = f"{code()} {constants}".strip()
 

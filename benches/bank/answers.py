@@ -74,8 +74,10 @@ LAW_OPEN: Names = ("partly_explained", "ambiguous")
 
 @dataclass(frozen=True)
 class Answer:
-    """The right answer for one hidden law: any of `families`, any of `names` (none: no name of the
-    library is right), names that are allowed in addition, and the verdicts.
+    """The right answer for one hidden law.
+
+    Any of `families`, any of `names` (none: no name of the library is right), names that are
+    allowed in addition, and the verdicts.
     """
 
     families: Names

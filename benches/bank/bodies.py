@@ -1,5 +1,6 @@
-"""The two bodies of the bank with one interface: the Cosserat rod (slices A, shop, odd); finite
-elements (slice B).
+"""The two bodies of the bank with one interface.
+
+The Cosserat rod (slices A, shop, odd), and finite elements (slice B).
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
 
 
 class Body(Protocol):
-    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that
-    it `can` have.
+    """The requirements of a case for a body.
+
+    Name, channels, `place` (N,) mm of its points, and the laws that it `can` have.
 
     On `every`-th frames of the standard protocol it is found out how far a law moves it.
     """

@@ -42,9 +42,7 @@ KEPT = Path("out/bank/kept")  # sweeps of clean fingers, which every process wou
 
 
 def template() -> tuple[Floats, Floats]:
-    """Return the seen points of the finger: place (N,) mm along it and offset (N, 2) mm from its
-    axis.
-    """
+    """Return the finger's seen points: place (N,) mm along it, offset (N, 2) mm from the axis."""
     design = finger(1)
     place = np.repeat(np.linspace(0.0, design.place[-1], RINGS), AROUND)
     radius = np.interp(place, design.middle, design.radius)
@@ -67,8 +65,9 @@ def rest(points: tuple[Floats, Floats]) -> Floats:
 
 
 def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, past: Past | None = None) -> Poses:
-    """Return the finger in equilibrium under pulls (K, 4) mm and declared gravity (K, 3) g, as
-    `laws` make it.
+    """Return the finger in equilibrium under pulls (K, 4) mm and gravity (K, 3) g.
+
+    The gravity is declared; `laws` make the finger.
     """
     design = finger(1)
     for law in laws:
@@ -88,8 +87,9 @@ def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, past: Past | None
 
 
 def guessed(pull: Floats) -> Poses:
-    """Return about where the plain finger is under pulls (K, 4) mm: strains interpolated in a small
-    table.
+    """Return the rough state of the plain finger under pulls (K, 4) mm.
+
+    Its strains are interpolated in a small table.
     """
     from scipy.interpolate import RegularGridInterpolator
 

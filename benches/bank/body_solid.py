@@ -1,5 +1,6 @@
-"""Slice B: the built-in finger as finite elements on another mesh, of softer silicone, diagnosed
-with its own bundle.
+"""Slice B: the built-in finger as finite elements, diagnosed with its own bundle.
+
+It is on another mesh, of softer silicone.
 
 Shapes come from dense sweeps of that other finger, one for each orientation of the protocols,
 interpolated by splines in their leading modes; `interpolation_mm` measures by how much that misses
@@ -37,7 +38,7 @@ SOFTER = 0.94  # modulus against the first finger's
 LAYERS = 0.8  # layers against the first finger's
 REACH, STEPS = 18.0, 25  # mm; commands a channel
 NEAR = 0.02  # g: gravity this near to that of a sweep is that of the sweep
-# decimals of a command, mm, that are told apart: points are off by 0.008 mm RMS, the tip by 0.04 at
+# distinct decimals of a command, mm: points are off by 0.008 mm RMS, the tip by 0.04 at
 # most
 SAME = 2
 MODES = 40
@@ -96,9 +97,7 @@ class SolidBody:
 
 
 def interpolation_mm(count: int = 20, seed: int = 0) -> float:
-    """Return the RMS distance between what is interpolated and equilibria at commands off the
-    grid.
-    """
+    """Return the RMS distance of interpolated points from equilibria at commands off the grid."""
     u = np.random.default_rng(seed).uniform(-12.0, 12.0, (count, 2))
     off = _swept(0, STEPS)(u) - _solved(_second(), u, np.array(HANGING), np.zeros(3))
     return float(np.sqrt(np.mean(np.sum(off**2, axis=2))))
@@ -127,8 +126,9 @@ def _second() -> Simulator:
 
 @lru_cache(maxsize=2)
 def _made(laws: tuple[Law, ...]) -> Simulator | None:
-    """Return the second finger as `laws` make it, read off the rod's design; None where they leave
-    its body.
+    """Return the second finger as `laws` make it, from the rod's design.
+
+    None where they leave its body.
     """
     before = after = section.finger(1)
     for law in laws:
@@ -188,8 +188,9 @@ def _markers() -> Any:
 
 
 def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Floats:
-    """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one; those of the last
-    loads are known.
+    """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one.
+
+    Those of the last loads are known.
     """
     places, which = np.unique(np.round(u, SAME), axis=0, return_inverse=True)
     known = _known(simulator, tuple(gravity), tuple(tip))
@@ -204,16 +205,15 @@ def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Fl
 def _known(
     simulator: Simulator, gravity: tuple[float, ...], tip: tuple[float, ...]
 ) -> dict[tuple[float, ...], Floats]:
-    """Return the equilibria (N, 3) mm found so far, by commands: one run is often part of the
-    next.
-    """
+    """Return the equilibria (N, 3) mm found so far, by commands: runs often share parts."""
     return {}
 
 
 @lru_cache(maxsize=4)
 def _swept(orientation: int, steps: int) -> Any:
-    """Return the function from commands (K, 2) mm to points (K, N, 3) mm in one orientation of the
-    protocols.
+    """Return the function from commands (K, 2) mm to points (K, N, 3) mm.
+
+    It is in one orientation of the protocols.
     """
     from scipy.interpolate import RectBivariateSpline
 

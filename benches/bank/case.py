@@ -34,16 +34,14 @@ KINDS = ("null", "single", "pair", "unknown", "removed", "untestable", "rivals")
 LAWS: dict[str, type[Law]] = {**DRIVE, **BODY}
 GROSS = ("servo_swap",)  # as large as they are
 ONE_POSE, AT_REST = ("gravity", "payload"), ("latency", "lag", "rate_limit")
-TRIES = 6  # characters drawn until one can move the finger as far as wanted
+TRIES = 6  # characters drawn until one can move the finger as far as the target
 MARKED = 5  # one case in so many is seen by markers
 NEAR = 0.1  # of how far a law is to move the finger, which is drawn anyway: near enough
-PAIRS = 4  # pairs that are drawn until each law does something beside the other
+PAIRS = 4  # pairs that are drawn until each law does something next to the other
 
 
 def temperature(t: Floats) -> Floats:
-    """Return the declared room temperature (T,) °C: it warms by 9 K, halts, and cools again by
-    half, slowly.
-    """
+    """Return the declared room temperature (T,) °C: up by 9 K, a halt, then half down, slowly."""
     knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
     return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
 
@@ -102,8 +100,9 @@ class Case:
         return "clouds" if self.level.clouds else "markers" if self.marked else "vertices"
 
     def background_mm(self) -> float:
-        """Return the displacement of the section centroids by the background on the standard
-        protocol, in mm RMS.
+        """Return the background's displacement of the section centroids, in mm RMS.
+
+        It is on the standard protocol.
         """
         protocol, every = standard_protocol(2), 2 * self.body.every
         own = seen(self.body, self.small, protocol, False, every=every, room=self.room)
@@ -187,8 +186,9 @@ def _wanted(kind: str, number: int, rng: np.random.Generator, body: Body) -> lis
 
 
 def protocol_of(kind: str, hidden: Sequence[str], number: int) -> Protocol:
-    """Return what is recorded for a first diagnosis: the standard protocol, or one that cannot show
-    what is hidden.
+    """Return the recording of a first diagnosis: the standard protocol, or a blind one.
+
+    The latter cannot show the hidden effect.
     """
     whole = standard_protocol(2, seed=number % 16)
     if kind in ("untestable", "rivals") and set(hidden) <= set(ONE_POSE):
@@ -212,9 +212,7 @@ def _in_one_pose(whole: Protocol) -> Protocol:
 
 
 def at_rest(number: int) -> Protocol:
-    """Return a grid of commands that is seen only when all has settled: no motion, no dwell, one
-    history.
-    """
+    """Return a grid of commands seen only when settled: no motion or dwell, one history."""
     rng = np.random.default_rng([number, 5])
     targets = rng.permutation(
         np.stack(np.meshgrid(*[np.linspace(-10, 10, 7)] * 2), axis=2).reshape(-1, 2)
@@ -259,9 +257,7 @@ def seen(
     rough: bool = False,
     room: Callable[[Floats], Floats] = temperature,
 ) -> Floats:
-    """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not
-    settled.
-    """
+    """Return true points (K, N, 3) mm of every `every`-th frame; `rough` are unsettled."""
     laws = sorted(laws, key=place_of)
     record = Record(protocol.t, protocol.command, room(protocol.t), protocol.gravity)
     u = protocol.command
@@ -287,9 +283,7 @@ def seen(
 
 
 def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
-    """Return whether each law still does something beside the others: half of the least that it
-    does alone.
-    """
+    """Return whether each law still acts alongside the others: half of its least alone."""
     protocol, rough = standard_protocol(2), not any(law.SHAPE for law in laws)
 
     def points(acting: Sequence[Law]) -> Floats:
@@ -307,9 +301,7 @@ def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
 
 
 def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
-    """Draw a law and scale it until it moves the section centroids by the level's target, in mm
-    RMS.
-    """
+    """Draw a law and scale it to move section centroids by the level's target, mm RMS."""
     low, high = level.moves_mm
     best: tuple[Law, float] | None = None
     plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not kind.SHAPE)

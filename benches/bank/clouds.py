@@ -1,5 +1,6 @@
-"""Seen as a user of two depth cameras sees: noisy clouds with a hole and outliers, the model's
-template laid onto them.
+"""What a user of two depth cameras sees, and the model's template fitted to it.
+
+The clouds are noisy, with a hole and outliers.
 
 Two cameras 90° apart stand somewhere around the finger for the whole case. Every second frame of a
 long protocol is seen: laying a template onto a cloud takes 60 ms. Units: mm, degrees. Randomness
@@ -29,8 +30,9 @@ def thinned(protocol: Protocol) -> Protocol:
 
 
 def registered(model: Model, run: Run, seed: int) -> Run:
-    """Return a run of true vertices as registration finds them in clouds: `visible`, `sigma`, the
-    roll not seen.
+    """Return a run of true vertices as registration finds them in clouds.
+
+    It has `visible`, `sigma`, and the roll not seen.
     """
     rng = np.random.default_rng([seed, run.frames, 6])
     view = float(rng.uniform(0.0, 360.0))

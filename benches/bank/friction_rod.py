@@ -35,8 +35,9 @@ LONGEST = (3.0, 0.1)  # mm and rad of one node in one step
 
 
 def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
-    """Return rods in balance under cables whose tension varies along them (`loads.tension`), from a
-    near state.
+    """Return rods in balance under cables with friction (`loads.tension`).
+
+    Their tension varies along them; each is solved from a near state.
 
     Raises:
         ArithmeticError: a rod does not settle.
@@ -76,8 +77,9 @@ def along(
     guess: Callable[[Floats], Poses],
     passes: int = 0,
 ) -> Floats:
-    """Return the tension (K, 4, segments) along the cables at the seen frames, relative to that at
-    the base.
+    """Return tensions (K, 4, segments) along the cables, relative to the base.
+
+    They are at the seen frames.
 
     Args:
         mu: friction (4,) of each cable.
@@ -105,8 +107,9 @@ def along(
 
 
 def _shares(design: Design, poses: Poses, mu: Floats, tight: float, give_mm: float) -> Floats:
-    """Return the tension (P, 4, segments) along the cables over a path of poses, relative to that
-    at the base.
+    """Return the tension (P, 4, segments) along the cables over a path of poses.
+
+    It is relative to that at the base.
     """
     line = np.diff(guides(design, poses.x, poses.frame), axis=2)
     span = np.linalg.norm(line, axis=3)

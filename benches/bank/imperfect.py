@@ -1,5 +1,6 @@
-"""Imperfections of a finger from a workshop: several small static errors at once, 0.2 to 0.4 mm in
-all.
+"""Imperfections of a finger from a workshop: several small static errors, 0.2 to 0.4 mm.
+
+That is their sum.
 
     clamp       turned and shifted              curl        slightly curved at rest
     lengths     each cable has its own length   drums       each has its own radius
@@ -57,8 +58,9 @@ class Winding(Law):
 
 @dataclass(frozen=True)
 class Rubber(Law):
-    """log E + Σ a_k sin(kπ s/L + φ_k) + Σ b_k cos(α − ψ_k) sin(kπ s/L): along the body, and from
-    side to side.
+    """log E + Σ a_k sin(kπ s/L + φ_k) + Σ b_k cos(α − ψ_k) sin(kπ s/L).
+
+    It varies along the body, and from side to side.
     """
 
     NAME, STRONG, SHAPE = "uneven_rubber", ("along", "across"), True

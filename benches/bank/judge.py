@@ -1,5 +1,4 @@
-"""What a diagnosis of a case is worth, and the table of all cases: goal, measured, 95 % interval,
-n.
+"""Scores of the diagnoses of cases, and their table: goal, measured, 95 % interval, n.
 
 A law counts as named if it has the largest share of what is claimed and stands alone: every rival
 set holds it, or holds in its place a structural equivalent under the conditions of the run
@@ -53,8 +52,7 @@ def judged(
     expressible: set[str],
     also: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return what a diagnosis `document` says about a finger that hides `hidden`, and what of it is
-    right.
+    """Return what a diagnosis `document` reports on a finger with `hidden`; what is right.
 
     `alike` are the structural equivalents of each effect, `expressible` what this model can have of
     the library, `also` what the hidden laws do beside what they are called by: may be named, need
@@ -138,8 +136,9 @@ def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
-    """Return the expected calibration error of claims `{probability, itself}`: Σ share |mean p −
-    share true| by bin.
+    """Return the expected calibration error of claims `{probability, itself}`.
+
+    It is Σ share |mean p − share true| by bin.
 
     A probability is that of one effect: where a structural equivalent acts, it does not. A rod's
     claims have none.
@@ -156,9 +155,7 @@ def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, Counter[str]]:
-    """Return, for each law hidden alone, how often what was named first (`-` nothing, `+?`
-    flagged).
-    """
+    """Return, per law hidden alone, counts of first names (`-` nothing, `+?` flagged)."""
     found: dict[str, Counter[str]] = {}
     for row in rows:
         if row["kind"] == "single":

@@ -1,5 +1,4 @@
-"""Score a diagnosis by family: the family of the law, whether anything is claimed, whether a claim
-is false.
+"""Score a diagnosis by family: the law's family, whether it claims, whether falsely.
 
 The document's `families` are a list of {name, …}, strongest first; a document without them names
 none. *Claimed* is a name that is more likely than not, or a static map above the finger's own
@@ -22,9 +21,7 @@ SIZES = ("moved_mm", "displacement_mm", "size_mm")
 
 
 def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict[str, set[str]]:
-    """Return, for each hidden law, the names that are right: those of its answer and their
-    equivalents.
-    """
+    """Return, per hidden law, the right names: those of its answer and their equivalents."""
     found = {name: set(others) for name, others in alike.items()}
     for law, answer in zip(truth["hidden"], truth["answers"]):
         right = [name for name in alike if matches(name, answer["names"])]
@@ -73,8 +70,7 @@ def _beside(
     like: Mapping[str, set[str]],
     answered: bool,
 ) -> bool | None:
-    """Return whether the known law of a pair is named, the rest left open and nothing wrong
-    claimed.
+    """Return whether a pair's known law is named, the rest left open and nothing wrong claimed.
 
     None without an unknown law.
     """
@@ -85,9 +81,7 @@ def _beside(
 
 
 def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None:
-    """Return whether the first families are those of the hidden laws, one each; None where there is
-    none.
-    """
+    """Return whether the first families are the hidden laws', one each; None if none are."""
     wanted = [answer for answer in answers if answer["families"]]
     if not wanted:
         return None

@@ -1,5 +1,6 @@
-"""Score an answer about a robot whose law was always present, with a model learned from its
-recordings.
+"""Score an answer on a robot whose law was always present, with a learned model.
+
+It is learned from its recordings.
 
 The named effects are those that `learn` added to the chain of the model, then those that the
 diagnosis of another run adds. For a memory that was always present both are right. Units: mm, s.
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
 
 
 def judge_learned(case: Kept) -> dict[str, Any]:
-    """Learn a model from the reference runs of a case, diagnose another run with it, and score both
-    together.
+    """Learn a model from a case's reference runs, diagnose another run, and score both.
+
+    Both are scored together.
     """
     from softmap_edge import _core
     from softmap_edge.diagnosis.diagnose import diagnose

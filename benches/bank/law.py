@@ -1,5 +1,4 @@
-"""What a hidden law of the bank is: one cause, its place in the finger, and how it is made
-stronger.
+"""A hidden law of the bank: one cause, its place in the finger, and its strength.
 
     command ─drive─> spools (T, C) ─pull─> cables (T, 4) ─rod or finite elements (body, loads)─>
     points ─seen─> camera
@@ -28,9 +27,7 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Record:
-    """The inputs of a law: t (T,) s, the command u (T, C) mm, temperature (T,) °C, gravity (T, 3)
-    g.
-    """
+    """The inputs of a law: t (T,) s, u (T, C) mm, temperature (T,) °C, gravity (T, 3) g."""
 
     t: Floats
     u: Floats
@@ -96,8 +93,9 @@ class Law:
         return loads
 
     def tension(self, past: Past) -> Floats | None:
-        """Return the tension (K, 4, segments) along each cable at the seen frames, relative to that
-        at its base.
+        """Return the tension (K, 4, segments) along each cable at the seen frames.
+
+        It is relative to that at its base.
         """
         return None
 
@@ -117,8 +115,9 @@ class Law:
 
 
 def per_channel(rng: np.random.Generator, channels: int, signs: bool = True) -> Numbers:
-    """Draw one number a channel, sizes within 0.5..1, the largest 1; with any signs unless told
-    otherwise.
+    """Draw one number a channel, sizes within 0.5..1, the largest 1.
+
+    Signs are random, or all positive without `signs`.
     """
     size = rng.uniform(0.5, 1.0, channels)
     sign = rng.choice([-1.0, 1.0], channels) if signs else np.ones(channels)
@@ -126,8 +125,9 @@ def per_channel(rng: np.random.Generator, channels: int, signs: bool = True) -> 
 
 
 def slow(t: Floats, x: Floats, tau: float) -> Floats:
-    """Return y (T, ...) with y' = (x − y)/τ, y(0) = x(0), exact for x linear between even steps of
-    t.
+    """Return y (T, ...) with y' = (x − y)/τ, y(0) = x(0), exact for linear x.
+
+    It is linear between even steps of t.
     """
     from scipy.signal import lfilter
 

@@ -311,7 +311,7 @@ class Wall(Law):
     """A springy plane beside the finger; stronger is nearer."""
 
     NAME, STRONG, SHAPE, LIMIT = "contact", ("near_mm",), True, 2.2
-    near_mm: float  # from 45 mm beside the axis
+    near_mm: float  # from 45 mm off the axis
     side: float
 
     @classmethod
@@ -359,9 +359,7 @@ class Ruler(Law):
 
 @dataclass(frozen=True)
 class Drifting(Law):
-    """A camera that creeps: a random walk through knots 20 s apart, smooth in between, from
-    zero.
-    """
+    """A camera that drifts: a smooth random walk through knots 20 s apart, from zero."""
 
     NAME, STRONG, LIMIT = "camera_drift", ("turn_deg", "shift_mm"), 5.0
     turn_deg: float

@@ -95,8 +95,9 @@ class Packets(Law):
 
 @dataclass(frozen=True)
 class Loop(Law):
-    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, exact for a command linear between samples, then a drum
-    with τ/4.
+    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, exact for linear commands, then a drum with τ/4.
+
+    They are linear between samples.
     """
 
     NAME, STRONG, LIMIT = "lag", ("tau_s",), 3.0
@@ -146,8 +147,9 @@ class Motor(Law):
 
 @dataclass(frozen=True)
 class Stops(Law):
-    """w log((1 + e^{(u+c)/w})/(1 + e^{(u−c)/w})) − c: u within ±c, soft by w; stronger is a nearer
-    stop.
+    """w log((1 + e^{(u+c)/w})/(1 + e^{(u−c)/w})) − c: u within ±c, soft by w.
+
+    A stronger one is a nearer stop.
     """
 
     NAME, STRONG, LIMIT = "saturation", ("lost_mm",), 2.4
@@ -331,9 +333,7 @@ class Drag(Law):
 
 @dataclass(frozen=True)
 class LetsGo(Law):
-    """One cable grows longer by δ over a second of hard pulling after t*; the other is wound as
-    before.
-    """
+    """One cable grows by δ over a second of hard pulling after t*; the other stays wound."""
 
     NAME, STRONG, LIMIT = "anchor_slip", ("slip_mm",), 4.0
     cable: int

@@ -1,5 +1,6 @@
-"""Drifts, chance, other robots and drives that are off; and the list of all laws outside the
-library, in case order.
+"""Drifts, chance, other robots and faulty drives; the list of all laws outside the library.
+
+The list is in case order.
 
     frame_noise      the frame wanders, with a memory or as a random walk
     bending_noise    the body bends irregularly, with a memory or as a random walk
@@ -49,8 +50,9 @@ from benches.bank.section import Design
 
 
 def wandering(t: Floats, memory_s: float, count: int, seed: int) -> Floats:
-    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero; a walk for
-    infinite memory.
+    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero.
+
+    It is a walk for infinite memory.
 
     A walk has the variance t/100 s.
     """

@@ -1,5 +1,4 @@
-"""Hidden laws as a workshop finds them: other numbers for each servo and each cable, worn teeth,
-friction on the way.
+"""Hidden laws as in a workshop: own numbers per servo and cable, worn teeth, friction.
 
 backlash          worn teeth: a gap for each servo that changes along the turn
 friction          in the sheaths: each cable Dahl's law with a limit that grows with its own pull
@@ -93,8 +92,9 @@ class WornGear(Law):
 
 @dataclass(frozen=True)
 class SheathFriction(Law):
-    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 2/(1 − μ_i) of that limit; four cables, four
-    numbers.
+    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 2/(1 − μ_i) of that limit; four cables.
+
+    Each cable has its own numbers.
 
     Over less of it, a cable would move on while its servo turns back.
     """

@@ -1,5 +1,6 @@
-"""Smooth static maps of the command in no library: 15 forms, each on both channels, on one, or with
-other signs.
+"""Smooth static maps of the command in no library: 15 forms, in several patterns.
+
+On both channels, on one, or with other signs.
 
 u + a h f(u/h; b, φ), h = 12 mm: a is the amount, b > 0 the sharpness, φ a phase. Each is zero at
 home. `bent` is the part that offsets and gains cannot represent. It makes a map non-linear, and it
@@ -82,8 +83,9 @@ CROSSED: dict[str, Callable[[Floats, Floats, float], Floats]] = {
 
 
 def bent(plain: Floats, mapped: Floats) -> float:
-    """Return the part of mapped − plain (T, C) mm that offsets and gains of the channels cannot
-    represent, in RMS.
+    """Return the part of mapped − plain (T, C) mm beyond offsets and gains, in RMS.
+
+    Those are the channels' own.
     """
     more = mapped - plain
     left = np.empty_like(more)
@@ -94,9 +96,7 @@ def bent(plain: Floats, mapped: Floats) -> float:
 
 
 def rises(law: SmoothMap) -> bool:
-    """Return whether a map rises with the command everywhere: a drive that runs backwards is no
-    smooth map.
-    """
+    """Return whether a map rises everywhere: one that runs backwards is no smooth map."""
     u = np.linspace(-H, H, 241)[:, None] * np.ones((1, len(law.amount)))
     return bool(np.min(np.diff(u + law.added(u), axis=0)) > LEAST_SLOPE * 2 * H / 240)
 
@@ -114,9 +114,7 @@ class SmoothMap(Law):
 
     @classmethod
     def of(cls, number: int, rng: np.random.Generator, channels: int) -> Self:
-        """Draw map `number`: the forms go round, then the patterns (both alike, one alone, unlike,
-        one side).
-        """
+        """Draw map `number`: all forms in turn, then patterns (equal, one, different, one side)."""
         names = list(FORMS)
         pattern = number // len(names) % 4
         size = np.array(
@@ -141,9 +139,7 @@ class SmoothMap(Law):
         return cls.of(int(rng.integers(60)), rng, channels)
 
     def scaled(self, s: float) -> Self:
-        """Return the same map, s times as strong, or at the largest strength at which it still
-        rises.
-        """
+        """Return the same map, s times as strong, or as strong as it can be while rising."""
         law = super().scaled(s)
         while not rises(law):
             law = Law.scaled(law, 0.9)

@@ -1,5 +1,4 @@
-"""What no library knows: causes by which the bank asks whether a diagnosis says that something is
-left unexplained.
+"""Causes outside any library: does a diagnosis report an unexplained error?
 
     frayed_cable   one cable rubs through and grows longer by a step after each so many mm of travel
                    under load
@@ -80,8 +79,9 @@ class Chatter(Law):
 
 @dataclass(frozen=True)
 class Leak(Law):
-    """u + A p towards one side; p' = (1 − p)/0.3 s where |u| of either channel is beyond
-    `beyond_mm`, else −p/τ.
+    """u + A p towards one side.
+
+    p' = (1 − p)/0.3 s where |u| of either channel is beyond `beyond_mm`, else −p/τ.
     """
 
     NAME, STRONG, LIMIT = "leaking_cell", ("size_mm",), 5.0
@@ -112,9 +112,7 @@ class Leak(Law):
 
 @dataclass(frozen=True)
 class Magnet(Law):
-    """F = A (m − x)/|m − x| / (1 + (|m − x|/r)²)² on the tip, by the place of the tip without
-    it.
-    """
+    """F = A (m − x)/|m − x| / (1 + (|m − x|/r)²)² on the tip, by its place without the magnet."""
 
     NAME, STRONG, SHAPE, LIMIT = "magnet", ("newton",), True, 6.0
     newton: float

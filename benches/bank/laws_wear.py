@@ -135,9 +135,7 @@ class Torn(Law):
 
 @dataclass(frozen=True)
 class Clutch(Law):
-    """y = u − s, s follows so that |y| stays below a limit: a drum that slips and does not
-    return.
-    """
+    """y = u − s, s follows so that |y| stays below a limit: a drum that slips for good."""
 
     NAME, STRONG, LIMIT = "clutch", ("lost_mm",), 9.0
     lost_mm: Numbers  # of a reach of 12 mm

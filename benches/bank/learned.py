@@ -1,5 +1,6 @@
-"""Slice *learned*: robots whose law was always present, and whose model is learned from their own
-recordings.
+"""Slice *learned*: robots whose law was always present, with a model learned from them.
+
+It is learned from their own recordings.
 
 A finger has play, friction, slack, creep or lag, and the static imperfections of slice *shop*. A
 motion capture sees it by five balls along its body. Its frame is turned about the axis by any
@@ -175,9 +176,7 @@ def learned_case(seeds: str, level: str, kind: str, number: int) -> tuple[Case, 
 
 
 def uncubed_mm(mine: Case, number: int) -> float:
-    """Return the error of a cubic of the commands for a finger without its law: section centroids,
-    mm RMS.
-    """
+    """Return a cubic's error for a finger without its law: section centroids, mm RMS."""
     protocol, every = reference(number, 1.0, 1.0, 90.0), 5
     points = seen(mine.body, mine.small, protocol, False, every=every, room=mine.room)
     x, y = (np.interp(protocol.t_seen[::every], protocol.t, u) / REACH for u in protocol.command.T)

@@ -47,8 +47,7 @@ def share_right(rows: Iterable[Row]) -> tuple[int, int]:
 
 
 def chosen(sets: Mapping[str, Mapping[str, Sequence[Row]]], part: str) -> str:
-    """Return the constants under which the mean share of right answers is largest on all parts but
-    one.
+    """Return the constants with the largest mean share of right answers on all parts but one.
 
     Args:
         sets: rows by constants and by part; the shipped constants come first and win a tie.
@@ -69,8 +68,9 @@ def chosen(sets: Mapping[str, Mapping[str, Sequence[Row]]], part: str) -> str:
 
 
 def doubts_of(probability: float) -> float:
-    """Return the doubts about a claim, in units of one alternative, from its probability by the
-    shipped odds.
+    """Return the doubts about a claim, in units of one alternative, from its probability.
+
+    It is by the shipped odds.
     """
     return max(0.0, (1.0 / probability - 1.0 - decision.ODDS_BASE) / decision.ODDS_DOUBT)
 
@@ -101,8 +101,9 @@ def with_odds(claims: Sequence[Row], base: float, doubt: float) -> list[Row]:
 
 
 def by_chance(claims: Sequence[Row], draws: int = 200) -> float:
-    """Return the calibration error that as many claims show on average if each probability is
-    exactly right.
+    """Return the mean calibration error of as many claims with exact probabilities.
+
+    This is the error by chance.
     """
     rng, p = np.random.default_rng(0), np.array([claim["probability"] for claim in claims])
     luck = rng.uniform(size=(draws, len(p))) < p
@@ -117,9 +118,7 @@ def by_chance(claims: Sequence[Row], draws: int = 200) -> float:
 
 
 def text(sets: Mapping[str, Sequence[Row]]) -> str:
-    """Return the table of right answers and of calibration, each part with the constants of the
-    others.
-    """
+    """Return the tables of right answers and calibration, parts with others' constants."""
     shared = set.intersection(
         *({row["case"] for row in rows if "failed" not in row} for rows in sets.values())
     )

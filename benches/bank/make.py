@@ -49,9 +49,7 @@ def _case(task: Task) -> Case:
 
 
 def _runs(mine: Case, kind: str, number: int) -> dict[str, Run]:
-    """Return the runs of a case: the diagnosed run, a requested second run, the validation run and
-    its twin.
-    """
+    """Return the runs of a case: diagnosed run, a requested second, validation run, twin."""
 
     def recorded(told: str) -> Run:
         protocol = protocol_of(told, mine.hidden, number)

@@ -105,9 +105,7 @@ def _numbers(axes: list[Floats], values: Floats) -> Any:
 
 
 def _whole(stretch: Floats, names: Sequence[str]) -> Floats:
-    """Return stretch (S, 4·(F + 4)) for every field of the library, zero where the rod has no such
-    field.
-    """
+    """Return stretch (S, 4·(F + 4)) for all library fields, zero for those the rod lacks."""
     full = np.zeros((len(stretch), 4, len(_core.FIELDS) + 4))
     for i, name in enumerate(names):
         full[..., list(_core.FIELDS).index(name)] = stretch[..., i]
@@ -116,8 +114,9 @@ def _whole(stretch: Floats, names: Sequence[str]) -> Floats:
 
 
 def _leaning_error(made: Model) -> float:
-    """Return by how much (mm for each g of change) the model's error grows in a finger that leans
-    by 34°.
+    """Return the growth (mm for each g of change) of model error in a finger at 34°.
+
+    The finger leans by that angle.
     """
     from softmap_edge.run.run import Run
 
@@ -184,9 +183,7 @@ def changes() -> dict[str, tuple[Change, float]]:
 
 
 def _hat(design: Design, k: int) -> Floats:
-    """Return how much (n,) of the k-th stretch of the body is at each element: cos² around its
-    middle.
-    """
+    """Return the k-th stretch's share (n,) at each element: cos² around its middle."""
     away = np.abs(design.middle / design.place[-1] * (HATS - 1) - k)
     return np.asarray(np.where(away < 1.0, np.cos(np.pi / 2 * np.minimum(away, 1.0)) ** 2, 0.0))
 
@@ -196,8 +193,9 @@ def _curved(design: Design, more: Sequence[float]) -> Design:
 
 
 def _answers(names: Sequence[str]) -> dict[str, Any]:
-    """Return `fields` (names + 4, S, 3N), `stretch` (S, 4, names + 4) on the coarse grid, `pull`
-    (SWEEP², 4) N.
+    """Return `fields` (names + 4, S, 3N), `stretch` (S, 4, names + 4), `pull` (SWEEP², 4) N.
+
+    They are on the coarse grid.
     """
     design = finger(1)
     fine = hanging(grid(np.linspace(-REACH, REACH, SWEEP)))
@@ -210,8 +208,10 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
 def answers(
     design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _core.LOADS
 ) -> tuple[Floats, Floats]:
-    """Return displacements of the seen points (names + 4, S, 3N) per unit of fields and per 1 N of
-    a cable, and the stretch of the cables (S, 4, names + 4) with them.
+    """Return displacements of the seen points (names + 4, S, 3N), and the stretch.
+
+    They are per unit of fields and per 1 N of a cable; the stretch of the cables is (S, 4, names +
+    4).
     """
     _, blocks, lengths, _ = assembled(design, loads, poses.x, poses.frame)
     none, told = np.zeros(lengths.shape[:1] + (4,), bool), length_beyond(design, loads, poses)

@@ -1,5 +1,6 @@
-"""One Newton step of many rods at once: a block-tridiagonal solve, the stiff cables joined by
-Woodbury's formula.
+"""One Newton step of many rods at once: a block-tridiagonal solve.
+
+The stiff cables are joined by Woodbury's formula.
 
 Units: mm, N, rad. Pinned by tests/benches/test_bank_rod.py.
 """
@@ -20,8 +21,9 @@ def newton_step(
     stiffness: Floats,
     drawn: Floats | None = None,
 ) -> Floats:
-    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables, K
-    block-tridiagonal, d = l unless `drawn` is given.
+    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables.
+
+    K is block-tridiagonal, and d = l unless `drawn` is given.
     """
     below, diagonal, above = blocks
     drawn = (lengths if drawn is None else drawn) * taut[:, None, None, :]

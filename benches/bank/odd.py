@@ -129,9 +129,7 @@ def odd_case(seeds: str, level: str, kind: str, number: int) -> Case:
 
 
 def _level(kind: str, number: int, rng: np.random.Generator) -> Level:
-    """Return the camera and the background of a case: in turn for nulls and singles, drawn for the
-    others.
-    """
+    """Return the camera and background of a case: in turn for nulls and singles, else drawn."""
     slow = replace(REAL, shiver_mm=0.10, shiver_deg=0.05, memory_s=float(rng.uniform(4.0, 12.0)))
     tails = replace(REAL, point_mm=0.15, tails=2.3)
     kinds = [EASY, REAL, tails, slow, REAL, replace(REAL, lost=0.03), REAL]
@@ -142,9 +140,7 @@ def _level(kind: str, number: int, rng: np.random.Generator) -> Level:
 
 
 def _restless(kind: str, number: int, body: Body, rng: np.random.Generator) -> tuple[Law, ...]:
-    """Return the noise of bodies that bend irregularly: 0.15 to 0.4 mm of command, from frame to
-    frame.
-    """
+    """Return the noise of irregularly bending bodies: 0.15 to 0.4 mm of command a frame."""
     if kind not in ("null", "single") or number % 7 != 4:
         return ()
     size = tuple(rng.uniform(0.15, 0.4, body.channels) * (1.0 if kind == "null" else 0.5))
@@ -222,8 +218,9 @@ def _strange(number: int, body: Body, hard: Level, rng: np.random.Generator) -> 
 
 
 def mapped(number: int, body: Body, rng: np.random.Generator) -> Hidden:
-    """Draw a smooth map (four of five) or a cross term, scaled by the part that offsets and gains
-    cannot represent.
+    """Draw a smooth map (four of five) or a cross term, scaled by its curved part.
+
+    Offsets and gains cannot represent that part.
     """
     crossed = number % CROSSED == CROSSED - 1
     count = number // CROSSED if crossed else number - number // CROSSED
@@ -240,8 +237,9 @@ def mapped(number: int, body: Body, rng: np.random.Generator) -> Hidden:
 
 
 def curved_share(law: Law) -> float:
-    """Return the share of a map that offsets and gains cannot represent, on commands of the
-    standard protocol.
+    """Return the share of a map beyond offsets and gains, on the standard protocol.
+
+    It is on the commands of that protocol.
     """
     protocol = standard_protocol(2)
     record = Record(protocol.t, protocol.command, temperature(protocol.t), protocol.gravity)

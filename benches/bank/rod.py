@@ -1,5 +1,6 @@
-"""The bank's finger: a geometrically exact Cosserat rod with exact cables, solved for many commands
-at once in NumPy.
+"""The bank's finger: a geometrically exact Cosserat rod with exact cables, in NumPy.
+
+It is solved for many commands at once.
 
 Every node has a place x and a frame R. An element with ends i, j has the rotation vector θ =
 log(RᵢᵀRⱼ), the mid frame Rₘ = Rᵢ exp(θ/2), and the strains (J. C. Simo, Comput. Methods Appl. Mech.
@@ -41,8 +42,9 @@ WALL = 2.0  # N/mm of each node that is pressed into an obstacle
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """The loads on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3)
-    g, `tip` (B, 3) N.
+    """The loads on each of B rods.
+
+    `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
 
     `plane` (normal (3,), place mm) is an obstacle: the rod's surface beyond normal·x = place is
     pushed back. `tension` (B, 4, m-1) is that of each cable along its segments, relative to that at
@@ -68,8 +70,9 @@ class Loads:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """B settled rods: `x` (B, n+1, 3) mm, `frame` (B, n+1, 3, 3), `tension` (B, 4) N, `error` (B,)
-    out of balance.
+    """B settled rods: `x` (B, n+1, 3) mm, `frame` (B, n+1, 3, 3), `tension` (B, 4) N, `error`.
+
+    `error` (B,) is the imbalance.
     """
 
     x: Floats
@@ -78,8 +81,9 @@ class Poses:
     error: Floats
 
     def points(self, design: Design, place: Floats, around: Floats) -> Floats:
-        """Return material points (B, N, 3) mm at `place` (N,) mm along, `around` (N, 2) mm from the
-        axis, at rest.
+        """Return material points (B, N, 3) mm by their places at rest.
+
+        `place` (N,) mm along, `around` (N, 2) mm from the axis.
 
         A section keeps its volume: it thins by 1/√(1+ε). Frames between nodes turn by their share
         of the element.
@@ -112,8 +116,9 @@ def straight(design: Design, count: int) -> Poses:
 
 
 def laid(design: Design, strain: Floats) -> Poses:
-    """Return the rods (not settled) that have strains (B, n, 6): shear, shear, stretch, bending,
-    bending, twist.
+    """Return the rods (not settled) of strains (B, n, 6).
+
+    They are shear, shear, stretch, bending, bending, twist.
     """
     poses, length = straight(design, len(strain)), design.length
     theta = strain[..., 3:] * length[:, None]
@@ -214,8 +219,9 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
 
 
 def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords in the mid frame (B, n, 3) and strains
-    (B, n, 6).
+    """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords (B, n, 3), strains (B, n, 6).
+
+    The chords are in the mid frame.
     """
     theta = log(transposed(frame[:, :-1]) @ frame[:, 1:])
     middle = frame[:, :-1] @ turn(theta / 2)
@@ -226,9 +232,7 @@ def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, 
 
 
 def _section(design: Design, strain: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return energy per length (B, n), forces and moments (B, n, 6) and their tangent (B, n, 6,
-    6).
-    """
+    """Return energy per length (B, n), forces and moments (B, n, 6), tangent (B, n, 6, 6)."""
     bend = strain[..., 3:] - design.rest
     x, y, area = design.fibres()
     lever = np.stack([np.ones_like(x), y, -x], axis=2)  # (n, F, 3)
@@ -308,10 +312,11 @@ def own_lengths(design: Design) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The forces on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks`
-    (below, diagonal, above) (B, n, 6, 6) without the cables' own stiffness, slopes (B, n, 6, 4) of
-    the cables' `lengths`, the same `drawn` by the tension of each segment, and the tension `pull`
-    (B, 4) N at the base.
+    """The forces on the free nodes of B rods.
+
+    `slope` (B, n, 6) of the energy, its tangent `blocks` (below, diagonal, above) (B, n, 6, 6)
+    without the cables' own stiffness, slopes (B, n, 6, 4) of the cables' `lengths`, the same
+    `drawn` by the tension of each segment, and the tension `pull` (B, 4) N at the base.
     """
 
     slope: Floats
@@ -365,8 +370,9 @@ def balance(design: Design, loads: Loads, x: Floats, frame: Floats) -> Balance:
 def _element(
     length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: Floats
 ) -> tuple[Floats, Floats]:
-    """Return tangents (B, n, 12, 12) and forces (B, n, 12) on (xᵢ, spin of i, xⱼ, spin of j), all
-    in the mid frame.
+    """Return tangents (B, n, 12, 12) and forces (B, n, 12) of elements.
+
+    They are on (xᵢ, spin of i, xⱼ, spin of j), all in the mid frame.
 
     With D = wⱼ − wᵢ and τ = ½ tan(h/2) a, h = |θ|/2, the mid frame spins by (wᵢ + wⱼ)/2 − τ × D,
     and θ changes by K⁻¹D, K⁻¹ = h/sin h (1 − aaᵀ) + aaᵀ. The change of K⁻¹ itself, of order h, is
@@ -406,8 +412,10 @@ def _element(
 def _cables(
     design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighted
-    by the tension of each segment; add the contributions of taut lines to `ends`.
+    """Return tension (B, 4) N and slopes (B, n+1, 6, 4) of the cables' lengths.
+
+    Also the same weighted by the tension of each segment; add the contributions of taut lines to
+    `ends`.
     """
     m = design.guide.shape[1]
     arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)
@@ -444,8 +452,9 @@ def _cables(
 
 
 def _by_node(x: Floats, arm: Floats, along: Floats) -> Floats:
-    """Return slopes (B, n+1, 6, 4) of Σ lengths by the nodes, of segments along (B, 4, m-1, 3) at
-    arms (B, 4, m, 3).
+    """Return slopes (B, n+1, 6, 4) of Σ lengths by the nodes.
+
+    They are of segments along (B, 4, m-1, 3) at arms (B, 4, m, 3).
     """
     m = arm.shape[2]
     at = np.zeros_like(arm)  # slope by the guide's place

@@ -1,6 +1,4 @@
-"""Rotations in batches: vectors to matrices and back, and vectors into and out of frames (angles in
-rad).
-"""
+"""Rotations in batches: vectors to matrices and back, into and out of frames (rad)."""
 
 from __future__ import annotations
 

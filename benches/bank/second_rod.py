@@ -1,5 +1,6 @@
-"""What large loads do to the rod beyond its fields: second derivatives by loads, moduli and
-tensions (`_core.Second`).
+"""The second-order response of the rod to large loads (`_core.Second`).
+
+Second derivatives by loads, moduli and tensions.
 
 At an equilibrium the cables are replaced by ones of almost no stiffness with the same tension. So
 held, the rod is settled with a little more and a little less of each cause l (a g of gravity, a N
@@ -38,8 +39,9 @@ CAUSES = (*_core.LOADS, *_core.MODULI)  # and the cables
 
 
 def bends(answers: Answers, length: Length, stiffer: Stiffer) -> dict[str, Floats]:
-    """Return `fields` (S, pairs, 3N), `stretch` (S, pairs, 4) and `growth` (S, causes) on the grid
-    of NODES.
+    """Return `fields` (S, pairs, 3N), `stretch` (S, pairs, 4), `growth` (S, causes).
+
+    They are on the grid of NODES.
 
     `answers` to CAUSES and cables, `length` of cables, `stiffer` a design by so much of one of
     `_core.MODULI`.

@@ -1,5 +1,6 @@
-"""What the bank's rod finger is made of: sections of incompressible rubber fibres, and four cables
-through guides.
+"""The sections of the bank's rod finger: incompressible rubber fibres, and four cables.
+
+The cables go through guides.
 
 A cross-section is an area of fibres along the rod, each of neo-Hookean rubber that keeps its volume
 (Poisson 0.5):
@@ -84,8 +85,9 @@ class Design:
         return np.asarray(x * np.cos(side) + y * np.sin(side) > 0.0, dtype=np.float64)
 
     def turned_guides(self, angle: Floats) -> Design:
-        """Return the design with each cable's guides turned by `angle` (4,) or (4, m) rad about the
-        axis.
+        """Return the design with each cable's guides turned by `angle` rad about the axis.
+
+        The angle is (4,) or (4, m).
         """
         a = np.broadcast_to(np.asarray(angle, float).reshape(4, -1), self.guide.shape[:2])
         c, s = np.cos(a), np.sin(a)
@@ -101,9 +103,7 @@ def uniform(
     cable: float = 0.0,
     aside: float = 0.0,
 ) -> Design:
-    """Return a plain rod without weight; its cables, if any, run `aside` mm beside the axis up to
-    the tip.
-    """
+    """Return a plain rod without weight; cables, if any, run `aside` mm off the axis to the tip."""
     place = np.linspace(0.0, length, elements + 1)
     n = elements
     return Design(
@@ -120,8 +120,9 @@ def uniform(
 
 @lru_cache(maxsize=8)
 def finger(refine: int = 2) -> Design:
-    """Return the built-in finger as a rod: 16 elements up to the anchors and 3 in the tip, times
-    `refine`.
+    """Return the built-in finger as a rod: 16 elements to the anchors, 3 in the tip.
+
+    Each is times `refine`.
     """
     table = _numbers()
     anchor = table["tendon"][0]["route_mm"][-1][0]

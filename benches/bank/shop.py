@@ -1,5 +1,6 @@
-"""Slice *shop*: fingers as a workshop makes them, with laws for each servo and each cable, seen by
-a slow camera.
+"""Slice *shop*: fingers from a workshop, seen by a slow camera.
+
+Their laws have numbers for each servo and each cable.
 
 Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centroids
 (`imperfect.py`). The frame jitters with a memory of 3 to 10 s. A hidden law moves the finger 2.2 to
@@ -82,8 +83,9 @@ def shop_case(seeds: str, level: str, kind: str, number: int) -> Case:
 
 
 def imperfections(body: Body, wanted_mm: float, rng: np.random.Generator) -> tuple[Law, ...]:
-    """Draw imperfections that move the section centroids by `wanted_mm` RMS on the standard
-    protocol.
+    """Draw imperfections that move section centroids by `wanted_mm` RMS.
+
+    It is on the standard protocol.
     """
     protocol, every = standard_protocol(2), 2 * body.every
     laws = static(rng, body.channels)
@@ -101,8 +103,9 @@ def imperfections(body: Body, wanted_mm: float, rng: np.random.Generator) -> tup
 def hidden_laws(
     kind: str, number: int, body: Body, level: Level, rng: np.random.Generator
 ) -> list[tuple[Law, float]]:
-    """Draw the hidden laws of a case, in the order of the chain: singles and unknown laws in turn,
-    pairs at random.
+    """Draw the hidden laws of a case, in the order of the chain.
+
+    Singles and unknown laws in turn, pairs at random.
     """
     for _ in range(PAIRS):
         if kind == "null":

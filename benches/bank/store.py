@@ -91,9 +91,7 @@ def keep(task: Task, root: Path, truth: Mapping[str, Any], runs: Mapping[str, Ru
 
 @lru_cache(maxsize=1)
 def made_by() -> str:
-    """Return a digest of the code that makes cases: the bank without its scoring, the protocols,
-    the bundle.
-    """
+    """Return a digest of the code that makes cases: bank without scoring, protocols, bundle."""
     import softmap_edge
 
     own, package = Path(__file__).parent, Path(softmap_edge.__file__).parent

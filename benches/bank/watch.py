@@ -1,5 +1,4 @@
-"""Who looks at the bank's fingers: levels of difficulty, a camera whose errors hang together, small
-background laws.
+"""Cameras of the bank: levels of difficulty, correlated errors, small background laws.
 
 Every point has an error of its own; the whole frame shivers (memory of a second) and creeps (half a
 minute); patches are hidden. And no finger is as its model says even when nothing is hidden: a
@@ -23,8 +22,7 @@ from benches.bank.rotations import turn
 
 @dataclass(frozen=True)
 class Level:
-    """Difficulty: σ of a point and of the frame, share of points hidden, background, displacement
-    by a law.
+    """Difficulty: σ of point and frame, share of hidden points, background, law's displacement.
 
     `clouds`: cameras see the points described here as clouds (`clouds.py`); their noise, outliers
     and holes come on top. `memory_s` of the shivering frame; `tails`: degrees of freedom of
@@ -57,8 +55,9 @@ LEVELS = {
 
 
 def background(level: Level, rng: np.random.Generator, channels: int) -> tuple[Law, ...]:
-    """Draw what is never quite right: together about 0.1 mm of the section centroids, times the
-    level's share.
+    """Draw small background errors: about 0.1 mm of the section centroids in all.
+
+    This is times the level's share.
     """
     size = level.background
 
@@ -122,8 +121,9 @@ def rms(difference: Floats, seen: NDArray[np.bool_] | None = None) -> float:
 
 
 def sections(points: Floats, place: Floats, count: int = 9) -> Floats:
-    """Return the centroids (K, count, 3) mm of slices along the body, of points (K, N, 3) at
-    `place` (N,) mm.
+    """Return centroids (K, count, 3) mm of slices of points (K, N, 3) along the body.
+
+    The points are at `place` (N,) mm.
     """
     which = np.minimum((place / place.max() * count).astype(int), count - 1)
     return np.stack(

@@ -29,9 +29,7 @@ def kept(task: Task, out: Path) -> Path:
 
 
 def code() -> str:
-    """Return a digest of the diagnosis and of the scoring: a case that other code scored is scored
-    again.
-    """
+    """Return a digest of diagnosis and scoring: cases of other code are scored again."""
     import softmap_edge
 
     digest = hashlib.sha256()
@@ -179,8 +177,9 @@ def off(model: Any, run: Run) -> float:
 
 
 def fallen(case: Kept, before: Any, after: Any) -> tuple[dict[str, float], float | None]:
-    """Return the errors (mm) on a run of another kind, and the share of the removable error that is
-    gone.
+    """Return errors (mm) on a run of another kind, and the removed share of the error.
+
+    It is the share of the removable error.
     """
     judge = case.run("judge")
     error = {

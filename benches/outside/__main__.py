@@ -1,5 +1,6 @@
-"""Run our diagnosis and its peers on outside data with known answers; print one table (`make
-outside`).
+"""Run our diagnosis and its peers on outside data; print one table (`make outside`).
+
+The answers are known.
 
 `--out FOLDER` writes outside.json and outside.md there, `--page` docs/benchmarks/outside.md;
 `--only NAME` runs the sets whose name holds NAME. A set that is absent is skipped with its reason.
@@ -78,9 +79,7 @@ def _cases(only: str, skipped: dict[str, str]) -> Iterator[Case]:
 
 
 def _row(case: Case) -> Row:
-    """Return one row: our answer, the peers on the same model, the right law, each law of the
-    library.
-    """
+    """Return a row: our answer, the peers on the same model, the right law, each library law."""
     ours, model = answer(case)
     law = {} if case.law is None else case.law()
     return Row(

@@ -65,8 +65,9 @@ def _signal(file: Path) -> Floats:
 
 
 def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
-    """Return displacement and restoring force as a run; a periodic one is preceded by one complete
-    period.
+    """Return displacement and restoring force as a run; periodic ones after one period.
+
+    That period is complete.
     """
     count = len(displacement)
     acceleration, fine = _derivative(displacement, periodic), _finer(displacement, periodic)
@@ -123,8 +124,9 @@ def _finer(x: Floats, periodic: bool) -> Floats:
 
 # --- the law itself --------------------------------------------------------------------------
 def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
-    """Return the prediction of the benchmark's law, its six numbers fitted by least squares to the
-    estimation run.
+    """Return the prediction of the benchmark's law, fitted to the estimation run.
+
+    Its six numbers are fitted by least squares.
 
     γ, δ, ν are searched, k, c, α solved for at each step.
     """
@@ -151,8 +153,11 @@ def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
 
 
 def hysteresis(y: Floats, gamma: float, delta: float, power: float) -> Floats:
-    """Return ζ (T,) along a displacement y (T,) mm: dζ = dy − γ|dy||ζ|^(ν−1)ζ − δ dy|ζ|^ν, explicit
-    midpoint.
+    """Return ζ (T,) along y (T,) mm: dζ = dy − γ|dy
+
+    ζ|^(ν−1)ζ − δ dy|ζ|^ν.
+
+    By the explicit midpoint rule; y is a displacement.
     """
     found, zeta = np.empty(len(y)), 0.0
     for k, step in enumerate(np.diff(y, prepend=y[0]).tolist()):

@@ -1,6 +1,4 @@
-"""The inputs of a row of the table: one data set, its runs, and the law that is known to be
-right.
-"""
+"""The inputs of a row of the table: one data set, its runs, and the known right law."""
 
 from __future__ import annotations
 
@@ -76,8 +74,9 @@ def text(name: str, **numbers: object) -> str:
 
 
 def folder(name: str) -> Path | None:
-    """Return the folder of a data set: in the checkout's `data`, or `../shared/data`; None where it
-    is absent.
+    """Return the folder of a data set: in `data`, or `../shared/data`; None if absent.
+
+    `data` is that of the checkout.
     """
     return next(
         (p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None
@@ -95,8 +94,9 @@ def along_x(markers: Floats) -> Floats:
 
 
 def targets(case: Case, run: Run) -> Floats:
-    """Return the measurements of a run, (K, Q): outputs in their unit, else the coordinates of the
-    case.
+    """Return the measurements (K, Q) of a run: outputs in their unit, else coordinates.
+
+    They are the coordinates of the case.
     """
     return run.outputs if run.output is not None else case.values(np.asarray(run.markers, float))
 
@@ -108,8 +108,9 @@ def predicted(case: Case, model: Model, run: Run) -> Floats:
 
 
 def error(case: Case, run: Run, answer: Floats) -> float:
-    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of the
-    measurement, or mm.
+    """Return the error of a prediction (K, Q): NRMSE or mm.
+
+    NRMSE is over the standard deviation of the measurement.
 
     In mm it is the RMS distance of the markers that were seen.
     """

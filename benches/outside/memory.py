@@ -1,5 +1,6 @@
-"""Machines whose memory was always present: a tendon-sheath joint at two bends (ViO-Com), a
-friction damper (ARTS).
+"""Machines whose memory was always present.
+
+A tendon-sheath joint at two bends (ViO-Com), a friction damper (ARTS).
 """
 
 from __future__ import annotations

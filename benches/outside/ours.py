@@ -1,5 +1,4 @@
-"""Our answer on a data set: learned effects, effects named by the diagnosis, the held-out error
-before and after.
+"""Our answer on a data set: effects learned and diagnosed, held-out error before and after.
 
 Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so
 the row follows the product.
@@ -95,8 +94,7 @@ def _number(label: str, value: dict[str, Any]) -> str:
 
 
 def library_laws(case: Case, model: Model) -> dict[str, dict[str, float]]:
-    """Return the held-out error of each memory law of the library with a refitted static map, by
-    its name.
+    """Return each memory law's held-out error with a refitted static map, by its name.
 
     The output is a cubic of the command plus a cubic of the law's output; the law's numbers are
     fitted by least squares.

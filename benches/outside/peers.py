@@ -134,8 +134,7 @@ def _static(case: Case, train: Floats) -> dict[str, Floats]:
 
 
 def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
-    """A sparse polynomial map of the residual's next value: of itself, the command, its rate and
-    |rate|.
+    """A sparse polynomial map to the next residual: of itself, the command, its rate, |rate|.
 
     The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in
     them. The map is iterated from frame to frame and starts at the mean residual. Where it

@@ -1,5 +1,6 @@
-"""Play and stop, the two building blocks of memory, and least squares with a static map: laws by
-hand.
+"""Play and stop, the building blocks of memory, and least squares with a static map.
+
+They are laws by hand.
 
 play_g(x): follows x with a total slack of g;   stop_s(x): follows x until it slips at ±s
 """
@@ -55,8 +56,9 @@ def fitted(
     low: Sequence[float],
     high: Sequence[float],
 ) -> dict[str, Floats]:
-    """Return predictions (K, Q) on held-out runs: numbers searched from several starts, weights
-    solved for.
+    """Return predictions (K, Q) on held-out runs: numbers searched, weights solved.
+
+    The search has several starts.
 
     Args:
         columns: of a run and the searched numbers, (K, n).

@@ -1,5 +1,6 @@
-"""Robots with measured missing physics: a trunk with 100 g, nine tendons that fall slack, a loaded
-beam.
+"""Robots with measured missing physics: a loaded trunk, slack tendons, a loaded beam.
+
+The trunk has 100 g; the robot with slack tendons has nine.
 """
 
 from __future__ import annotations

@@ -22,8 +22,9 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Row:
-    """The results on one data set: our answer, and held-out errors of the others by their name and
-    held-out run.
+    """The results on one data set: our answer, and the others' held-out errors.
+
+    They are by name and held-out run.
     """
 
     name: str
@@ -37,9 +38,7 @@ class Row:
 
 
 def document(rows: Sequence[Row], skipped: dict[str, str]) -> str:
-    """Return the figures as JSON; times are left out, so that the same figures give the same
-    text.
-    """
+    """Return the figures as JSON without times, so that equal figures give equal text."""
     body = [_plain(asdict(row)) for row in rows]
     return (
         json.dumps(

@@ -56,8 +56,9 @@ def case(folder: Path) -> Case:
 
 
 def fitted_levels(u: Floats, y: Floats, u_held: Floats, y_held: Floats) -> Floats:
-    """Return the level on held-out voltages: five flows and the start of the upper tank fitted to
-    the first record.
+    """Return the level on held-out voltages.
+
+    Five flows and the start of the upper tank are fitted to the first record.
 
     The start of the held-out record is fitted to its first 50 samples, as the benchmark allows.
     """

@@ -199,8 +199,9 @@ def adapt(
 
 
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
-    """Return the model with a residual and its report; None and why where runs teach none, if it is
-    spare.
+    """Return the model with a residual and its report.
+
+    None and why where runs teach none, if it is not required.
     """
     try:
         return learn_residual(model, runs)
@@ -211,9 +212,7 @@ def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None,
 
 
 def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
-    """Return a run of clouds as vertices of the template, in the frame of their base; another as it
-    is.
-    """
+    """Return a run of clouds as template vertices in the frame of their base; others as is."""
     if run.points is None:
         return run
     run, off = in_base(run, model)
@@ -226,8 +225,9 @@ def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
 def _calibrated(
     model: Model, runs: Sequence[Run], say: Callable[[str], None]
 ) -> tuple[Model, Calibrated | None]:
-    """Return the model, calibrated with the first run that is enough if runs have ticks and it has
-    none.
+    """Return the model, calibrated with the first sufficient run if needed.
+
+    It is needed if runs have ticks and it has no calibration.
     """
     ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
     if model.calibration is not None or not any(run.command is None for run in ticks):
@@ -263,8 +263,9 @@ def _blocks(found: Diagnosis | None) -> str:
 
 
 def _on_blocks(found: Diagnosis | None, residual: Document) -> dict[str, float | None]:
-    """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured
-    them.
+    """Return the errors of the ways on held-out blocks, as measured.
+
+    The diagnosis or the residual measured them.
     """
     if found is None:
         both: list[float | None] = [

@@ -1,5 +1,6 @@
-"""A residual: a smooth static correction over the command, learned from a run on top of a model and
-its effects.
+"""A residual: a smooth static correction over the command, learned from a run.
+
+It is on top of a model and its effects.
 
     points(u_eff) = prior(u_eff) + Σ cₖ·Sₖ(u_eff) + residual(u_eff),
         residual = mean + modes · a(u_eff)
@@ -107,8 +108,9 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
 
 
 def strangers(runs: Sequence[Missed]) -> list[str]:
-    """Say which of several runs miss other things than the rest, so that what the rest teaches
-    makes them worse.
+    """Report which of several runs differ from the rest in their errors.
+
+    What the rest teaches makes them worse.
     """
     notes = []
     for k, (commands, missed, seen) in enumerate(runs if len(runs) > 1 else ()):
@@ -176,25 +178,22 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
 
 
 def _still(base: Model, commands: Floats) -> NDArray[np.bool_]:
-    """Return which of the 3N numbers belong to points that the prior holds still, as a clamp
-    does.
-    """
+    """Return which of the 3N numbers belong to points that the prior keeps fixed (clamp)."""
     moved = np.ptp(base.prior.evaluate(commands).reshape(len(commands), -1, 3), axis=0).max(axis=1)
     return np.repeat(moved < STILL * float(moved.max(initial=0.0)), 3)
 
 
 def _reduced(taught: Floats, count: int) -> tuple[Floats, Floats]:
-    """Return mean (3N,) and modes (count, 3N) of values (S, 3N); both are zero where nothing is
-    taught.
-    """
+    """Return mean (3N,) and modes (count, 3N) of values (S, 3N); both 0 if nothing is learned."""
     mean = taught.mean(axis=0)
     modes = np.linalg.svd(taught - mean, full_matrices=False)[2][:count]
     return mean, np.where(np.any(taught != 0.0, axis=0), modes, 0.0)
 
 
 def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
-    """Return how many modes, at least one, there are up to the last whose weights commands predict
-    on other blocks.
+    """Return how many modes commands predict on other blocks, at least one.
+
+    It is the number up to the last mode whose weights they predict.
     """
     mean, modes = _reduced(taught, MODES)
     weights = (taught - mean) @ modes.T

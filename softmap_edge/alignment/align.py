@@ -1,5 +1,4 @@
-"""Align: the rigid transform from the camera's or mocap's frame to the robot's base, and how well
-it is known.
+"""Align: the rigid transform from the camera's or mocap's frame to the base, and its sigma.
 
 Two ways to find it. From **home frames**: what is seen each time the robot rests at home, against
 the model's shape there. From **base points**: markers fixed to the base at known places, or the
@@ -177,9 +176,7 @@ def _stretches(frames: int) -> int:
 
 
 def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the model's own error (S, 3) mm at the places along its body, and the place (N,) of
-    each point.
-    """
+    """Return the model error (S, 3) mm at places along its body, and each point's place (N,)."""
     mapping, error = model.run_feature_map(run), model.run_form_error(run)
     count = int(mapping.positions.sum())
     section = model.sections if run.vertices is not None and not model.markers else np.arange(count)

@@ -1,5 +1,6 @@
-"""Where the base stands in the frame of clouds: a rigid pose that all frames share, from the body
-near the clamp.
+"""The pose of the base in the frame of clouds: one rigid pose that all frames share.
+
+It is found from the body near the clamp.
 
     min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface
                                                 at u_k + Δu
@@ -141,9 +142,7 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
 
 
 def base_stood_off(pose: RigidPose) -> str:
-    """Say that clouds were taken by a pose into the frame of their base, and what to do with
-    others.
-    """
+    """Report that clouds were moved into the frame of their base; remedy for other runs."""
     turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
     return (
@@ -155,8 +154,9 @@ def base_stood_off(pose: RigidPose) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim,
-    then commands.
+    """Normal equations of G groups of frames for 6 + C numbers.
+
+    They are turns and shifts in mm at the rim, then commands.
     """
 
     bends: Floats
@@ -202,9 +202,7 @@ class _Normal:
 def _near(
     cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]
 ) -> Floats:
-    """Return the points (m, 3) of a cloud by the part of a surface between two heights, POINTS at
-    most.
-    """
+    """Return at most POINTS points (m, 3) of a cloud by a surface's part between heights."""
     some = np.asarray(cloud[np.linalg.norm(cloud - centre, axis=1) < reach + GATE], np.float64)
     if not len(some):
         return some
@@ -233,8 +231,9 @@ def _row(
     centre: Floats,
     reach: float,
 ) -> tuple[Floats, Floats]:
-    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn,
-    shift and commands.
+    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C).
+
+    The slopes are by turn, shift and commands.
 
     vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
     """

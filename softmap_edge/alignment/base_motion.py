@@ -1,5 +1,4 @@
-"""Motion of the base of a robot, from markers that are fixed to it; it bounds `mount` and
-`camera_drift`.
+"""Motion of a robot's base, from markers fixed to it; it bounds `mount` and `camera_drift`.
 
     pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
     moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference
@@ -45,16 +44,18 @@ SLOW_FRAMES = 20.0
 
 
 def moved_at(shift_mm: float, turn_deg: float, reach_mm: float) -> float:
-    """Return by how much a shift and a turn of the base move a point at most, `reach_mm` from the
-    origin, mm.
+    """Return the largest motion (mm) of a point by a base shift and turn.
+
+    The point is `reach_mm` from the origin.
     """
     return float(shift_mm + np.radians(turn_deg) * reach_mm)
 
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """Motion of the base against a reference, about the origin of the base frame, with one standard
-    deviation.
+    """Motion of the base against a reference, about the base frame's origin, with its sigma.
+
+    The sigma is one standard deviation.
 
     `shift_mm`, `turn_deg` (3,) are the mean pose against the reference (another run, or the run's
     first frames). `moved_mm`, `turned_deg` are RMS over the frames about that mean, with the noise
@@ -78,8 +79,9 @@ class BaseMotion:
         )
 
     def at_rest(self, reach_mm: float) -> float:
-        """Return how far a base at its place may still move the body, mm; infinite where the
-        markers show it moved.
+        """Return how far a base at its place may still move the body, mm.
+
+        It is infinite where the markers show it moved.
         """
         if not self.allows(np.zeros(3), np.zeros(3)):
             return float(np.inf)
@@ -87,8 +89,9 @@ class BaseMotion:
         return SIGMAS * moved_at(float(shift), float(turn), reach_mm)
 
     def interval(self) -> tuple[Floats, Floats]:
-        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow, (6,)
-        each, as in FRAME.
+        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow.
+
+        They are (6,) each, as in FRAME.
         """
         pose, sigma = (
             np.r_[self.turn_deg, self.shift_mm],
@@ -97,8 +100,9 @@ class BaseMotion:
         return pose - SIGMAS * sigma, pose + SIGMAS * sigma
 
     def allows(self, shift_mm: Floats, turn_deg: Floats, sigmas: float = SIGMAS) -> bool:
-        """Return whether a misalignment (3,) mm and (3,) deg lies within so many standard
-        deviations of the markers.
+        """Return whether the markers allow a misalignment (3,) mm and (3,) deg.
+
+        It lies within so many standard deviations of them.
         """
         off = np.abs(
             np.r_[np.asarray(shift_mm) - self.shift_mm, np.asarray(turn_deg) - self.turn_deg]
@@ -134,8 +138,9 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
 
 
 def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
-    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm in so many other
-    frames.
+    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm.
+
+    The mean is over so many other frames.
     """
     if (
         points.shape[1:] != place.shape
@@ -171,9 +176,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
 
 
 def kept_places(runs: Sequence[Run]) -> Document:
-    """Return where the base markers of the first run were, for the `made_from` of a model; {}
-    without any.
-    """
+    """Return the first run's places of base markers, for a model's `made_from`; {} if none."""
     points = _complete(base_markers(runs[0]))
     if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
         return {}
@@ -183,8 +186,9 @@ def kept_places(runs: Sequence[Run]) -> Document:
 def base_of(
     model: Model, run: Run, reference: Run | Sequence[Run] | None = None
 ) -> BaseMotion | None:
-    """Return the pose of a run's base against the reference run, or else against the runs that
-    taught the model.
+    """Return the pose of a run's base against the reference run.
+
+    Without one, it is against the runs that taught the model.
     """
     if reference is not None:
         several = reference if isinstance(reference, Sequence) else [reference]
@@ -196,8 +200,9 @@ def base_of(
 
 
 def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
-    """Return a layout in which `mount` of each run is searched only where the base markers allow
-    it, or is absent.
+    """Return a layout in which base markers bound each run's `mount`, or remove it.
+
+    It is searched only where they allow it.
     """
     low, high, limit = layout.low.copy(), layout.high.copy(), layout.limit.copy()
     start = layout.start.copy()
@@ -216,8 +221,9 @@ def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
 def excluded(
     runs: Sequence[Run], bases: Sequence[BaseMotion | None], reach_mm: float, least_mm: float
 ) -> dict[str, str]:
-    """Return the effects of the frame that base markers exclude, and why: the base rests, to within
-    what counts.
+    """Return the frame effects that base markers exclude, and why.
+
+    The base rests, to within what counts.
 
     Args:
         runs: the runs.
@@ -242,9 +248,7 @@ def excluded(
 
 
 def _place(made_from: Mapping[str, object]) -> Floats | None:
-    """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such
-    table.
-    """
+    """Return the places (B, 3) mm of base markers in a manifest; None without such a table."""
     kept = made_from.get(PLACES)
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:
         return None
@@ -262,8 +266,9 @@ def _complete(points: Floats) -> Floats:
 
 
 def _sigma(place: Floats, noise: float) -> Floats:
-    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm), from the
-    markers' white noise.
+    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm).
+
+    It follows from the markers' white noise.
     """
     x, y, z = place.T
     zero, one = np.zeros(len(place)), np.ones(len(place))

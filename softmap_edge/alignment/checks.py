@@ -63,8 +63,9 @@ def _check_line(points: Floats, what: str, remedy: str) -> None:
 
 
 def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
-    """Raise AlignError when the points (N, 3) mm, or the sigma (3,) rad of the turns, leave one
-    turn unknown.
+    """Raise AlignError if the points or the turns' sigma leave one turn unknown.
+
+    The points are (N, 3) mm, the sigma is (3,) rad.
     """
     remedy = (
         "name three base markers that are not on one line (--base), or see more points away from "
@@ -80,8 +81,7 @@ def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
 
 
 def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: float = 0.0) -> float:
-    """Return how many times too long the distances between the points are, by the median over
-    pairs.
+    """Return how many times too long point distances are, by the median over pairs.
 
     Args:
         source, target: (G, N, 3) mm. seen: (G, N). what: what has the right distances. left: mm RMS
@@ -131,8 +131,9 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
 def check_mirror(
     source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: RigidPose, what: str
 ) -> None:
-    """Raise AlignError when a mirrored frame fits the points (N, 3) mm much better than any
-    rotation.
+    """Raise AlignError if a mirrored frame fits the points (N, 3) mm much better.
+
+    It is compared with any rotation.
     """
     flipped = source * [1.0, 1.0, -1.0]
     mirror, _ = robust(flipped, target, sigma, seen)
@@ -151,9 +152,7 @@ def check_mirror(
 
 
 def student(freedom: int) -> float:
-    """Return by how much a standard deviation from few groups is widened, so that ± 2 of it hold 95
-    %.
-    """
+    """Return the widening of a sigma from few groups, so that ± 2 of it hold 95 %."""
     if freedom < 1:
         return STUDENT[0] / 1.96
     return (STUDENT[freedom - 1] if freedom <= len(STUDENT) else 1.96 + 2.4 / (freedom - 1)) / 1.96

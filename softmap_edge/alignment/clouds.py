@@ -88,15 +88,17 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
 
 
 def clouds_of(run: Run) -> list[Floats]:
-    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame; pixels
-    without depth are not.
+    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame.
+
+    Pixels without depth are left out.
     """
     return [cloud[left_out(cloud)[0]] for cloud in _clouds(run)]
 
 
 def with_depth(run: Run) -> tuple[Run, str]:
-    """Return a run of clouds without the pixels that have no depth, and a sentence about these (""
-    if none).
+    """Return a run of clouds without pixels that lack depth, and a sentence on these.
+
+    The sentence is "" if there are none.
     """
     clouds = _clouds(run)
     found = [left_out(cloud) for cloud in clouds]

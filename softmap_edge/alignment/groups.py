@@ -1,5 +1,6 @@
-"""Points averaged over groups of frames, a pose for each group, and what moves between them: a base
-within a run.
+"""Points averaged over groups of frames, a pose for each group, and motion between them.
+
+The motion is that of a base within a run.
 
 Motion: the two groups between which the farthest point of the robot is displaced most; it counts
 where it is far above the noise of the groups (sensor noise, and what neighbouring groups differ by)
@@ -32,8 +33,9 @@ MOVED_CHI2 = 50.0  # of six numbers: by chance in one of 10⁸
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Points averaged over groups of frames: `source` and `target` (G, N, 3) mm, `count` (G, N)
-    frames, `t` (G, 2) s.
+    """Points averaged over groups of frames.
+
+    `source` and `target` (G, N, 3) mm, `count` (G, N) frames, `t` (G, 2) s.
 
     `noise` mm, one coordinate of one frame.
     """
@@ -47,8 +49,9 @@ class Groups:
 
 @dataclass(frozen=True)
 class Moved:
-    """A motion within a run: of what, by how much (deg, mm at the origin, mm at the robot's
-    farthest point), and when.
+    """A motion within a run: of what, by how much, and when.
+
+    Its size is in deg, mm at the origin, and mm at the robot's farthest point.
 
     `gradual` is False where more than 60 % of it happens between two neighbouring groups of frames.
     """
@@ -86,8 +89,9 @@ class Moved:
 def group(
     run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]
 ) -> Groups:
-    """Average each point over each group: the median of what is visible, which a frame gone wrong
-    does not move.
+    """Average each point over each group: the median of what is visible.
+
+    A bad frame does not move it.
     """
     shape = (len(parts), seen.shape[1], 3)
     source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
@@ -112,8 +116,9 @@ def group(
 
 
 def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:
-    """Return the small turn (rad) and shift (mm) (6,) of one group against the pose of all; NaN
-    where it has none.
+    """Return the small turn (rad) and shift (mm) (6,) of a group against the common pose.
+
+    NaN where it has none.
     """
     if (weight > 0).sum() < 3:
         return np.full(6, np.nan)
@@ -124,8 +129,9 @@ def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Float
 def base_motion(
     run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: RigidPose
 ) -> Moved | None:
-    """Return how base points (K, B, 3) at `target` (B, 3) move within a run; `far` (N, 3) are the
-    robot's points.
+    """Return how base points (K, B, 3) at `target` (B, 3) move within a run.
+
+    `far` (N, 3) are the robot's points.
     """
     usable = np.flatnonzero(known.sum(axis=1) >= 3)
     if len(target) < 3 or len(usable) < 2 * GROUP_FRAMES:
@@ -238,10 +244,9 @@ def _smoothed(small: Floats, half: int) -> Floats:
 
 
 def _window(small: Floats, one: Floats) -> int:
-    """Return over how many frames to each side poses (K, 6) may be averaged: what foretells a frame
-    best.
+    """Return the frames per side to average poses (K, 6) over: those that predict best.
 
-    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours foretell no
+    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours predict no
     better is left raw.
     """
     unit = np.array([LEVER] * 3 + [1.0] * 3)

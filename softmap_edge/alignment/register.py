@@ -1,5 +1,6 @@
-"""Registration of a finger's template to point clouds, one frame or a run: where its vertices are,
-and how sure.
+"""Registration of a finger's template to point clouds, one frame or a run, with sigma.
+
+It gives the places of its vertices.
 
 `robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible
 about that shape, data from the cloud to the surface with weights that let outliers go
@@ -51,8 +52,9 @@ PRINTED = 5  # frames with warnings that are printed
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of
-    `frames` for each cloud.
+    """A template fitted to K clouds: `vertices` (K, N, 3) mm, `support` (K, N), `frames`.
+
+    `frames` has a row for each cloud.
 
     `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode
     uses 2000 at most); what has none was not seen and is placed by its neighbours. `mode` names the
@@ -107,8 +109,9 @@ class Registered:
         )
 
     def run(self, of: Run) -> Run:
-        """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the
-        roll as not seen.
+        """Return the run of clouds `of` as one of vertices.
+
+        It has `visible`, `sigma` (mm), and the roll marked as not seen.
         """
         noise = np.array([row["noise_mm"] for row in self.frames])[:, None]
         sigma = np.sqrt(noise**2 / np.maximum(self.support, SEEN) + OWN_MM**2)
@@ -231,8 +234,9 @@ def _robust(
 
 
 def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[Document]:
-    """Register clouds by the published objective; only handles are matched to points, and points to
-    handles.
+    """Register clouds by the published objective.
+
+    Only handles are matched to points, and points only to handles.
     """
     handles = np.arange(len(model.rest)) if model.handles is None else model.handles
     strength, found = np.zeros(len(model.rest)), []

@@ -25,8 +25,9 @@ SCHEMA = "softmap.align/1"
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A transform found, p_base = rotation · p_seen + shift; prints itself, and `to_dict()` is
-    softmap.align/1.
+    """A transform found, p_base = rotation · p_seen + shift; `to_dict()` is softmap.align/1.
+
+    It prints as text.
 
     `sigma` (6,): standard deviations of turns about x, y, z of the base frame (deg), then of shifts
     (mm). `moved`: how the base or home moved within the run, None where it did not. `frames`: a
@@ -48,9 +49,7 @@ class Alignment:
     frames: RigidPose | None = None
 
     def apply(self, run: Run) -> Run:
-        """Return the run in the base frame, with the transform and its sigma as `frame` and
-        `frame_sigma`.
-        """
+        """Return the run in the base frame, with transform and sigma as `frame`, `frame_sigma`."""
         return in_frame(run, self.pose, self.sigma, self.frames)
 
     def to_dict(self) -> Document:
@@ -99,8 +98,9 @@ class Alignment:
 
 
 def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None = None) -> Run:
-    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame`
-    says so.
+    """Return the run with what was seen and what is on the base, moved by a pose.
+
+    `frame` states it.
 
     Args:
         sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen

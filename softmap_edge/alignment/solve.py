@@ -117,8 +117,9 @@ def solve(
 
 
 def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
-    """Return how far each point (N,) is scattered between the groups, mm a coordinate, apart from
-    the rigid pose.
+    """Return each point's scatter (N,) between the groups, mm a coordinate.
+
+    It is apart from the rigid pose.
     """
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
@@ -130,8 +131,9 @@ def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
 def _shape_covariance(
     answer: Floats, form: Floats, section: NDArray[np.int64], residual: Floats, inlier: Mask
 ) -> Floats:
-    """Return the covariance (6, 6) from model and robot differing in shape, scaled to what is left
-    after the pose.
+    """Return the covariance (6, 6) from different shapes of model and robot.
+
+    It is scaled to the error after the pose.
     """
     # (N, 3) mean over the groups
     left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]
@@ -145,8 +147,9 @@ def _shape_covariance(
 
 
 def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
-    """Return the covariance (6, 6) from places that were measured one by one, as wrong as what is
-    left shows.
+    """Return the covariance (6, 6) of places measured one by one.
+
+    They are as wrong as the remaining error shows.
 
     The pose takes six of the 3 N coordinates, so that of three or four places most of their error
     is not left.

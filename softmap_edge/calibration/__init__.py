@@ -1,3 +1,1 @@
-"""Servo ticks → commands of a model, each parameter with its uncertainty, checked on frames held
-out.
-"""
+"""Servo ticks → a model's commands, each parameter with its uncertainty, checked held out."""

@@ -31,8 +31,9 @@ NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter o
 
 @dataclass(frozen=True, eq=False)
 class AffineFit:
-    """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows
-    that are wrong.
+    """Coefficients (C, F) and their covariance (C·F, C·F), row by row.
+
+    `weight` (n,) is 0 for rows that are wrong.
 
     `scatter` (C,) is the standard deviation of an observed command about the fit.
     """
@@ -101,8 +102,9 @@ def fit(design: Floats, u: Floats, covariance: Floats, observed: Mask) -> Affine
 
 
 def _scatter(left: Floats, observed: Mask, features: int) -> Floats:
-    """Return the standard deviation (C,) by the median of the residuals, less the rows that a fit
-    can make zero.
+    """Return the standard deviation (C,) by the median of the residuals.
+
+    The rows that a fit can make zero are left out.
     """
     # those that are not observed come last
     own = np.sort(np.where(observed, np.abs(left), np.inf), axis=0)
@@ -129,8 +131,9 @@ def _normal(x: Floats, u: Floats, precision: Floats) -> tuple[Floats, Floats]:
 def weights(
     distance: Floats, limit: float | None, dims: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
-    """Return weights (n,) of distances in standard deviations, and the mean slope of ψ there;
-    Huber's without limit.
+    """Return weights (n,) of distances in standard deviations, and the mean slope of ψ.
+
+    They are Huber's weights where `limit` is None.
     """
     if limit is None:
         weight = np.minimum(

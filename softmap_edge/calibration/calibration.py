@@ -1,5 +1,4 @@
-"""Calibrate: which command of the model the ticks of the servos are, from a run with ticks and
-shapes.
+"""Calibrate: from servo ticks to the model's commands, by a run with ticks and shapes.
 
     frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A
     (ticks − home) + b (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the
@@ -229,8 +228,9 @@ def _ticks(model: Model, run: Run) -> Floats:
 
 
 def _home(run: Run, ticks: Floats, seen: SeenMarkers, held: HeldOut) -> Floats:
-    """Return the ticks of the place that was dwelt at most often, of several that where the model
-    acts least.
+    """Return the ticks of the place with the most dwells.
+
+    Of several, it is that where the model acts least.
     """
     if not len(held):
         return np.zeros(ticks.shape[1])
@@ -335,8 +335,7 @@ def _held_out(
     home: Floats,
     columns: Floats | None,
 ) -> dict[str, float]:
-    """Return the RMS error on blocks that were left out: of a command, and of the shape that it
-    gives, in mm.
+    """Return the RMS error on held-out blocks: of a command, and of its shape (mm).
 
     Also return what the `matched` commands (n, C) themselves leave of the same shapes, which no map
     falls below.
@@ -391,9 +390,7 @@ def _first(held: HeldOut) -> NDArray[np.int64]:
 
 
 def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
-    """Return masks of the held commands that are left out together: labels of the run, or parts of
-    it.
-    """
+    """Return masks of the held commands left out together: run labels, or parts of the run."""
     frame = _first(held)
     labels = None if run.block is None else np.asarray(run.block)[frame]
     if labels is None or not 3 <= len(np.unique(labels)) <= len(labels) // 3:
@@ -402,8 +399,9 @@ def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
 
 
 def _unexplained(calibration: Calibration) -> list[str]:
-    """Say so where the map misses much that no alternative explains: then its stated uncertainty is
-    too small.
+    """Report a map that misses much that no alternative explains.
+
+    Its stated uncertainty is then too small.
     """
     error = calibration.held_out
     if error["shape_mm"] < UNEXPLAINED * error["matched_shape_mm"]:

@@ -1,5 +1,6 @@
-"""Departures of commands from an affine map of ticks: bends, kinks, once-per-turn errors, and
-loading-unloading memory.
+"""Departures of commands from an affine map of ticks.
+
+Bends, kinks, once-per-turn errors, and loading-unloading memory.
 
 Each alternative is the affine map with a few more columns. It is tested on held commands that were
 left out:
@@ -47,8 +48,7 @@ SPARE = 4  # held commands for each coefficient that an alternative must have
 
 @dataclass(frozen=True)
 class Departure:
-    """A way in which the map is not affine: `better` is the share by which the error held out
-    falls.
+    """A way in which the map is not affine; `better` is the fall of the held-out error (share).
 
     `affine` and `error` are these errors, RMS in the commands' unit; `size` the largest part that
     is not affine, at the place `ticks` (C,). `sentence` describes it. `columns` (n, m) of the held
@@ -156,17 +156,16 @@ def _alternatives(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Float
 
 
 def _folds(place: NDArray[np.int64]) -> list[Mask]:
-    """Return masks (n,) of the rows that are held out together: complete places, dealt out in
-    turn.
-    """
+    """Return masks (n,) of the rows held out together: complete places, in turn."""
     order = {p: k for k, p in enumerate(dict.fromkeys(place.tolist()))}
     fold = np.array([order[p] for p in place.tolist()]) % FOLDS
     return [fold == k for k in range(min(FOLDS, len(order)))]
 
 
 def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats) -> Floats | None:
-    """Return how far each row (n,) is from its prediction by the others, in standard deviations of
-    an observed command.
+    """Return how far each row (n,) is from its prediction by the others.
+
+    It is in standard deviations of an observed command.
 
     None where what is left out leaves too few to fit.
     """

@@ -1,5 +1,6 @@
-"""A calibration found: the map of ticks, the held commands that it was fitted to, and what speaks
-against it.
+"""A calibration found: the map of ticks, its held commands, and the doubts about it.
+
+The map was fitted to the held commands.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures`
-    why it is not affine.
+    """A calibration found: `model` has it, `held` are the rows it was fitted to.
+
+    `departures` are why it is not affine.
 
     `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of
     the shapes, median. Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle
@@ -46,17 +48,13 @@ class Calibrated:
 
     @property
     def left(self) -> Floats:
-        """What the map leaves of the matched commands (n, C); NaN where a command was not
-        observed.
-        """
+        """Return the map's error of matched commands (n, C); NaN if one was not observed."""
         return np.where(
             self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan
         )
 
     def to_dict(self) -> Document:
-        """Return the document softmap.calibration/1 with the matched pairs and what speaks against
-        it.
-        """
+        """Return the document softmap.calibration/1 with matched pairs and doubts."""
         found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.observed.tolist())
         return found.to_dict() | {
             "affine": self.affine,

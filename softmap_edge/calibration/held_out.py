@@ -1,5 +1,6 @@
-"""Frames of a run gathered by the command that was held: the same command counts once, however
-often it was seen.
+"""Frames of a run gathered by the held command: the same command counts once.
+
+It does so however often it was seen.
 
 Frames of one dwell share what disturbs them, and dwells at one command share what the model misses
 there. So the rows of a calibration are held commands: places in ticks, with the middle of their
@@ -32,8 +33,9 @@ WINDOW = 0.5  # s over which the way of a servo is taken
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which
-    are `observed`.
+    """Held commands: `ticks` (n, C), `u` (n, C) the matched commands, their `covariance`.
+
+    Also which are `observed`.
 
     `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where
     they were asked for; `frames` are the numbers of the frames of each. `still` says whether they
@@ -78,8 +80,9 @@ def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
 
 
 def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None) -> HeldOut:
-    """Return the held commands of a run: one for each place, or for each place and `direction` (K,
-    m) of the frames.
+    """Return the held commands of a run: one for each place.
+
+    With `direction` (K, m) of the frames, one for each place and direction.
     """
     way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
     keys = np.column_stack([seen.place, way])
@@ -107,8 +110,9 @@ def visits(run: Run, ticks: Floats, seen: SeenMarkers) -> Index:
 
 
 def directions(run: Run, drive: Floats) -> Floats:
-    """Return the sign (K, m) of the last motion of each column of `drive` (T, m) before each frame;
-    0: none.
+    """Return the sign (K, m) of each column's last motion before each frame; 0: none.
+
+    The columns are those of `drive` (T, m).
     """
     t, past = run.t, np.maximum(run.t - WINDOW, run.t[0])
     moved = np.column_stack([column - np.interp(past, t, column) for column in drive.T])
@@ -124,8 +128,9 @@ def directions(run: Run, drive: Floats) -> Floats:
 
 
 def _places(ticks: Floats, visit: Index, span: Floats) -> Index:
-    """Return the number (k,) of each frame's place: dwells whose middles are within SAME of the
-    first at one.
+    """Return the number (k,) of each frame's place.
+
+    Dwells whose middles are within SAME of the first are at one place.
     """
     number = np.zeros(len(ticks), np.int64)
     leaders = np.zeros((0, ticks.shape[1]))

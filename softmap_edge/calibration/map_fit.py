@@ -57,8 +57,9 @@ class MapFit:
 
 
 class Sights:
-    """What a map is fitted to: a few frames of each held command, their ticks from home, the shapes
-    of the model.
+    """What a map is fitted to: a few frames of each held command.
+
+    With their ticks from home, and the shapes of the model.
     """
 
     def __init__(
@@ -86,8 +87,9 @@ class Sights:
         ]
 
     def look(self, coefficients: Floats, turn: float) -> tuple[Floats, Floats]:
-        """Return what a map leaves of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1) of
-        commands and turn.
+        """Return a map's errors of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1).
+
+        The slopes are by commands and turn.
         """
         u = self.design @ coefficients.T
         left, slopes = np.empty(self.points.shape), np.empty((*self.points.shape, u.shape[1] + 1))
@@ -101,8 +103,9 @@ class Sights:
         return left, slopes
 
     def normal(self, left: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) of each frame, for commands and
-        turn.
+        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) per frame.
+
+        They are for commands and turn.
         """
         bend = np.einsum("kn,knxc,knxd->kcd", self.weight, slopes, slopes, optimize=True)
         return bend, np.einsum("kn,knxc,knx->kc", self.weight, slopes, left, optimize=True)
@@ -118,8 +121,9 @@ class Sights:
 
 
 def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Departure]:
-    """Return what a turn of all shapes about the axis explains of held commands that were left out,
-    if it is clear.
+    """Return the share of held-out commands' error that a turn of all shapes explains.
+
+    The turn is about the axis, and must be clear.
     """
     error, features = np.full((2, sights.rows), np.nan), start.shape[1]
     for test in blocks:
@@ -203,8 +207,9 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
 
 
 def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> tuple[Floats, float]:
-    """Return Tukey's weight of each held command (rows,), by how far it is from the map, and the
-    mean slope of ψ.
+    """Return Tukey's weight of each held command (rows,), and the mean slope of ψ.
+
+    The weight is by its distance from the map.
     """
     channels = pull.shape[1]
     h, g = np.zeros((len(use), channels, channels)), np.zeros((len(use), channels))
@@ -222,7 +227,5 @@ def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> t
 
 
 def _middle(count: int) -> float:
-    """Return the median length of a normal vector of so many numbers (Wilson & Hilferty 1931, to 2
-    %).
-    """
+    """Return the median length of so many normal numbers (Wilson & Hilferty 1931, to 2 %)."""
     return float(np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3))

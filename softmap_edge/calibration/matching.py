@@ -1,5 +1,6 @@
-"""Which command of the model shows the shape that was seen: the nearest shape of a grid, then the
-best one between.
+"""Which command of the model gives the shape that was seen.
+
+It is the nearest shape of a grid, then the best one between.
 
     j*(k) = argmin_j MAE(Y_k, f(u_j))  over the vertices seen
         nearest of the grid (SoftMap, Data Alignment)
@@ -120,8 +121,9 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
 def linearised(
     model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float
 ) -> Matches:
-    """Return the matches, those of some frames (F,) as one step of Gauss and Newton from commands
-    (F, C) gives them.
+    """Return the matches, some frames (F,) updated by one Gauss-Newton step.
+
+    The step begins at commands (F, C).
 
     What hangs slack where a map puts it stays there, and does not jump over the slack for what the
     model lacks. `turn` in rad: of all shapes about the axis of the base.
@@ -154,8 +156,9 @@ def linearised(
 
 
 def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
-    """Return what a run shows of a model's points (K, N, 3), 0 where unseen, and the weight (K, N)
-    of each, 1/mm².
+    """Return what a run shows of a model's points (K, N, 3), and each weight (K, N), 1/mm².
+
+    Points are 0 where unseen.
     """
     points = np.asarray(model.points_in_mm(run), float)
     visible = known(run, points)
@@ -166,8 +169,9 @@ def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
 
 
 def _slack(observed: Mask, low: Floats, high: Floats) -> Floats:
-    """Return the covariance (K, C, C) of commands that shapes do not determine: that of their full
-    range.
+    """Return the covariance (K, C, C) of undetermined commands: that of their range.
+
+    Shapes do not determine them.
     """
     return np.asarray(
         np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low)))
@@ -184,8 +188,9 @@ def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
 
 
 class Shapes:
-    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and
-    turns about the body.
+    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points.
+
+    With their slopes, and turns about the body.
 
     `turn` in rad about the axis of the base; 0 unless it was asked for.
     """
@@ -230,8 +235,9 @@ class Shapes:
         )
 
     def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
-        """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section
-        that explains most.
+        """Return displacements (n, N, 3, m) without the turn of each section.
+
+        It is the turn of points (n, N, 3) that explains most.
         """
         return moved if self.roll_seen else without_roll(self.member, moved, points, weight)
 
@@ -244,9 +250,7 @@ def _grid(low: Floats, high: Floats) -> Floats:
 
 
 def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
-    """Return which of the shapes (G, N, 3) has the least mean absolute error to each frame (K, N,
-    3).
-    """
+    """Return which shape (G, N, 3) has the least mean absolute error per frame (K, N, 3)."""
     flat, each = (
         np.asarray(shapes.reshape(len(shapes), -1), np.float32),
         max(1, CHUNK // max(1, shapes.size)),
@@ -294,8 +298,9 @@ def _refined(
 
 
 def _left(shapes: Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the shapes (k, N, 3) at commands, what they leave of what was seen, and its weighted
-    squares (k,).
+    """Return the shapes (k, N, 3) at commands, their errors, and weighted squares (k,).
+
+    The errors are against what was seen.
     """
     points = shapes(u)
     left = shapes.without_roll((seen - points)[..., None], points, weight)[..., 0]
@@ -317,8 +322,9 @@ def _inverse(bend: Floats) -> Floats:
 def _covariance(
     member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool
 ) -> Floats:
-    """Return the covariance (k, C, C): of independent noise, or of what is left where sections are
-    off together.
+    """Return the covariance (k, C, C) of independent noise, or of correlated errors.
+
+    The errors are those of sections that are off together.
 
     `known`: the weights are those of a known noise.
     """
@@ -334,9 +340,7 @@ def _covariance(
 
 
 def _observed(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
-    """Return which commands (K, C) move the shape, to both sides, as commands of that channel
-    usually do.
-    """
+    """Return which commands (K, C) move the shape to both sides as usual for the channel."""
     observed, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
 

@@ -18,7 +18,7 @@ from softmap_edge.run.run import Run, known
 
 Array = NDArray[np.float64]
 
-LEAST = 30  # frames: of fewer nothing is said
+LEAST = 30  # frames: with fewer, nothing is reported
 NOISE = 5.0  # times the noise: a motion
 STILL = 1.15  # times the noise, likewise: no motion
 CHANCE = 5.0  # times the share of the motion that the commands explain by chance

@@ -209,7 +209,7 @@ def _mean(run: Run, index: int) -> Any:
 
 def without(run: Run, names: list[int]) -> Run:
     """Return the run without some of its markers."""
-    # base markers of their own stand beside the run's
+    # base markers of their own stand next to the run's
     names = [n for n in names if n < _markers(run)]
     if run.markers is None:
         raise AlignError("--drop-base leaves markers out; vertices belong to the template and stay")

@@ -11,7 +11,7 @@ from typing import Self
 from softmap_edge.files.printable import printable, raw
 
 _WIDTH, _LEFT = 30, 14
-PACE = 3.0  # s of work that tell how long the rest takes
+PACE = 3.0  # s of work from which the remaining time is estimated
 QUIET = 8.0  # s without a word after which long work says that it goes on
 
 

@@ -393,7 +393,7 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
     return int(before is not None and after is not None and after > before)
 
 
-# --- what the verbs share -----------------------------------------------------------------------
+# --- what the commands share --------------------------------------------------------------------
 
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:

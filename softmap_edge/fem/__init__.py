@@ -1,3 +1,4 @@
-"""Fingers as solids: `finger.toml`, meshes, the simulator, models made with it, and its numbers
-fitted to a run.
+"""Fingers as solids.
+
+`finger.toml`, meshes, the simulator, models made with it, and its numbers fitted to a run.
 """

@@ -42,8 +42,9 @@ _KEYS = ("profile_mm", "block", "mesh")  # of the top level
 
 @dataclass(frozen=True)
 class Tapered:
-    """A round body: (z, radius) pairs in mm from z = 0; cells across the core, rings around it,
-    layers along z.
+    """A round body: (z, radius) pairs in mm from z = 0.
+
+    With cells across the core, rings around it, and layers along z.
     """
 
     profile: Pairs

@@ -102,8 +102,9 @@ def simulator_of(finger: Finger) -> Simulator:
 
 
 def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
-    """Return the axes of a sweep of `finger`, in its command unit; raises SoftmapError for more
-    than three commands.
+    """Return the axes of a sweep of `finger`, in its command unit.
+
+    Raises SoftmapError for more than three commands.
     """
     if len(finger.pairs) > max(USUAL_STEPS):
         raise SoftmapError(
@@ -116,8 +117,9 @@ def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
 
 
 def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
-    """Return `count` nodes from `low` to `high`; graded, they stand closer about home, where
-    tendons fall slack.
+    """Return `count` nodes from `low` to `high`.
+
+    Graded nodes are closer about home, where tendons go slack.
     """
     even, far = np.linspace(low, high, count), max(-low, high)
     return (
@@ -196,9 +198,10 @@ def from_sweep(
 
 
 def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
-    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all: first the
-    farthest from the base, then turn by turn the farthest from all before. Raises FingerError if
-    there are fewer vertices.
+    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all.
+
+    The first is the farthest from the base, each next one the farthest from all before. Raises
+    FingerError if there are fewer vertices.
     """
     if finger.handles is None:
         return None
@@ -232,9 +235,10 @@ def compressed(axes: Sequence[Floats], values: Floats, modes: int) -> ModeArrays
 
 
 def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
-    """Measure the model's own error at held-out commands: RMS (V, 3) mm of its features, RMS mm of
-    its vertices, and by how much the latter grows for each g by which gravity differs from the
-    reference.
+    """Measure the model error at held-out commands.
+
+    RMS (V, 3) mm of its features, RMS mm of its vertices, and by how much the latter grows for each
+    g by which gravity differs from the reference.
 
     The truth has another mesh and a modulus 10 % lower and higher; the same template points are
     seen. The modulus matters under the weight of a leaning body, hardly under tendons whose
@@ -276,16 +280,18 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
 
 
 def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
-    """Return by how much (K, N, 3) mm a mesh of eight times the cells bends otherwise at commands
-    (K, C).
+    """Return the change (K, N, 3) mm on a mesh of eight times the cells.
+
+    It is at commands (K, C).
     """
     finer = Simulator(finger.other_mesh(), template=simulator.template)
     return finer.path_from(simulator, commands) - simulator.path(commands)
 
 
 def _leaning(gravity: Floats) -> Floats:
-    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS
-    across it.
+    """Return the unit gravity (3,) of the finger with SIDEWAYS across `gravity` (3,) g.
+
+    The finger is turned for it.
     """
     across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
     across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
@@ -374,8 +380,9 @@ def _rms(values: Floats) -> float:
 def _sizes(
     compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffness: float
 ) -> dict[str, float]:
-    """Return how far (mm RMS a coordinate) each field moves the body once the tendons that pull
-    have answered, and of a tension what a newton does to it less than half.
+    """Return how far (mm RMS a coordinate) each field moves the body.
+
+    This is once the tendons that pull have responded. For a tension it is 0.4 of the motion by 1 N.
     """
     count = len(_core.FIELDS)
     size = {}

@@ -26,9 +26,7 @@ FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (
 
 @dataclass(frozen=True)
 class Cut:
-    """A solid as coarse tetrahedra, bricks about as tall as it is wide: what a `Simulator` asks of
-    a solid.
-    """
+    """A solid as coarse tetrahedra, bricks about as tall as wide, for a `Simulator`."""
 
     solid: Tapered | Block
 

@@ -1,5 +1,6 @@
-"""Warn about numbers of a finger that may be in another unit, and about commands lost in the
-stretch of its tendons.
+"""Warn about a finger's numbers that may be in another unit, and about lost commands.
+
+Those are lost in the stretch of its tendons.
 
 Nothing is refused: a body may be hard plastic. A warning is given if a number lies far outside the
 range of soft bodies. It names a unit that would explain the number. The part of a command that only
@@ -26,8 +27,9 @@ LOST = 0.5  # share of a command that only stretches the tendons, above which a 
 
 @dataclass(frozen=True)
 class Typical:
-    """The usual and the widest range of a property of soft bodies, and other units, each in the
-    unit of the field.
+    """The usual and the widest range of a property of soft bodies, and other units.
+
+    Each is in the unit of the field.
     """
 
     usual: tuple[float, float]
@@ -74,8 +76,9 @@ def doubts(finger: Finger) -> list[str]:
 
 
 def doubt(name: str, value: float, typical: Typical) -> str:
-    """Return a sentence if a value is hardly possible: its ratio to usual ones, and the unit it may
-    be in; else "".
+    """Return a sentence if a value is hardly possible; else "".
+
+    It has its ratio to usual ones, and the unit it may be in.
     """
     low, high = typical.possible
     if low <= value <= high:

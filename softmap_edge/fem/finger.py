@@ -53,8 +53,7 @@ _FITTED = ("young_mpa", "cable_stiffness_n_mm", "pretension_mm")
 
 @dataclass(frozen=True)
 class Finger:
-    """A finger; every field is checked when it is made, and a bad one raises FingerError with what
-    is allowed.
+    """A finger, checked when it is made: a bad field raises FingerError with what is allowed.
 
     solid: its body and cells · young_mpa · poisson · density_kg_m3 · gravity: (3,) multiples of g
     in the base frame · tendons · pairs: for each command the tendon it shortens (or pulls) and, if
@@ -199,8 +198,9 @@ class Finger:
         return _from_document(document, folder)
 
     def replace(self, **changes: Any) -> Finger:
-        """Return the finger with some fields changed, its own or its solid's, checked again; raises
-        FingerError.
+        """Return the finger with some fields changed and checked; raises FingerError.
+
+        They are its own fields or those of its solid.
         """
         own, solid = ({field.name for field in fields(part)} for part in (self, self.solid))
         if unknown := set(changes) - own - solid:
@@ -212,15 +212,11 @@ class Finger:
         )
 
     def other_mesh(self) -> Finger:
-        """Return the same finger on another mesh, finer where allowed: the second opinion of the
-        form error.
-        """
+        """Return the same finger on another mesh, finer where allowed, for the form error."""
         return replace(self, solid=self.solid.other_mesh())
 
     def to_toml(self) -> str:
-        """Return the finger as the text of a file that `from_toml` reads back to the same
-        finger.
-        """
+        """Return the finger as a file's text, which `from_toml` reads to the same finger."""
         top, tables = self.solid.to_toml()
         lines = [f"name = {quoted(self.name)}", *([top] if top else []), tables]
         lines += [

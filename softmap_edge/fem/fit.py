@@ -1,5 +1,6 @@
-"""Fit the finger's own numbers to a run: modulus, cable stiffness, pretension, and how the camera's
-frame sits.
+"""Fit the finger's own numbers to a run.
+
+Modulus, cable stiffness, pretension, and the pose of the camera's frame.
 
 One shape per dwell (the mean of its settled frames) is compared with the simulator at the same
 commands, gravity and load. Gauss-Newton with damping on scaled numbers x, each evaluation a
@@ -59,16 +60,14 @@ SEEN = 0.5  # of the half range: a deviation above it says that the run does not
 # independent numbers of a dwell: a section's features say nearly the same as its neighbours'
 EVIDENCE = 6.0
 FLOOR_MM = 0.02  # no residual is trusted below it
-TWINS = 0.95  # correlation from which two numbers are said to be seen only together
+TWINS = 0.95  # correlation from which two numbers are reported as seen only together
 UNITS = {"young_mpa": "MPa", "cable_stiffness_n_mm": "N/mm", "pretension_mm": "mm"}
 MOUNT = ("turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
 
 
 @dataclass(frozen=True)
 class FingerNumber:
-    """One fitted number: value ± sigma in its unit, where it started, and why it is not fitted, if
-    it is not.
-    """
+    """A fitted number: value ± sigma in its unit, its start, and why it is not fitted, if so."""
 
     value: float
     sigma: float | None
@@ -80,8 +79,9 @@ class FingerNumber:
 
 @dataclass(frozen=True)
 class FingerFit:
-    """A finger with the numbers that a run shows, and how far off it was and is on dwells that were
-    kept out.
+    """A finger with the numbers that a run shows, and its errors before and after.
+
+    They are on dwells that were held out.
     """
 
     finger: Finger
@@ -272,8 +272,9 @@ def _nanmean(frames: Floats) -> Floats:
 
 
 def _spread(dwells: _Dwells) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the dwells to fit and those kept out: each next one is the farthest from all before,
-    turn by turn.
+    """Return the dwells to fit and those held out.
+
+    Each next one is the farthest from all before, in turn.
     """
     span = np.maximum(np.ptp(dwells.command, axis=0), 1e-9)
     heavy = dwells.load[:, None] / max(float(np.ptp(dwells.load)), 1e-9)
@@ -339,8 +340,9 @@ class _Bench:
         return self.start.replace(**values)
 
     def shapes(self, names: Sequence[str], batch: Floats, which: NDArray[np.intp]) -> Floats:
-        """Return the simulated points (B, d, M, 3) mm of numbers x (B, P) at the dwells `which`, on
-        all cores.
+        """Return the simulated points (B, d, M, 3) mm of numbers x (B, P), on all cores.
+
+        They are at the dwells `which`.
         """
         parts = [which[self.group[which] == g] for g in np.unique(self.group[which])]
         jobs = [(self.finger(names, x), part) for x in batch for part in parts]
@@ -372,9 +374,7 @@ class _Bench:
         return self._solved[key]
 
     def features(self, difference: Floats, which: NDArray[np.intp]) -> Floats:
-        """Return the features (d, V, 3) mm of a difference of points (d, M, 3); zero where nothing
-        was seen.
-        """
+        """Return the features (d, V, 3) mm of differences of points (d, M, 3); 0 if unseen."""
         seen = np.asarray(np.isfinite(self.dwells.points[which]).all(axis=2))
         if seen.all() or self.carry is not None:
             return self.map(np.where(seen[..., None], difference, 0.0))
@@ -382,16 +382,15 @@ class _Bench:
 
     @property
     def frame_is_free(self) -> bool:
-        """Whether there are shapes enough to separate the camera's frame from the finger's own
-        numbers.
-        """
+        """Whether there are enough shapes to separate the camera's frame from the numbers."""
         return len(self.fitted) >= FRAME_DWELLS
 
     def rms(
         self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats
     ) -> float | None:
-        """Return the RMS distance in mm over the section centroids or markers that were seen; None
-        of no dwell.
+        """Return the RMS distance (mm) over seen section centroids or markers.
+
+        None without dwells.
         """
         if not len(which):
             return None
@@ -404,8 +403,9 @@ class _Bench:
 
 
 def moved(points: Floats, mount: Floats) -> Floats:
-    """Return points (..., 3) mm turned about the base by the vector mount[:3] (rad) and shifted by
-    mount[3:] (mm).
+    """Return points (..., 3) mm turned about the base and shifted.
+
+    The vector is mount[:3] (rad), the shift mount[3:] (mm).
     """
     return RigidPose(rotation(mount[:3]), mount[3:])(points)
 
@@ -422,8 +422,9 @@ class _Found:
 
 
 def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
-    """Fit the numbers `names` and the frame to the dwells to be fitted: damped Gauss-Newton, bounds
-    by clipping.
+    """Fit the numbers `names` and the frame to the dwells: damped Gauss-Newton.
+
+    Bounds are kept by clipping.
     """
     which, count = bench.fitted, len(names)
     low, high = (

@@ -1,5 +1,6 @@
-"""Parse a mesh file with meshio: in a child process, as plain arrays, with the groups of cells that
-it names.
+"""Parse a mesh file with meshio in a child process, as plain arrays and groups of cells.
+
+They are the groups that it names.
 
 The content selects the reader, not the file name: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are
 Gmsh's physical volumes, and cell data that label cells (material ids): integers with few distinct
@@ -36,9 +37,7 @@ OTHERS = [
 
 
 def kind_of(path: Path) -> str:
-    """Return the format of a file by its content: "vtk", "vtu" or "msh"; raise ValueError for any
-    other.
-    """
+    """Return a file's format by its content: "vtk", "vtu" or "msh"; else raise ValueError."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -62,8 +61,9 @@ def kind_of(path: Path) -> str:
 
 
 def parse(path: str, kind: str) -> Document:
-    """Return `points` (n, 3), `cells` by kind, the names of all `types` of cells, and `groups` by
-    name: (E,) of cells.
+    """Return `points` (n, 3), `cells` by kind, the names of all `types`, and `groups`.
+
+    `types` are of cells, `groups` by name: (E,) of cells.
 
     Runs in a child process: any error may come out of it.
     """
@@ -101,9 +101,7 @@ def _check_pieces(content: bytes) -> None:
 
 
 def _take_any_version() -> None:
-    """Let meshio read unknown file versions, in this child only: tetrahedra are the same in all
-    versions.
-    """
+    """Let meshio read unknown versions, in this child only: tetrahedra are the same in all."""
     from xml.etree import ElementTree
 
     parse_file, from_text = ElementTree.parse, ElementTree.fromstring
@@ -122,8 +120,9 @@ def _take_any_version() -> None:
 
 
 def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
-    """Return which of the `count` cells of a kind each group holds, by name; none if it holds all
-    cells or none.
+    """Return which of the `count` cells of a kind each group holds, by name.
+
+    None if it holds all cells or none.
     """
     blocks = [k for k, block in enumerate(mesh.cells) if block.type == kind]
     labels = {str(name): _label(data, blocks, count) for name, data in mesh.cell_data.items()}
@@ -144,8 +143,9 @@ def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
 
 
 def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.int64] | None:
-    """Return the labels (E,) of the cells if an array holds integers with few distinct values, one
-    per cell.
+    """Return the labels (E,) of the cells if an array holds labels.
+
+    Those are integers with few distinct values, one per cell.
     """
     parts = [np.asarray(data[k]) for k in blocks]
     values = (

@@ -1,5 +1,6 @@
-"""The groups of cells that a mesh file names, and the regions of a finger that give them a modulus
-of their own.
+"""The groups of cells that a mesh file names, and regions with a modulus of their own.
+
+They are the regions of a finger.
 """
 
 from __future__ import annotations
@@ -18,8 +19,7 @@ _SHOWN = 6  # groups that a message lists
 
 
 def named_cells(finger: Finger) -> list[list[bool] | None]:
-    """Return for each region whether it holds each cell of the mesh; None for a region without a
-    name.
+    """Return for each region whether it holds each cell; None for one without a name.
 
     Raises:
         FingerError: the mesh file names no such group.
@@ -46,9 +46,7 @@ def named_cells(finger: Finger) -> list[list[bool] | None]:
 
 
 def groups_without_region(finger: Finger) -> str:
-    """Return a sentence if groups of the mesh file get one modulus because no region names them;
-    else "".
-    """
+    """Return a sentence if groups of the mesh share one modulus without a region; else ""."""
     if not isinstance(finger.solid, Meshed):
         return ""
     groups = finger.solid.groups()

@@ -32,9 +32,11 @@ _SECONDS, _PER_SECOND = 2.5, 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """What a mesh file holds: nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10),
-    and `groups`: which of the cells (E,) each material, physical volume or label of the file holds,
-    by name; none of a single material.
+    """The content of a mesh file.
+
+    Nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10), and `groups`: which of the
+    cells (E,) each material, physical volume or label of the file holds, by name; none of a single
+    material.
     """
 
     points: NDArray[np.float64]
@@ -81,8 +83,9 @@ def _read(path: Path, *_state: int) -> MeshFile:
 
 
 def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Refuse cells given twice, which count twice, and nodes at one place, where cells touch and
-    are not joined.
+    """Reject cells given twice, which count twice, and nodes at one place.
+
+    There cells touch and are not joined.
     """
     twice = len(cells) - len(np.unique(np.sort(cells[:, :4], axis=1), axis=0))
     if twice:
@@ -135,9 +138,7 @@ def _check(path: Path, most: int, what: str) -> None:
 
 
 def _parsed(path: Path) -> Document:
-    """Return what `parse` found in a child process; any failure of a foreign parser means the same
-    here.
-    """
+    """Return the result of `parse` in a child process; any foreign failure is one error."""
     try:
         import meshio  # noqa: F401  # here, so that the child has it
     except ImportError:

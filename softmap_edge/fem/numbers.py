@@ -1,5 +1,6 @@
-"""Checks of the numbers and keys of a `finger.toml`; each refusal names the field, what it got and
-what is allowed.
+"""Checks of the numbers and keys of a `finger.toml`.
+
+Each error names the field, what it got and what is allowed.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to loads
-and changes of design.
+"""Simulate a finger: shapes over a grid or along a path, and responses.
+
+They are responses to loads and changes of design.
 
     sweep = Simulator(Finger.builtin()).sweep([np.linspace(-16, 16, 41)] * 2)
 
@@ -35,8 +36,9 @@ _NUMBERS = tuple(UNITS)
 
 @dataclass(frozen=True)
 class FingerTemplate:
-    """Surface of a finger at rest: vertices (N, 3) mm in the base frame, outward triangles (F, 3)
-    int32.
+    """A finger's surface at rest: vertices (N, 3) mm in the base frame, triangles (F, 3).
+
+    The triangles are outward, int32.
     """
 
     vertices: Floats
@@ -45,8 +47,9 @@ class FingerTemplate:
 
 @dataclass(frozen=True)
 class Compliance:
-    """How S equilibria answer loads, changes of design and tensions while all (other) tensions of
-    the T tendons stay.
+    """The response of S equilibria to loads, changes of design and tensions.
+
+    All (other) tensions of the T tendons stay.
 
     fields: displacement (S, N, 3) mm per unit of those of `_core.FIELDS` that there are (per 1 g
     `gravity_x|y|z`, per 1 N on the tip `tip_force_x|y|z`; if asked for, the changes of design that
@@ -61,8 +64,10 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Bend:
-    """How the answers of S equilibria to loads, moduli and tensions bend: second derivatives for
-    each of the P pairs of `_core.LOADS`, `_core.MODULI` and the T tensions, row by row.
+    """Second derivatives of S equilibria by loads, moduli and tensions.
+
+    They are for each of the P pairs of `_core.LOADS`, `_core.MODULI` and the T tensions, row by
+    row.
 
     fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L
     + M + T), by what share the answers to loads and tensions grow for a unit of each.
@@ -75,9 +80,11 @@ class Bend:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid, and of what: one array a command, command (S, C) mm (N by tension),
-    vertices (S, N, 3) mm, pull (S, T) N of the tendons (below zero: how slack), triangles (F, 3)
-    int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
+    """Shapes over a grid, and of what.
+
+    One array a command, command (S, C) mm (N by tension), vertices (S, N, 3) mm, pull (S, T) N of
+    the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its
+    gravity (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -169,8 +176,9 @@ class Sweep:
 
 
 def tensor_grid(axes: Sequence[Floats]) -> Floats:
-    """Return the commands (S, C) of a grid of `axes`, the last one fastest; of no axes one command
-    of no channels.
+    """Return the commands (S, C) of a grid of `axes`, the last one fastest.
+
+    Of no axes, it is one command of no channels.
     """
     size = math.prod(len(axis) for axis in axes)
     columns = [column.ravel() for column in np.meshgrid(*axes, indexing="ij")]
@@ -178,9 +186,7 @@ def tensor_grid(axes: Sequence[Floats]) -> Floats:
 
 
 def tour(places: Floats) -> NDArray[np.intp]:
-    """Return an order of the places (K, C) in which each is near the one before: always on to the
-    nearest.
-    """
+    """Return an order of the places (K, C) that goes on to the nearest each time."""
     left = np.ones(len(places), bool)
     order = [int(np.argmin(np.sum(places**2, axis=1)))]
     for _ in range(len(places) - 1):
@@ -247,9 +253,7 @@ class Simulator:
         return self._template
 
     def rest(self) -> Floats:
-        """Return the vertices (N, 3) mm hanging under the finger's own gravity, no command
-        given.
-        """
+        """Return the vertices (N, 3) mm under the finger's own gravity, without a command."""
         return np.ascontiguousarray(self.path(np.zeros((1, len(self.finger.pairs))))[0])
 
     def sweep(
@@ -316,8 +320,9 @@ class Simulator:
     def path_from(
         self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None
     ) -> Floats:
-        """Return what `path` does, solving from the equilibria of `other`, the same finger on a
-        rougher mesh.
+        """Return what `path` does, from the equilibria of `other` on a coarser mesh.
+
+        It is the same finger.
 
         For meshes on which the way from home would take hours. Raises SimulationError.
         """
@@ -333,8 +338,10 @@ class Simulator:
         progress: Progress | None = None,
         design: bool = False,
     ) -> Compliance:
-        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small
-        loads and tensions, and changes of `design` if asked.
+        """Return the response of equilibria to small loads and tensions.
+
+        They are at commands (S, C) mm under `gravity` and `load`. Also to changes of `design` if
+        asked.
 
         Raises SimulationError.
         """
@@ -346,8 +353,9 @@ class Simulator:
         return Compliance(found, found.pop("stretch"))
 
     def bends(self, commands: ArrayLike, progress: Progress | None = None) -> Bend:
-        """Return how the answers to loads, moduli and tensions bend, at the equilibria of commands
-        (S, C) mm under the finger's own gravity.
+        """Return the second derivatives by loads, moduli and tensions.
+
+        They are at the equilibria of commands (S, C) mm under the finger's own gravity.
 
         Raises SimulationError.
         """

@@ -1,5 +1,6 @@
-"""What else a finger's file names: tendons by formula or by points, their commands, regions of
-another modulus.
+"""What else a finger's file names: tendons, their commands, regions of another modulus.
+
+Tendons are given by formula or by points.
 """
 
 from __future__ import annotations
@@ -128,9 +129,10 @@ class Tendon:
 
 @dataclass(frozen=True)
 class Region:
-    """Where the modulus is another: a box in mm (None: all along an axis), or its half that faces
-    `side_deg`, or what of these lies in the cells that a mesh file groups by `name` (a physical
-    volume, a material id).
+    """A region with another modulus.
+
+    A box in mm (None: all along an axis), or its half that faces `side_deg`, or what of these lies
+    in the cells that a mesh file groups by `name` (a physical volume, a material id).
 
     The last region that holds a place decides.
     """
@@ -191,8 +193,9 @@ class Region:
     def boxed(
         self, cells: list[bool] | None = None
     ) -> tuple[Vector, Vector, float | None, float, list[bool] | None]:
-        """Return the region as the core takes it: low and high corner mm, side rad, modulus MPa,
-        cells if named.
+        """Return the region for the core: corners mm, side rad, modulus MPa, cells if named.
+
+        The corners are low and high.
         """
         (x0, x1), (y0, y1), (z0, z1) = (
             limits or (-inf, inf) for limits in (self.x, self.y, self.z)

@@ -25,7 +25,7 @@ DIGITS = 2.0  # of the file: new pictures of a slow camera move by more
 CATCHES_UP = 2.0  # of the usual moves: what a camera that stood still moves by afterwards
 LONGEST_HOLD = 0.25  # s: an encoder polled more slowly than 4 Hz is not worth un-holding
 _FRESH = 0.7  # of the rows: with more new values than this, repeats are chance
-_FEW = 10  # frames: too few to tell an old picture from a made-up log
+_FEW = 10  # frames: too few to distinguish an old picture from a made-up log
 _EVEN = 0.8  # of the gaps between new values lie within a row of a multiple of the typical one
 
 

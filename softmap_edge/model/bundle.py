@@ -17,8 +17,8 @@ fields.npz      displacement fields per unit of loads and changes of design, as 
                 the second order of the loads
 effects.json    the chain: names and parameters
 prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only
-                onnxruntime reads is run
-                only if the user allows it, and becomes a table of its outputs (`network.elsewhere`)
+                onnxruntime reads is run only if the user allows it, and becomes a table of its
+                outputs (`table_from_onnxruntime`)
 residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any: as a
                 scattered family, or as
 residual.onnx   a network

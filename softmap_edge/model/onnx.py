@@ -9,9 +9,9 @@ commands becomes a table (`tabulated`).
 
 A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it
 (`--trust-onnx`), once, in a child process with limits of memory and time, at the nodes of a grid of
-its up to three commands. The results become a table (`elsewhere`), with all properties of a table:
-slopes, fields, the control loop without Python. The error of the table between its nodes is
-measured, reported and limited. No graph is run that refers to other files, or that holds loops,
+its up to three commands. The results become a table (`table_from_onnxruntime`), with all properties
+of a table: slopes, fields, the control loop without Python. The error of the table between its
+nodes is measured, reported and limited. No graph is run that refers to other files, or that holds loops,
 branches, functions or foreign operators (`_core.check_onnx`). Pinned by tests/model/test_network.py
 and tests/files/test_untrusted_bundles.py.
 """

@@ -1,5 +1,4 @@
-"""The noise floor of a run: distance of a seen point from its own mean while only the camera
-changes.
+"""The noise floor of a run: a point's distance from its mean while only the camera changes.
 
 1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the
    frame (`noise.py`): the same estimate as that of `check` and `diagnose`
@@ -85,8 +84,9 @@ def rms(squares: Floats) -> float:
 
 @dataclass(frozen=True)
 class PointNoise:
-    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was
-    estimated from.
+    """The noise of a point: `mm`, the RMS distance from its own mean, and its `source`.
+
+    The source is what it was estimated from.
     """
 
     mm: float
@@ -109,16 +109,18 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
 
 def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
-    """Return `noise_of_points` of each run in mm, None where it is not known, for the document of a
-    diagnosis.
+    """Return `noise_of_points` of each run in mm, for the document of a diagnosis.
+
+    None where it is not known.
     """
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]
 
 
 def commanded(run: Run) -> Floats:
-    """Return the commands (T, C), in the unit of the run or in ticks: they are constant where
-    encoders flicker.
+    """Return the commands (T, C), in the run's unit or in ticks.
+
+    They are constant where encoders flicker.
     """
     rows = run.command if run.command is not None else run.ticks
     return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
@@ -156,8 +158,9 @@ def some_points(visible: Mask) -> NDArray[np.intp]:
 
 
 def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
-    """Return the RMS scatter of points (K, N, 3) over repeats of a command; None where too few are
-    repeated.
+    """Return the RMS scatter of points (K, N, 3) over repeats of a command.
+
+    None where too few are repeated.
 
     This is the floor of every model without memory on this run.
     """
@@ -197,8 +200,9 @@ def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:
 
 
 def _within(groups: list[NDArray[np.int64]], seen: Floats, visible: Mask) -> float | None:
-    """Pooled RMS deviation of points from their mean inside each group, with one degree of freedom
-    taken off.
+    """Return the pooled RMS deviation of points from their group's mean.
+
+    One degree of freedom is taken off.
     """
     total, freedom = 0.0, 0
     for group in groups:

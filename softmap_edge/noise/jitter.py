@@ -55,8 +55,9 @@ DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no
 
 @dataclass(frozen=True)
 class Jitter:
-    """Rigid jitter of the frame: covariance (6, 6) of turns (rad) and shifts (mm) about the base,
-    and its memory s.
+    """Rigid jitter of the frame: covariance (6, 6), and its memory s.
+
+    It is of turns (rad) and shifts (mm) about the base.
 
     `revisits` is the number of visits, beyond the first of each pose, that show it.
     """
@@ -66,8 +67,9 @@ class Jitter:
     revisits: int
 
     def of_features(self, features: Floats, positions: Mask) -> Floats:
-        """Return its mean covariance (F, F) mm² over features (K, F) mm of which `positions` (V,)
-        are places.
+        """Return its mean covariance (F, F) mm² over features (K, F) mm.
+
+        `positions` (V,) are places.
         """
         columns = rigid(features, positions)  # (K, F, 6)
         flat = np.swapaxes(columns, 0, 1).reshape(features.shape[1], -1)
@@ -104,8 +106,9 @@ class Coordinates:
 
 
 def rigid(features: Floats, positions: Mask) -> Floats:
-    """Return the derivatives of features (K, F) mm by turns (rad) and shifts (mm) about the base,
-    (K, F, 6).
+    """Return derivatives (K, F, 6) of features (K, F) mm by turns (rad) and shifts (mm).
+
+    They are about the base.
 
     Directions turn with the frame and do not shift.
     """
@@ -132,8 +135,9 @@ def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Flo
 
 
 def polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic; for many channels
-    without products.
+    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic.
+
+    For many channels they are without products.
     """
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = command[:, span > 0]
@@ -177,8 +181,9 @@ def coordinates(
 def white_variance(
     values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints
 ) -> Floats | None:
-    """Return the variance (F,) mm² of values (K, F) in dwells that neither rigid motion nor
-    commands explain.
+    """Return the unexplained variance (F,) mm² of values (K, F) in dwells.
+
+    Neither rigid motion nor commands explain it.
 
     Return None if too few features or frames remain to show it.
     """
@@ -209,8 +214,9 @@ def frame_jitter(
     modes: Floats,
     white: Floats,
 ) -> Jitter | None:
-    """Estimate the jitter of the frame between visits of the same poses; None where the run does
-    not show any.
+    """Estimate the jitter of the frame between visits of the same poses; None if none.
+
+    The run then does not show any.
 
     Args:
         values: features minus the prediction of a model, or the features themselves, (K, F) mm.
@@ -250,8 +256,9 @@ def frame_jitter(
 
 
 def _root(noise: Floats, shapes: Floats) -> Floats:
-    """Return the Cholesky factor of the white covariance (6, 6), also where a turn is not seen:
-    markers on one line.
+    """Return the Cholesky factor of the white covariance (6, 6).
+
+    It also exists where a turn is not seen: markers on one line.
     """
     radius = float(np.sqrt(np.mean(shapes**2)))
     scale = np.r_[np.full(3, radius), np.ones(3)]
@@ -271,8 +278,9 @@ def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.i
 
 
 def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
-    """Return values (n, F) about the mean of their pose, NaN where unseen, and that mean (n, F),
-    all finite.
+    """Return values (n, F) about their pose's mean, NaN if unseen, and the means (n, F).
+
+    The means are all finite.
     """
     known = np.isfinite(values)
     each = [
@@ -289,8 +297,9 @@ def _each(pose: Ints) -> list[Mask]:
 
 
 def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:
-    """Return an orthonormal basis (n, m) of the complement of all pose means and of each run's
-    quadratic in time.
+    """Return an orthonormal basis (n, m) without pose means and slow drifts.
+
+    It is the complement of all pose means and of each run's quadratic in time.
     """
     columns = [(pose == p).astype(float) for p in np.unique(pose)]
     for one in np.unique(run):
@@ -309,8 +318,9 @@ def _memories(t: Floats, run: Ints) -> list[float]:
 def _likelihood(
     y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats
 ) -> tuple[float, Floats]:
-    """Return the gain in log-likelihood over white noise of y (m, 6) with a memory, and the
-    variance (6,) of each axis.
+    """Return the gain in log-likelihood of y (m, 6) with a memory, and the variance (6,).
+
+    The gain is over white noise, the variance that of each axis.
 
     An axis has the variance of jitter that is alike in all directions, with `parts` (6, 2) of turns
     and of shifts. It gets its own variance only if that is clearly more likely: alone, an axis that
@@ -333,8 +343,9 @@ def _likelihood(
 
 
 def _alike(gain: Floats, parts: Floats) -> Floats:
-    """Return the variances (6,) of jitter that is alike in all directions, from the gains (s, 6) of
-    SIZES.
+    """Return the variances (6,) of jitter equal in all directions, from gains (s, 6).
+
+    The gains are those of SIZES.
     """
     # the largest share of turns, or of shifts, in an axis
     unit = np.maximum(parts.max(axis=0), 1e-300)

@@ -32,8 +32,9 @@ ENOUGH = 8  # passages beyond the first of each cell
 
 @dataclass(frozen=True)
 class Repeats:
-    """Scatter of repeated poses: variance (F,) mm² within a pose, numbers of poses and passages,
-    their frames (n,).
+    """Scatter of repeated poses: variance (F,) mm² within a pose, and counts.
+
+    The counts are of poses and passages; with their frames (n,).
     """
 
     variance: Floats

@@ -75,8 +75,9 @@ class AtRest:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Scores (n, b) of the settled frames along commanded modes, detrended in each dwell, in units
-    of their noise.
+    """Scores (n, b) of the settled frames along commanded modes.
+
+    They are detrended in each dwell, in units of their noise.
     """
 
     rows: NDArray[np.intp]
@@ -187,8 +188,9 @@ def _wave(frequency: Floats, t: Floats) -> Floats:
 def _line(
     scores: _Scores, t: Floats, modes: Floats, positions: Mask
 ) -> tuple[float, Floats] | None:
-    """Return the frequency (Hz) of a line and the features' response to its cosine and sine (2, F)
-    mm, or None.
+    """Return the frequency (Hz) of a line and its cosine and sine response (2, F) mm.
+
+    None without a line.
     """
     ends = np.cumsum([len(d) for d in scores.dwells])
     kept = scores.dwells[: max(1, int(np.searchsorted(ends, FRAMES, side="right")))]
@@ -220,9 +222,7 @@ def _line(
 
 @lru_cache(maxsize=256)
 def _level(frames: int) -> Floats:
-    """Return the orthonormal line (n, 2) that each dwell is allowed: a parabola would absorb slow
-    lines.
-    """
+    """Return the orthonormal line (n, 2) of each dwell: parabolas would absorb slow lines."""
     return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, frames), 2))[0])
 
 
@@ -255,9 +255,7 @@ def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> F
 def _irregular(
     scores: _Scores, modes: Floats, positions: Mask, white: Floats
 ) -> tuple[float, Floats] | None:
-    """Return the size (mm RMS) and the motions (b, F) mm of scatter that is larger than noise, or
-    None.
-    """
+    """Return the size (mm RMS) and motions (b, F) mm of scatter above noise, or None."""
     scaled = scores.values / scores.sigma
     more, axes = np.linalg.eigh(scaled.T @ scaled / scores.freedom - np.eye(len(modes)))
     moved = (np.sqrt(np.maximum(more, 0.0)) * axes).T * scores.sigma @ modes

@@ -62,8 +62,9 @@ GEOMETRY = 300  # frames over which a jitter's covariance is averaged
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by
-    correlation in time.
+    """Noise of one frame's features: covariance (F, F) mm², its source, and inflation.
+
+    The inflation is by correlation in time.
 
     `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`:
     `slow_inflation` of its frames count as one. `moving` is the motion of the body while its
@@ -81,9 +82,7 @@ class Noise:
 
     @property
     def effective(self) -> Floats:
-        """The covariance (F, F) mm² with which frames count as independent, except for
-        `inflation`.
-        """
+        """The covariance (F, F) mm² of frames as if independent, apart from `inflation`."""
         if self.slow is None:
             return self.covariance
         return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
@@ -120,8 +119,9 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
 def motion_left(
     residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
 ) -> AtRest:
-    """Return the motion of the body at rest beyond the subtracted part of a residual (K, F) mm;
-    arguments as below.
+    """Return the body's motion at rest that remains in a residual (K, F) mm.
+
+    It is beyond the subtracted part; arguments as below.
     """
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     return motion_at_rest(
@@ -132,8 +132,9 @@ def motion_left(
 def measure_noise(
     residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
 ) -> Noise:
-    """Measure the noise of a run: within dwells, between visits of one pose, without motion of the
-    body at rest.
+    """Measure the noise of a run within dwells and between visits of one pose.
+
+    Motion of the body at rest is left out.
 
     Args:
         residual: measured minus predicted features (K, F) mm, NaN where unseen.
@@ -194,9 +195,7 @@ def _spread(frames: int) -> NDArray[np.intp]:
 
 
 def _most_modes(features: int) -> int:
-    """Return how many commanded modes so many features can show, besides a rigid motion and a
-    remainder.
-    """
+    """Return how many commanded modes so many features show besides rigid motion and remainder."""
     return max(2, min(COMMANDED, features // 3 - 2))
 
 
@@ -230,8 +229,9 @@ def _white_scatter(
 def rod_noise(
     residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None
 ) -> Noise:
-    """Return the noise of a model whose own error (V, 3) mm is not smooth in its commands: both
-    together.
+    """Return the noise of a model whose error (V, 3) mm is not smooth: both together.
+
+    It is not smooth in its commands.
 
     The correlation time of the model error comes from the residual: 1/e of its autocorrelation, by
     linear interpolation.
@@ -273,8 +273,7 @@ def rod_noise(
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:
-    """Return the covariance (F, F) mm² of the model's own error over features, correlated along the
-    body.
+    """Return the covariance (F, F) mm² of the model error, correlated along the body.
 
     `form_error` (V, 3) mm RMS per component, `positions` (V,), `section` (V,). Places and
     directions, and the three components, are independent; neighbours along the body are not.
@@ -293,8 +292,9 @@ def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int
 
 @dataclass(frozen=True)
 class Kernel:
-    """The kernel over the commands of some frames, as K = Q diag(λ) Qᵀ: `basis` Q (K, r),
-    `strength` λ (r,).
+    """The kernel over the commands of some frames, as K = Q diag(λ) Qᵀ.
+
+    `basis` is Q (K, r), `strength` λ (r,).
     """
 
     basis: Floats
@@ -302,8 +302,9 @@ class Kernel:
 
 
 def scaled_commands(command: Floats, unit: Floats) -> Floats:
-    """Return commands (K, C) in multiples of `unit` (C,); a channel that never moves gives no scale
-    and is 0.
+    """Return commands (K, C) in multiples of `unit` (C,).
+
+    A channel that never moves gives no scale and is 0.
     """
     return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
 
@@ -311,8 +312,9 @@ def scaled_commands(command: Floats, unit: Floats) -> Floats:
 def command_kernel(
     command: Floats, spread: Floats, leaning: Floats | None = None, rank: int = RANK
 ) -> Kernel:
-    """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank
-    <= `rank`.
+    """Return the squared-exponential kernel over commands (K, C), at rank <= `rank`.
+
+    It is scaled by `spread` (C,).
 
     `leaning` (K, d): the kernel is multiplied by the products of its rows, so what grows with a
     lean is another error in another orientation; its rank is then up to d times as large.
@@ -345,8 +347,9 @@ def command_kernel(
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance, if noise and
-    form are right.
+    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance.
+
+    They are so if noise and form are right.
 
     `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of
     each mode. `level` (M,) is the variance that noise alone gives each mode: 1, and less along a
@@ -364,14 +367,13 @@ class Whitener:
         return float(len(self.form) if self.level is None else self.level.sum())
 
     def modes(self, difference: Floats) -> Floats:
-        """Return (..., K, M) modes in units of noise; what was not seen (NaN) counts as no
-        difference.
-        """
+        """Return (..., K, M) modes in units of noise; unseen values (NaN) are no difference."""
         return np.asarray(np.where(np.isfinite(difference), difference, 0.0) @ self.project.T)
 
     def shrink(self, modes: Floats, kernel: Kernel | None = None) -> Floats:
-        """Return `modes` (..., K, M) with the form error's directions over the commands scaled
-        down.
+        """Return `modes` (..., K, M) with the form error's directions scaled down.
+
+        These are directions over the commands.
         """
         kernel = self.kernel if kernel is None else kernel
         if not len(kernel.strength) or not np.any(self.form > 0):
@@ -381,8 +383,7 @@ class Whitener:
         return np.asarray(modes + kernel.basis @ (factor * inside))
 
     def squares(self, modes: Floats) -> Floats:
-        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), which are not needed
-        for it.
+        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), without them.
 
         The kernel's basis is orthonormal: what lies along it is scaled, all else stays.
         """
@@ -459,8 +460,9 @@ def _shrunk(covariance: Floats, degrees: int) -> Floats:
 
 
 def _high_frequency(residual: Floats, t_seen: Floats) -> Floats:
-    """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1] (6 σ² for white noise),
-    outliers clipped.
+    """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1], outliers clipped.
+
+    It is 6 σ² for white noise.
     """
     if len(residual) < 5:
         raise SoftmapError(

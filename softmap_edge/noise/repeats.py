@@ -32,8 +32,9 @@ RUN = 40  # bits of a dwell's number below the number of its run (`records.py`)
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of dwells: sum of squares (F, F) mm², its degrees of freedom, and the correlation of
-    neighbours.
+    """Scatter of dwells: sum of squares (F, F) mm², degrees of freedom, correlation.
+
+    The last is that of neighbours.
     """
 
     squares: Floats
@@ -54,8 +55,9 @@ def rows_of(dwell: Ints, least: int = 1) -> list[NDArray[np.intp]]:
 
 
 def undrifted(dwell: Floats) -> tuple[Floats, int]:
-    """Return the scatter of a dwell (K, F) about a quadratic in time, a line where it is short, and
-    the fit.
+    """Return the scatter of a dwell (K, F) about a quadratic in time, and the fit.
+
+    It is a line where the dwell is short.
 
     Creep within a dwell is not noise.
     """
@@ -71,9 +73,7 @@ def drift(frames: int) -> Floats:
 
 
 def dwell_scatter(values: Floats, dwell: Ints) -> Scatter:
-    """Return the scatter of values (K, F) mm about the drift of each dwell (K,); NaN counts for
-    nothing.
-    """
+    """Return the scatter of values (K, F) mm about each dwell's drift (K,); NaN is ignored."""
     features = values.shape[1]
     scatter, degrees, lag = np.zeros((features, features)), 0, [0.0, 0.0]
     inside = dwell >= 0

@@ -1,5 +1,4 @@
-"""The picture of a calibration: matched commands against the map, and what is left of each over the
-ticks (SVG).
+"""The picture of a calibration: matched commands and the map, and errors over ticks (SVG).
 
 Left the first two commands: a dot where the map puts a held command (a cross where it was set
 aside), and an arrow towards the one that was matched, drawn longer by the factor that is written

@@ -1,5 +1,4 @@
-"""The pictures of a report: error over time, over the body and over the conditions, the tip's path,
-the ladder.
+"""The pictures of a report: errors over time, body and conditions, the tip's path, ladder.
 
 Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
 triangles); the same numbers give the same bytes. One colour means one thing in all of them: before,
@@ -80,8 +79,9 @@ SPLIT_BELOW = 8000  # templates with fewer triangles are refined, so that colour
 
 @dataclass(frozen=True)
 class Surface:
-    """A template ready to be drawn: points (P, 3) mm, faces (F, 3), a value and an outward normal
-    for each point.
+    """A template to draw: points (P, 3) mm, faces (F, 3), values and normals.
+
+    Each point has a value and an outward normal.
     """
 
     points: Floats
@@ -184,8 +184,9 @@ def tip_path(series: Series) -> bytes:
 
 
 def worst_stretch(series: Series) -> slice:
-    """Return the frames of the STRETCH of a run in which the error before is largest; all of a run
-    hardly longer.
+    """Return the frames of the STRETCH of a run with the largest error before.
+
+    They are all of a run hardly longer.
     """
     t = series.t_seen
     if len(t) < 3 or t[-1] - t[0] < 2 * STRETCH:
@@ -339,9 +340,7 @@ def _panel_height(bins: int) -> float:
 
 
 def _packed(panels: Sequence[tuple[str, int]], count: int) -> list[list[tuple[str, int]]]:
-    """Spread panels over columns of about equal height, each to the shortest so far, tallest
-    first.
-    """
+    """Put panels, tallest first, each into the shortest of some columns of about equal height."""
     columns: list[list[tuple[str, int]]] = [[] for _ in range(count)]
     for panel in sorted(panels, key=lambda p: -p[1]):
         min(columns, key=lambda c: sum(_panel_height(n) for _, n in c)).append(panel)
@@ -356,9 +355,7 @@ def _surface_figure(
     shown: Sequence[tuple[str, Floats]],
     scale: Normalize,
 ) -> Figure:
-    """Four sides of the template, base to the left: a column for each model, or two columns for
-    one.
-    """
+    """Draw four sides of the template, base left: one column per model, two for one model."""
     span, girth = float(np.ptp(rest[:, 2])), float(max(np.ptp(rest[:, 0]), np.ptp(rest[:, 1])))
     rows = 4 if len(shown) > 1 else 2
     tall = float(np.clip((WIDE - 1.2) / 2 * girth / max(span, 1e-9), 0.45, 2.2)) + 0.2
@@ -388,9 +385,7 @@ def _colour_bar(figure: Figure, panels: Any, scale: Normalize) -> None:
 
 
 def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: Normalize) -> Figure:
-    """Markers where they were on average, in the plane of their largest spread, coloured by their
-    error.
-    """
+    """Draw markers at their mean places in the plane of largest spread, coloured by error."""
     first, second = _plane(places)
     figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
     panels = figure.subplots(1, len(shown), squeeze=False, sharex=True, sharey=True)[0]
@@ -430,8 +425,9 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
 
 
 def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> None:
-    """Draw a surface seen from `view` (unit vector in the x-y plane): far triangles first, shaded
-    by the light.
+    """Draw a surface seen from `view`, a unit vector in the x-y plane.
+
+    Far triangles are first, shaded by the light.
     """
     across = np.cross(np.array([0.0, 0.0, 1.0]), view)
     corners = surface.points[surface.faces]  # (F, 3, 3)
@@ -453,8 +449,9 @@ def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> No
 
 
 def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Outward normals (N, 3): face normals, turned away from the body's axis, averaged at the
-    vertices.
+    """Return outward normals (N, 3): face normals away from the body's axis, averaged.
+
+    They are averaged at the vertices.
     """
     corners = points[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -471,9 +468,7 @@ def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surface:
-    """Split each triangle into four until flat colours look continuous; large meshes stay as they
-    are.
-    """
+    """Split triangles into four until flat colours look smooth; large meshes stay as is."""
     known = np.where(np.isfinite(values), values, np.nanmean(values))
     data, faces = np.column_stack([rest, known, vertex_normals(rest, triangles)]), triangles
     while len(faces) < SPLIT_BELOW:

@@ -170,8 +170,9 @@ class ShownFamily:
 
 @dataclass(frozen=True)
 class ReportPage:
-    """What `templates/report.html` shows, from top to bottom; `install` is how to get pictures that
-    are missing.
+    """What `templates/report.html` shows, from top to bottom.
+
+    `install` is how to get pictures that are missing.
     """
 
     title: str

@@ -1,5 +1,6 @@
-"""Loops: each output, or the tip, against a command, measured and predicted before and after, over
-one cycle.
+"""Loops over one cycle: each output, or the tip, against a command.
+
+Measured, and predicted before and after.
 
 Pinned by tests/run/test_output.py and tests/report/test_loop_figure.py. Needs matplotlib.
 """
@@ -27,8 +28,9 @@ MOST_LOOPS = 6  # of a run with many outputs or commands
 def loop_picture(
     series: Series, unit: str, diagnosis: Document | None, kind: str
 ) -> Picture | None:
-    """Return the picture of the loops: always for outputs, for a body where a family with memory
-    was detected.
+    """Return the picture of the loops.
+
+    It is made for outputs always, for a body where a family with memory was detected.
 
     Args:
         series: of the run that the page shows
@@ -56,8 +58,9 @@ def loop_picture(
 
 
 def loops(series: Series, unit: str) -> bytes:
-    """Draw each output, or the tip (in `unit`), against its command, with the error below it, over
-    one cycle (SVG).
+    """Draw each output, or the tip, against its command, with the error below it (SVG).
+
+    The tip is in `unit`; one cycle is shown.
 
     The curves are measured, predicted before, and predicted after. The cycle is that with the
     largest error before. All measurements are drawn behind.
@@ -116,8 +119,9 @@ def _draw(upper: Axes, lower: Axes, loop: Loop, unit: str, command_unit: str) ->
 
 
 def worst_cycle(loop: Loop) -> slice:
-    """Return the frames of the cycle of a command (three turns) with the largest error before; else
-    all of them.
+    """Return the frames of a command's cycle (three turns) with the largest error before.
+
+    Else all of them.
 
     Cycles in which the other commands stand still come first: motion by other commands is no loop
     of this one.

@@ -34,9 +34,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture (PNG or SVG) with the title of its section, what it shows in words, and its
-    caption.
-    """
+    """A picture (PNG or SVG) with its section's title, a description, and its caption."""
 
     title: str
     image: bytes

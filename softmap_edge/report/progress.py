@@ -1,6 +1,4 @@
-"""What an experiment has settled: the open questions of an earlier diagnosis next to those of a
-later one.
-"""
+"""What an experiment has settled: open questions of an earlier diagnosis and a later one."""
 
 from __future__ import annotations
 

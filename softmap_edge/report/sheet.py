@@ -1,5 +1,6 @@
-"""Where the error is, on one sheet: the robot in some of its poses and the commands, before and
-after, on one scale.
+"""Where the error is, on one sheet: some poses and the commands, before and after.
+
+All are on one scale.
 
 Poses are measured shapes in parallel projection, base above and tip below, whatever way gravity
 points. A dot of the command plane is a frame. Lengths in mm. Needs matplotlib.
@@ -71,9 +72,7 @@ def sheet(series: Series) -> bytes:
 
 
 def _plane_of(command: Floats) -> tuple[int, int] | None:
-    """The two channels that move most, in their order; one twice if only one moves; None if none
-    does.
-    """
+    """The two channels that move most, in their order; one twice if alone; None if none moves."""
     if not command.shape[1]:
         return None
     span = np.ptp(command, axis=0)

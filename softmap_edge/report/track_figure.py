@@ -1,5 +1,7 @@
-"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and
-how far off it was, or, of a plan, which commands lead it there (SVG).
+"""The picture of a tracked figure (SVG).
+
+Where the tip should go, where it went, what it can reach, and how far off it was, or, of a plan,
+which commands lead it there.
 
 Needs matplotlib; imported by `softmap track --picture` only.
 """
@@ -73,8 +75,9 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
 def workspace_figure(
     kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None
 ) -> bytes:
-    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the point
-    `nearest` (SVG).
+    """Draw the reach of the tip from above and from the side (SVG).
+
+    With a `target` (3,) mm and the point `nearest`.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
@@ -117,8 +120,9 @@ def _commands(axes: Axes, plan: Plan, unit: str) -> None:
 
 
 def _closer(axes: Axes, paths: list[Any]) -> None:
-    """Show paths and some of what is around them; an edge of reach that lies farther off has no
-    place in the legend.
+    """Show paths and some of what is around them.
+
+    An edge of reach that is farther off has no place in the legend.
     """
     points = np.concatenate([np.asarray(path, float) for path in paths])
     low, high = points.min(axis=0), points.max(axis=0)

@@ -1,5 +1,4 @@
-"""Folds of a rod's cross-validation: blocks of time whose commands also occur in other parts of the
-runs.
+"""Folds of a rod's cross-validation: time blocks whose commands also occur in other parts.
 
 A recording of one or two sweeps visits each command once or twice. A long block then holds all
 frames of its commands, and its error measures the extrapolation of a polynomial, not its accuracy.
@@ -30,8 +29,7 @@ MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
 def covered_folds(
     seen: ReferenceFrames, basis: Basis, blocks: int, gap_s: float
 ) -> tuple[Folds, float]:
-    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to
-    each.
+    """Return folds of at least `blocks` time blocks, and the gap (s, at most `gap_s`) next to each.
 
     Args:
         seen: the frames. basis: the richest map that may be fitted to them.
@@ -54,8 +52,9 @@ def covered_folds(
 
 
 def search_folds(seen: ReferenceFrames, basis: Basis) -> Folds:
-    """Return the folds of a search: labels, or blocks of time; and runs that the commands of the
-    others cover.
+    """Return the folds of a search: labels, or time blocks; and runs covered by others.
+
+    The commands of the others cover them.
     """
     parts = (
         run_folds(seen.t, seen.labels)

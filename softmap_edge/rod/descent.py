@@ -1,5 +1,6 @@
-"""Bounded Levenberg-Marquardt: minimise a sum of squares within bounds, damped by the diagonal of
-the normal equations.
+"""Bounded Levenberg-Marquardt: minimise a sum of squares within bounds.
+
+It is damped by the diagonal of the normal equations.
 
 Numbers at a bound whose gradient points outward are left out of a step. Pinned by
 tests/rod/test_elastic.py (exact recovery) and tests/rod/test_learned_memory.py.

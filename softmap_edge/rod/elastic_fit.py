@@ -1,5 +1,6 @@
-"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions, from
-several starts.
+"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions.
+
+It runs from several starts.
 
     minimise Σ |predicted(x) − seen|²  over x within bounds,
         x = the free numbers (`elastic.Coordinates`)
@@ -50,8 +51,9 @@ TRADED = 0.995  # correlation of two numbers from which the run identifies them 
 def fit_elastic(
     seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool
 ) -> Fitted:
-    """Fit the free numbers of an elastic rod, then the drive's delay if the log identifies it and
-    not `static`.
+    """Fit the free numbers of an elastic rod, then the drive's delay.
+
+    The delay is fitted if the log identifies it and not `static`.
 
     Raises:
         RunError: a fold leaves too little to fit the numbers from.
@@ -88,8 +90,7 @@ def fit_elastic(
 
 
 def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> Memory:
-    """Find the drive's delay with the rod that was fitted to the commands, supported by a small
-    polynomial.
+    """Find the drive's delay with the rod fitted to the commands and a small polynomial.
 
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
     """
@@ -135,9 +136,7 @@ def fit_for(robot: Robot, seen: ReferenceFrames) -> ReferenceFrames:
 
 
 def _sides(robot: Robot, u: Floats, markers: Floats) -> Floats:
-    """Return the side (tendons,) rad to which each tendon pulls the last marker, by a linear
-    fit.
-    """
+    """Return the side (tendons,) rad to which each tendon pulls the last marker (linear fit)."""
     centred, moved = u - u.mean(axis=0), markers[:, -1, :2] - markers[:, -1, :2].mean(axis=0)
     square = centred.T @ centred
     slope = np.linalg.solve(
@@ -188,8 +187,9 @@ class Data:
 
 
 def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
-    """Fit from the file's start and from others drawn around it; return the best x and how many
-    starts reach it.
+    """Fit from the file's start and random ones around it; return the best x and its count.
+
+    The count is how many starts reach it.
     """
     space, rng = data.coordinates, np.random.default_rng(seed)
     tried = [np.zeros(len(space.labels))]
@@ -200,9 +200,7 @@ def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
 
 
 def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]:
-    """Return predicted − seen (n, 3M) mm, each fold by a refit without it, and the refits (folds,
-    D).
-    """
+    """Return predicted − seen (n, 3M) mm, each fold by a fit without it, and fits (folds, D)."""
     residuals, refits = np.empty_like(data.seen), []
     for train, test in parts:
         without = descend(data.term(train), x, data.coordinates.low, data.coordinates.high)[0]
@@ -239,8 +237,9 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
 
 
 def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, Floats]:
-    """Return one standard deviation of each x from the linearised fit, and their correlations
-    without the diagonal.
+    """Return the standard deviation of each x by the linearised fit, and correlations.
+
+    The correlations are without the diagonal.
 
     A guess of width ten `doubt` is added to the data, so that a direction which the data do not see
     at all stays finite.

@@ -1,5 +1,6 @@
-"""Laws of memory as the chain computes them, fitted with the static map solved again for every set
-of numbers.
+"""Laws of memory as the chain computes them, each fitted with the static map solved again.
+
+It is solved for every set of numbers.
 
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
@@ -45,9 +46,7 @@ IDLE = 0.02  # of half the range: a number that changes the commands by less doe
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A chain of effects, and which of its free numbers (D,) each parameter (P,) takes, with their
-    ranges.
-    """
+    """A chain of effects, and which free number (D,) each parameter (P,) takes, with ranges."""
 
     names: tuple[str, ...]
     chain: _core.Chain
@@ -88,8 +87,9 @@ class Law:
 
 
 def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
-    """Return the law of a chain: one number for all, or one for each channel or cable of the
-    effects in `each`.
+    """Return the law of a chain: one number for all.
+
+    The effects in `each` have one for each channel or cable.
     """
     chain = _core.Chain(list(names), drive.channels)
     median = float(np.median(drive.half))
@@ -133,8 +133,9 @@ def _range(effect: str, unit: str, low: float, high: float, half: float) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss
-    (folds,) mm².
+    """A law with free numbers x (D,) in 0 … 1, effective commands (n, C), held-out loss.
+
+    The loss is (folds,) mm².
 
     Numbers at a bound that do nothing there are `idle` (D,): a channel may have no play.
     """
@@ -166,16 +167,18 @@ def _at_bound(x: Floats) -> NDArray[np.bool_]:
 
 
 class LawFit:
-    """The data of a law's fit: a drive, in its unit, and a static map that is solved again for
-    every set of numbers.
+    """The data of a law's fit: a drive, in its unit, and a static map.
+
+    The map is solved again for every set of numbers.
     """
 
     def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
         self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
 
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
-        """Fit a law from a scan of all numbers but those `known` by label, which start at their
-        value.
+        """Fit a law from a scan of all numbers, except those `known` by label.
+
+        These start at their value.
         """
         start = law.at(known)
         open_ = [i for i, label in enumerate(law.labels) if label not in known]
@@ -193,9 +196,7 @@ class LawFit:
         return self.refined(law, sets[np.argsort(sums)[:REFINED]])
 
     def scanned_along(self, law: Law, start: Floats, i: int) -> Floats:
-        """Return `start` with its number `i` at the best value of a scan; the others are near their
-        best.
-        """
+        """Return `start` with its number `i` at the best of a scan; others are near their best."""
         sets = np.tile(start, (SCAN_ALONG + 1, 1))
         sets[1:, i] = np.linspace(0.0, 1.0, SCAN_ALONG)
         rolled = self.drive.rolled(law.chain, law.params(sets))
@@ -263,9 +264,7 @@ class LawFit:
         }
 
     def _term(self, law: Law, rows: Index | None) -> Term:
-        """Return the residuals of the frames `rows`, and their slopes by differences within the
-        range.
-        """
+        """Return residuals of the frames `rows`, and their slopes by differences in range."""
         kept = slice(None) if rows is None else rows
 
         def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:

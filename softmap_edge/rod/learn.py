@@ -256,9 +256,7 @@ def _notes(seen: ReferenceFrames, fitted: Fitted, error: float, gap_s: float) ->
 
 
 def _turned(runs: Sequence[Run]) -> list[str]:
-    """Return a sentence if the robot was mounted in several orientations, which its model does not
-    know.
-    """
+    """Return a sentence if the robot had several orientations, unknown to its model."""
     every = [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None]
     if not every:
         return []
@@ -275,8 +273,9 @@ def _turned(runs: Sequence[Run]) -> list[str]:
 
 
 def _apart(commands: Floats) -> list[str]:
-    """Return a sentence if channels were moved one at a time: the rod then cannot learn their joint
-    effect.
+    """Return a sentence if channels were moved one at a time.
+
+    The rod then cannot learn their joint effect.
     """
     if _dependent(commands, ""):
         return []  # reported as such
@@ -297,8 +296,9 @@ def _flat(runs: Sequence[Run]) -> list[str]:
 
 
 def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
-    """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened
-    or left out.
+    """Return a sentence if blocks are shorter than the gap next to them.
+
+    The gap had to be shortened or left out.
     """
     counts = [len(train) for train, _ in fitted.parts]
     if seen.timeless or not counts:
@@ -325,9 +325,7 @@ def _rest(reach: Floats) -> Floats:
 
 
 def _from_home(commands: Floats, run: Run) -> list[str]:
-    """Return a sentence if the commands are not counted from home, or from a home that was
-    assumed.
-    """
+    """Return a sentence if commands do not count from home, or from an assumed home."""
     unit, assumed = run.command_unit, run.extra.get(HOME_TICKS)
     if assumed is not None and assumed.any():
         ticks = ", ".join(f"{h:.0f}" for h in assumed)

@@ -70,9 +70,7 @@ SHORT = 2  # effects that are named as the nearest where none reaches
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """The result: the chain and its parameters by label, a record of each part, the noise in mm,
-    remarks.
-    """
+    """The result: chain and parameters by label, record of parts, noise in mm, remarks."""
 
     names: tuple[str, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
@@ -95,8 +93,9 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """An effect `name` that may be the law of a family, or a family without a law, with its
-    held-out loss (folds,).
+    """An effect `name` that may be a family's law, or a family without one.
+
+    With its held-out loss (folds,).
     """
 
     family: Family
@@ -112,9 +111,7 @@ class _Candidate:
 
     @property
     def numbers(self) -> int:
-        """The number of its free numbers; those for each channel, which the evidence requires,
-        count as one.
-        """
+        """The count of free numbers; those per channel, if evidence requires, count as one."""
         return 0 if self.fitted is None else _numbers(self.fitted)
 
 
@@ -139,8 +136,9 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good, little
-        unexplained error.
+        """Whether the law is identified.
+
+        It is strong, not at a bound, has no alternative as good, and leaves little error.
         """
         if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
@@ -148,9 +146,7 @@ class _Found:
         return "ambiguous" if alike or self.weak else "identified"
 
     def _is_as_good(self, other: _Candidate) -> bool:
-        """Whether an alternative is of another family, has as few numbers, or is seen to leave
-        less.
-        """
+        """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
         if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
             return True
         fall = self.fitted.losses - other.losses
@@ -207,9 +203,7 @@ class _Search:
     # --- one family ------------------------------------------------------------------------------
 
     def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
-        """Return the families that this log can show, the one with the lowest held-out loss
-        first.
-        """
+        """Return the families that this log can show, the lowest held-out loss first."""
         possible = [
             family
             for family in self.families
@@ -234,9 +228,7 @@ class _Search:
     def _with_more(
         self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
     ) -> list[_Found]:
-        """Return what was found, the last one marked if its family explains a good part of what it
-        leaves.
-        """
+        """Return what was found, its last law marked if its family explains much of the rest."""
         if not found:
             return []
         now, last = self.static.losses(acting), found[-1]
@@ -311,9 +303,7 @@ class _Search:
         now: Floats,
         represented: Floats,
     ) -> _Found:
-        """Choose among laws that lower the loss: those that reach the best of all, the fewest
-        numbers first.
-        """
+        """Choose among laws that lower the loss: equals of the best, fewest numbers first."""
         lowest = min(
             [*(one.losses for one in good), represented], key=lambda losses: float(losses.sum())
         )
@@ -341,8 +331,9 @@ class _Search:
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
     def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
-        """Return the law with a second member of its family if both explain nearly all of the first
-        one's remainder.
+        """Return the law with a second member of its family if that explains the remainder.
+
+        Both together must explain nearly all of what the first one leaves.
         """
         fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
@@ -397,9 +388,7 @@ class _Search:
     # --- evidence --------------------------------------------------------------------------------
 
     def _signals_alongside(self, family: Family, found: Sequence[_Found]) -> Floats:
-        """Return the columns (n, J) of a family: its signals about the effective commands, and
-        their powers.
-        """
+        """Return a family's columns (n, J): signals about effective commands, and powers."""
         parts = []
         middle, half = self.seen.drive.middle, self.seen.drive.half
         powers = POWERS if self.seen.drive.channels <= FEW_CHANNELS and not family.static else 1
@@ -426,9 +415,7 @@ class _Search:
 
     @staticmethod
     def _near(one: Floats, best: Floats, before: Floats) -> bool:
-        """Whether a held-out loss is equal to the best one, within its error and the form
-        tolerance.
-        """
+        """Whether a held-out loss equals the best, within its error and form tolerance."""
         behind = one - best
         if behind.sum() <= FORM * float((before - best).sum()):
             return True
@@ -436,8 +423,9 @@ class _Search:
         return float(behind.sum()) <= standard_error(behind) and not decided
 
     def _noise(self) -> float:
-        """Return the variance of a target, mm², from its third differences between frames: the part
-        that no map can explain.
+        """Return the variance of a target, mm², from its third differences between frames.
+
+        It is the part that no map can explain.
         """
         residual = self.static.residual(self.seen.drive.commanded)
         if len(residual) < 8:

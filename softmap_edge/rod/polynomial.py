@@ -1,5 +1,6 @@
-"""The polynomial rod as Python holds it, and its fit: chords whose bending angles are a polynomial
-of the commands.
+"""The polynomial rod in Python, and its fit.
+
+Its chords have bending angles that are a polynomial of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
@@ -48,8 +49,9 @@ def fit_polynomial(
     static: bool,
     seed: int,
 ) -> Fitted:
-    """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no
-    memory.
+    """Fit a polynomial rod with memory: basis and ridge by cross-validation.
+
+    `static` fits no memory.
     """
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
@@ -103,8 +105,9 @@ def fit_polynomial(
 
 
 def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Basis, ...]:
-    """Return the bases that `smallest` frames can identify; pulls where several commands move to
-    both sides of 0.
+    """Return the bases that `smallest` frames can identify.
+
+    They include pulls where several commands move to both sides of 0.
     """
     channels, commands = seen.drive.channels, seen.drive.commands
     some = (DEGREES if channels > 1 else DEGREES_OF_ONE) if degree is None else (degree,)
@@ -153,16 +156,16 @@ def _memory(
 
 
 def _plane(fit: Regression) -> Floats:
-    """Return chords as plane coordinates (n, 2K) mm: for each marker Σ length × angle over the
-    chords below it.
+    """Return chords as plane coordinates (n, 2K) mm.
+
+    For each marker Σ length × angle over the chords below it.
     """
     turned = fit.angles.reshape(len(fit.angles), -1, 2) * fit.lengths.mean(axis=0)[:, None]
     return np.asarray(np.cumsum(turned, axis=1).reshape(len(turned), -1))
 
 
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
-    """Return the point from which the first chord starts: the given one, the origin, or far below
-    an output.
+    """Return the first chord's start: a given point, the origin, or far below an output.
 
     Markers of constant height are outputs and do not bend: seen from far below, a chord's angle is
     linear in them.
@@ -178,8 +181,9 @@ def _base(base: ArrayLike | None, markers: Floats) -> Floats:
 
 
 def _nominal(lengths: Floats) -> float:
-    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip
-    by c·Σ l_k³/12.
+    """Return the nominal compliance c (N⁻¹·mm⁻²).
+
+    1 N across straight locked chords moves the tip by c·Σ l_k³/12.
     """
     mean = lengths.mean(axis=0)
     return float(12.0 * TIP_PER_NEWTON * mean.sum() / (mean**3).sum())

@@ -1,5 +1,6 @@
-"""What of a reference run a rod is learned from: its frames, thinned and checked, and the commands
-behind them.
+"""The part of a reference run that a rod is learned from: frames, and their commands.
+
+The frames are thinned and checked.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ STILL = 0.005  # of the robot's length: markers that stray less from their mean 
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why if not
-    identified.
+    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`.
+
+    `note` says why if it is not identified.
     """
 
     label: str
@@ -102,9 +104,7 @@ class ReferenceFrames:
 
     @property
     def labels(self) -> NDArray[np.generic] | None:
-        """The `block` labels (n,) of the frames; None where a run has none, or all frames have the
-        same.
-        """
+        """Return `block` labels (n,) of the frames; None if a run has none or all are the same."""
         blocks = [
             run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None
         ]
@@ -117,9 +117,7 @@ class ReferenceFrames:
 
     @property
     def slow(self) -> bool:
-        """Whether delay and lag are unknown: the log has no time, or its commands are too far
-        apart.
-        """
+        """Whether delay and lag are unknown: no time in the log, or commands too far apart."""
         return self.timeless or any(float(np.median(np.diff(run.t))) > SLOW for run in self.runs)
 
     @property
@@ -147,8 +145,7 @@ class ReferenceFrames:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave
-    them.
+    """A rod, its memory, held-out residuals (n, K, 3) mm, and the folds that gave them.
 
     `basis` has the terms in which its runs cover commands.
     """
@@ -168,9 +165,7 @@ def observe(
     hold_out: Sequence[tuple[float, float]],
     rate_hz: float,
 ) -> ReferenceFrames:
-    """Return the frames to learn from; raise RunError where a run lacks markers, commands or
-    motion.
-    """
+    """Return the frames to learn from; RunError if markers, commands or motion are missing."""
     runs = tuple(_in_scale(run, runs[0].output) for run in from_home(runs)[0])
     if len({run.hash() for run in runs}) < len(runs):
         raise RunError(

@@ -34,8 +34,9 @@ def normalise(u: Floats) -> Floats:
 
 
 def _angles(markers: Floats, base: Floats) -> tuple[Floats, Floats]:
-    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords from `base` through `markers`
-    (n, K, 3).
+    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords from `base`.
+
+    They go through `markers` (n, K, 3).
     """
     first = np.broadcast_to(base, (len(markers), 1, 3))
     chord = np.diff(np.concatenate([first, markers], axis=1), axis=1)
@@ -47,9 +48,7 @@ def _angles(markers: Floats, base: Floats) -> tuple[Floats, Floats]:
 
 
 def _ridge(features: Floats, targets: Floats, penalty: Floats, folds: Folds) -> list[Floats]:
-    """Return the weights (1 + F, outputs) for the training frames of each fold, then for all
-    frames.
-    """
+    """Return weights (1 + F, outputs) for each fold's training frames, then for all frames."""
     rows = np.concatenate([np.ones((len(features), 1)), features], axis=1)
     square, mixed = rows.T @ rows, rows.T @ targets
     weights = []
@@ -78,8 +77,7 @@ class Regression:
         return _ridge(basis.columns(u), self.angles, ridge * basis.penalty(u.shape[1]), self.folds)
 
     def cross_validate(self, u: Floats, basis: Basis, ridge: float) -> Floats:
-        """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its
-        block.
+        """Return predicted − seen (n, K, 3) mm, each frame by the fit without its block.
 
         A frame that no fold tests is NaN.
         """
@@ -166,8 +164,9 @@ class Drive:
         return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
 
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
-        """Return effective commands (n, C) of a chain of `names`, its parameters by label; others
-        keep their null.
+        """Return effective commands (n, C) of a chain of `names`.
+
+        Its parameters are by label; others keep their null.
         """
         if not names:
             return self.commanded

@@ -1,5 +1,6 @@
-"""A tendon robot as a file describes it: segments, tendons, markers, and what of it a fit may
-change (`robot.toml`).
+"""A tendon robot as its file `robot.toml` describes it.
+
+Segments, tendons, markers, and what of it a fit may change.
 
 It is read by `softmap learn RUN --robot robot.toml`; examples/tdcr_robot.toml is the template.
 Every key is known: a misspelt one is named with those that exist. Units: mm, degrees; stiffness in
@@ -31,8 +32,9 @@ _MOST = 64  # segments, tendons, commands
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tendon robot: its `layout`, the numbers (P,) from which a fit starts, and the `modes` of
-    what it may change.
+    """A tendon robot: its `layout`, the start (P,) of fits, and their `modes`.
+
+    These are the modes of what a fit may change.
 
     With `angles_known` false the tendons' angles are found from the run.
     """
@@ -87,8 +89,9 @@ class Robot:
             ) from None
 
     def with_slack(self, slack: float) -> Robot:
-        """Return the robot with other tendons: 0 for cables, 1 for two-sided ones, which the fit
-        leaves so.
+        """Return the robot with other tendons, fixed in fits.
+
+        0 is for cables, 1 for two-sided ones.
         """
         start = self.start.copy()
         start[self.layout.places()["slack"]] = slack
@@ -160,8 +163,9 @@ def _robot(top: TomlTable) -> Robot:
 def _spread(
     table: TomlTable, key: str, count: int, default: float | None, low: float, high: float
 ) -> Floats:
-    """Return `count` numbers within low … high: one for all, or a list of them (nested lists are
-    read in a row).
+    """Return `count` numbers within low … high: one for all, or a list of them.
+
+    Nested lists are read in a row.
     """
     value = table.get(key, (int, float, list), default)
     if value is None:

@@ -30,9 +30,7 @@ TIMED = (*FAST, "creep", DRIFT)  # families that a log without time cannot show
 
 @dataclass(frozen=True)
 class Family:
-    """A family: its `name`, and the effects of the library that act on commands and are its
-    `members`.
-    """
+    """A family: its `name` and `members`, the library's effects that act on commands."""
 
     name: str
     members: tuple[str, ...]
@@ -53,9 +51,7 @@ class Family:
         return self.name in TIMED
 
     def signals(self, record: Record, acting: Floats, middle: Floats, half: Floats) -> Floats:
-        """Return the signals (n, J) of the effective commands (T, C) in a run, at its seen
-        times.
-        """
+        """Return signals (n, J) of a run's effective commands (T, C), at its seen times."""
         series = _core.Series(np.ascontiguousarray(acting), record.t, middle, half)
         return np.asarray(
             _core.Bank(self.name, acting.shape[1]).signals(series, record.t_seen, wide=True)[1].T

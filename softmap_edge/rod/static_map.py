@@ -1,5 +1,6 @@
-"""The static map that is solved again for every law of memory: a ridge on its terms (variable
-projection).
+"""The static map that is solved again for every law of memory: a ridge on its terms.
+
+This is variable projection.
 
     targets (n, q) ≈ base(v) + [1, terms(v)] W,   v = effective commands (n, C)
 
@@ -56,9 +57,7 @@ class StaticMap:
         return self.targets if self.base is None else self.targets - self.base(acting)
 
     def residual(self, acting: Floats, rows: Index | None = None) -> Floats:
-        """Return seen − mapped (n, q) mm with the map solved on the frames `rows` (all of them if
-        None).
-        """
+        """Return seen − mapped (n, q) mm, the map solved on frames `rows` (None: all)."""
         columns, penalty, targets = *self._columns(acting), self.left(acting)
         penalty = self.ridge * penalty
         rows = np.arange(len(targets)) if rows is None else rows
@@ -69,16 +68,15 @@ class StaticMap:
         return np.asarray(targets - columns @ weights)
 
     def scanned(self, acting: Floats) -> float:
-        """Return the held-out loss mm² at the usual ridge: quick, and a map of few motions cannot
-        overfit.
+        """Return the held-out loss mm² at the usual ridge: quick, and without overfits.
+
+        A map of few motions cannot overfit.
         """
         columns, penalty = self._columns(acting)
         return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
     def losses(self, acting: Floats, extra: Floats | None = None) -> Floats:
-        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) added to the map if
-        given.
-        """
+        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) if given."""
         (columns, penalty), targets = self._columns(acting), self.left(acting)
         folded = _Folded(columns, targets, self.parts)
         alone = [folded.losses(ridge * penalty) for ridge in RIDGE_STEPS]
@@ -111,9 +109,7 @@ class StaticMap:
 
 
 class _Folded:
-    """Sums of products of columns (n, p) and targets (n, q) for each fold: any ridge is then a
-    small solve.
-    """
+    """Sums of products of columns (n, p) and targets (n, q) per fold: ridges are small solves."""
 
     def __init__(self, columns: Floats, targets: Floats, parts: Folds) -> None:
         square, mixed = columns.T @ columns, columns.T @ targets

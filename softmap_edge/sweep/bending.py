@@ -1,5 +1,6 @@
-"""Say how a body without a known stiffness answers loads, by bending its own centreline with one
-compliance number.
+"""Respond to loads as a body without a known stiffness.
+
+Its own centreline bends with one compliance number.
 
 A load turns every cross-section by its bending moment M(s). With c = 1/(E·I) (N⁻¹·mm⁻², uniform) a
 point that hangs on the line at arc s_i moves, to first order, by
@@ -38,8 +39,9 @@ _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0))
 
 @dataclass(frozen=True)
 class Stiffness:
-    """What scales the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and how well a
-    known load was met.
+    """What scales the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and fit.
+
+    The last is how well a known load was met.
 
     `known` is false for nominal numbers; `residual_mm` RMS is left of `moved_mm` RMS that the known
     load moved.
@@ -54,15 +56,17 @@ class Stiffness:
 
     @classmethod
     def nominal(cls, line: Centreline) -> Stiffness:
-        """Return the numbers that stand in where no load is known: 1 N moves the tip of the
-        straight body by a tenth.
+        """Return the numbers that stand in where no load is known.
+
+        1 N then moves the tip of the straight body by a tenth.
         """
         return cls(12.0 * TIP_PER_NEWTON / line.length**2, LOCK, NOMINAL_WEIGHT, False)
 
 
 def fields(line: Centreline, points: Floats, stiffness: Stiffness) -> dict[str, Floats]:
-    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm by field: per 1 g of
-    gravity, per 1 N on the tip.
+    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm by field.
+
+    They are per 1 g of gravity, and per 1 N on the tip.
     """
     found = {}
     for name in _core.LOADS:
@@ -122,8 +126,9 @@ def weigh(
 def _answers(
     line: Centreline, points: Floats, force: Floats, spread: bool
 ) -> tuple[Floats, Floats]:
-    """Return the displacements (n, N, 3) for c = 1 by free tendons, and the part that held tendons
-    take away.
+    """Return displacements (n, N, 3) for c = 1 by free tendons, and the held tendons' part.
+
+    Held tendons take that part away.
 
     `force` (n, 3) N acts at the tip, or is `spread` over the body.
     """

@@ -1,5 +1,6 @@
-"""Make a model from an imported sweep: another simulator's commands and shapes, or those of a
-motion capture.
+"""Make a model from an imported sweep: commands and shapes of another simulator.
+
+They may also be those of a motion capture.
 
 A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads
 bend the sweep's own centreline (`bending.py`). The model's own error is measured by leaving out: of
@@ -54,8 +55,9 @@ PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
-    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or an
-    imported one.
+    """Return the model of a sweep file: of `softmap model sweep`, or an imported one.
+
+    The former is as from its finger.
 
     Raises:
         SoftmapError: a field is missing or wrong, with one line.
@@ -192,8 +194,9 @@ def _home(shape: _core.Shape, command: Floats) -> Floats:
 
 
 def _stands_on_its_base(line: Centreline, vertices: Floats) -> None:
-    """Refuse a sweep whose points near the base move more than those far from it: its frame is
-    another one.
+    """Reject a sweep whose points near the base move more than those far from it.
+
+    Its frame is then another one.
     """
     moved = np.sqrt(np.mean(np.sum((vertices - vertices.mean(axis=0)) ** 2, axis=2), axis=0))
     low, high = np.quantile(line.along, [0.2, 0.8])
@@ -209,8 +212,9 @@ def _stands_on_its_base(line: Centreline, vertices: Floats) -> None:
 def _left_out_of_grid(
     axes: tuple[Floats, ...], values: Floats
 ) -> tuple[Floats, NDArray[np.intp], float]:
-    """Return the errors (n, m) of the full grid at nodes that a grid of half as many leaves out,
-    those nodes, the order.
+    """Return the errors (n, m) of the full grid at nodes that a coarser grid leaves out.
+
+    That grid has half as many nodes. Also those nodes, and the order.
     """
     shape = [len(axis) for axis in axes]
     half, nodes = _coarser(axes, values, 2)
@@ -225,8 +229,9 @@ def _left_out_of_grid(
 def _coarser(
     axes: tuple[Floats, ...], values: Floats, stride: int
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the errors at the nodes that a grid of every `stride`-th node, and the last, leaves
-    out; and those nodes.
+    """Return the errors at the nodes that a coarser grid leaves out; and those nodes.
+
+    That grid has every `stride`-th node, and the last.
     """
     kept = [np.unique(np.r_[np.arange(0, len(axis), stride), len(axis) - 1]) for axis in axes]
     grid = np.arange(len(values)).reshape([len(axis) for axis in axes])
@@ -246,8 +251,9 @@ def _coarser(
 def _error(
     model: Model, prior: ModeArrays, flat: Floats, values: Floats, left: Floats
 ) -> tuple[Floats, float]:
-    """Return the RMS error (V, 3) mm of each feature and of the vertices mm, from errors `left` (n,
-    m) of the weights.
+    """Return the RMS error (V, 3) mm of each feature, and of the vertices (mm).
+
+    It follows from errors `left` (n, m) of the weights.
 
     What the modes do not hold of the shapes `flat` (n, M) counts too.
     """

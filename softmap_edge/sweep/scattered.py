@@ -1,5 +1,6 @@
-"""Fit radial basis functions with a linear tail to shapes at scattered commands; smoothing and
-error by leaving out.
+"""Fit radial basis functions with a linear tail to shapes at scattered commands.
+
+Smoothing and error are found by leaving out.
 
     a(u) = Σ_i w_i φ(|q − q_i|) + b + t·q,   φ(r) = r or r³,   q = u/scale
     minimise |a(u_k) − a_k|² + λ wᵀ(±φ)w   with  Σ w_i = 0, Σ w_i q_i = 0
@@ -115,16 +116,18 @@ def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> Scatte
 
 
 def half_range(commands: Floats) -> Floats:
-    """Return half of what each command (S, C) goes over; 1 for one that never moves and has no
-    information.
+    """Return half the range of each command (S, C); 1 for one that never moves.
+
+    Such a command has no information.
     """
     half = 0.5 * np.ptp(commands, axis=0)
     return np.where(half > NARROW, half, 1.0)
 
 
 def gap(q: Floats) -> float:
-    """Return how far a command between two of the rows (S, C), drawn at random, is from the nearest
-    row (median).
+    """Return the median distance of random commands from the nearest row of (S, C).
+
+    Each is drawn between two of the rows.
     """
     rng = np.random.default_rng(PAIRS_SEED)
     pairs = rng.integers(len(q), size=(PAIRS, 2))
@@ -159,9 +162,7 @@ def _near(q: Floats, row: int, reach: float, largest: int) -> NDArray[np.intp]:
 
 
 class _System:
-    """The penalised least squares of one kernel, diagonalised so that any smoothing costs one
-    product.
-    """
+    """A kernel's penalised least squares, diagonalised: any smoothing costs one product."""
 
     def __init__(self, q: Floats, nodes: NDArray[np.intp], tail: Floats, power: int) -> None:
         # the kernel that is positive where the tail is annihilated
@@ -190,9 +191,7 @@ class _System:
     def left_out(
         self, values: Floats, share: float, groups: list[tuple[int, NDArray[np.intp]]]
     ) -> Floats:
-        """Return the residuals (k, m) of the tested rows of each group by the fit without the
-        group.
-        """
+        """Return residuals (k, m) of each group's tested rows by the fit without the group."""
         lost = self._kept(share)
         inside = self.u.T @ values
         outside = values - self.linear @ (self.linear.T @ values)
@@ -208,9 +207,7 @@ class _System:
         return np.concatenate(found)
 
     def solve(self, values: Floats, share: float) -> Floats:
-        """Return the coefficients (n + 1 + C, m): weights of the nodes, then constant and
-        slopes.
-        """
+        """Return coefficients (n + 1 + C, m): weights of nodes, then constant and slopes."""
         level = share * float(self.s[0]) ** 2 if len(self.s) else 1.0
         inner = self.vt.T @ (
             (self.s / (self.s**2 + max(level, 1e-300)))[:, None] * (self.u.T @ values)

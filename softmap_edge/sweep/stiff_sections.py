@@ -1,5 +1,6 @@
-"""Say how a body of an imported sweep bends when a stretch of it is stiffer: by the bend that its
-own line shows.
+"""How a body of an imported sweep bends when a stretch of it is stiffer.
+
+It follows from the bend of its own line.
 
 A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends
 less, all others more, each as it bends already. With κ(s) the curvature of the line less that at
@@ -32,8 +33,9 @@ STRAIGHT = 1e-6  # rad²: a body that is bent less in all is not bent
 def stretch_fields(
     line: Centreline, points: Floats, rest: Floats, lock: float
 ) -> dict[str, Floats]:
-    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm per unit of the logarithm
-    of the modulus.
+    """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm.
+
+    They are per unit of the logarithm of the modulus.
 
     Args: `rest` (N, 3) mm; `lock` 1 where tendons keep their length, 0 where they slide.
     Returns: by field, `stiff_0` … from the base to the tip.
@@ -64,8 +66,9 @@ def stretch_fields(
 
 
 def _curvature(stations: Floats) -> tuple[Floats, Floats]:
-    """Return the frames (n, J, 3, 3) of the chords, and in them the curvature (n, J + 1, 3) rad/mm
-    at the stations.
+    """Return the frames (n, J, 3, 3) of the chords, and the curvature (n, J + 1, 3) rad/mm.
+
+    It is in these frames, at the stations.
     """
     chord = np.diff(stations, axis=1)
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-12)

@@ -1,5 +1,6 @@
-"""What a sweep holds and what a model of it cannot represent: the content of `softmap check` and
-`softmap show`.
+"""What a sweep holds and what its model cannot represent.
+
+It is the content of `softmap check` and `softmap show`.
 """
 
 from __future__ import annotations
@@ -14,9 +15,7 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep
 
 
 def summary(sweep: ShapeSweep) -> Document:
-    """Return what a sweep holds, with units in the keys, and what a model made of it cannot
-    represent.
-    """
+    """Return what a sweep holds, units in the keys, and what its model cannot represent."""
     home = sweep.vertices[int(np.argmin(np.sum(sweep.command**2, axis=1)))]
     line = find_centreline(home, sweep.base)
     body = line.body()
@@ -52,8 +51,9 @@ def summary(sweep: ShapeSweep) -> Document:
 
 
 def read_summary(path: Path) -> Document:
-    """Read a sweep file, imported or made by `softmap model sweep`, and return its summary; raise
-    SoftmapError.
+    """Read a sweep file and return its summary; raise SoftmapError.
+
+    It may be imported, or made by `softmap model sweep`.
     """
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))

@@ -1,5 +1,6 @@
-"""Read an imported sweep: commands and the shapes that another simulator, or a motion capture,
-found for them.
+"""Read an imported sweep: commands and their shapes.
+
+Another simulator, or a motion capture, found the shapes.
 
 An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field with an example.
 
@@ -61,9 +62,7 @@ _TEXTS = ("robot", "command_unit", "schema")
 
 @dataclass(frozen=True, eq=False)
 class ShapeSweep:
-    """A checked sweep: every command once; `notes` report what was done to it and what it leaves
-    open.
-    """
+    """A checked sweep: every command once; `notes` report changes and what is left open."""
 
     command: Floats  # (S, C)
     vertices: Floats  # (S, N, 3) mm
@@ -340,9 +339,7 @@ def _enough(command: Floats, vertices: Floats) -> None:
 
 
 def _lever(command: Floats, vertices: Floats) -> None:
-    """Refuse commands without a unit that move the body as radians or metres would, not mm of
-    tendon.
-    """
+    """Reject commands without a unit that seem to be radians or metres, not mm of tendon."""
     home = int(np.argmin(np.sum(command**2, axis=1)))
     size = float(np.linalg.norm(np.ptp(vertices[home], axis=0)))
     travel = np.linalg.norm(vertices - vertices[home], axis=2).max(axis=1)
@@ -381,8 +378,9 @@ def _triangles(content: Mapping[str, NDArray[np.generic]], points: int) -> NDArr
 
 
 def grid_axes(command: Floats) -> tuple[Floats, ...] | None:
-    """Return the axes of the tensor grid on which commands (S, C), C ≤ 3, lie in whatever order;
-    None if they do not.
+    """Return the axes of the tensor grid of commands (S, C), C ≤ 3, in any order.
+
+    None if they do not lie on one.
     """
     if command.shape[1] > 3:
         return None

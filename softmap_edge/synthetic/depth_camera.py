@@ -1,5 +1,6 @@
-"""Depth cameras for hidden truths: clouds of the sides of a surface that are seen, with noise,
-outliers and gaps.
+"""Depth cameras for hidden effects: clouds of a surface's seen sides.
+
+They have noise, outliers and gaps.
 
 Points are drawn evenly over the surface, or more densely towards its end; a point is seen by a
 camera if the surface turns to it there and nothing stands between (rays, `_core.Surface`). Units:
@@ -24,8 +25,7 @@ DRAWN = 6  # points drawn for each one required; half of them and more are not s
 
 @dataclass(frozen=True)
 class DepthCameras:
-    """Cameras around a finger: `views` directions (deg about its axis; none: it is seen from
-    everywhere).
+    """Cameras around a finger: `views` directions (deg about its axis; none: all are seen).
 
     `sigma_mm` a coordinate; `outliers` the share of points that are anywhere near; `uneven` how
     many times denser points lie at the end than at the base; `hole_mm` the radius of a patch that

@@ -56,8 +56,7 @@ TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted 
 
 @dataclass(frozen=True)
 class Camera:
-    """Noise of what is seen: independent for each vertex, and a rigid jitter of the frame that
-    drifts slowly.
+    """Noise of what is seen: independent for each vertex, and a slow rigid jitter of the frame.
 
     `vertex_mm` a coordinate, `shift_mm` and `turn_deg` a component (Ornstein-Uhlenbeck, memory
     `memory_s`), one σ each.
@@ -88,8 +87,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """One hidden effect: the name the library has for it, its own law, and how far it moves the
-    finger (RMS mm).
+    """A hidden effect: its name in the library, its own law, and its effect size (RMS mm).
+
+    It is how far it moves the finger.
     """
 
     law: Law
@@ -111,9 +111,7 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class Truth:
-    """A second finger: its batch of silicone (by `seed`), its hidden effects in the order in which
-    they act.
-    """
+    """A second finger: its silicone (by `seed`), and its hidden effects in order of action."""
 
     seed: int
     hidden: tuple[HiddenEffect, ...] = ()
@@ -139,8 +137,9 @@ class Truth:
         )
 
     def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
-        """Return the true points (K, N, 3) mm of each `every`-th frame, as a camera without noise
-        would see them.
+        """Return the true points (K, N, 3) mm of each `every`-th frame.
+
+        A camera without noise would see them so.
         """
         return self.shapes_by(_solved, protocol, every)
 
@@ -151,8 +150,9 @@ class Truth:
         )
 
     def shapes_by(self, body: Body, protocol: Protocol, every: int = 1) -> Floats:
-        """Return the points (K, N, 3) mm of a `body`, given finger, modulus, gravity g, tip force N
-        and u (n, C).
+        """Return the points (K, N, 3) mm of a `body`.
+
+        Given are finger, modulus, gravity g, tip force N and u (n, C).
         """
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
@@ -181,8 +181,9 @@ class Truth:
         )
 
     def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:
-        """Return, for each orientation and declared load, its frames and the true gravity (g) and
-        tip force (N).
+        """Return the frames, true gravity (g) and tip force (N) of each condition.
+
+        A condition is an orientation and a declared load.
         """
         at = np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1
         hung = np.zeros(len(protocol.t)) if protocol.load is None else protocol.load
@@ -228,24 +229,18 @@ def surprise(seed: int) -> list[str]:
 
 @lru_cache(maxsize=4)
 def template(finger: Finger | None = None) -> Floats:
-    """Return the material points (N, 3) mm that are seen: the vertices of the first finger's
-    template.
-    """
+    """Return the seen material points (N, 3) mm: the vertices of the first template."""
     return np.asarray(Simulator(finger or _builtin()).template.vertices, dtype=np.float64)
 
 
 def centroids(points: Floats, finger: Finger | None = None) -> Floats:
-    """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at
-    rest.
-    """
+    """Return section centroids (K, 9, 3) mm of points (K, N, 3): nine slices at rest."""
     section = sections_of(template(finger))
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
 
 
 def _named(name: str, plain: Truth) -> HiddenEffect:
-    """Take a law as it is; how far it moves the finger is what it does in a sweep of the plain
-    one.
-    """
+    """Take a law as it is; its effect size is its motion in a sweep of the plain finger."""
     protocol = standard_protocol(len(plain.finger.pairs))
     law = NAMED[name].draw(np.random.default_rng(plain.seed), len(plain.finger.pairs))
     both = (
@@ -257,9 +252,7 @@ def _named(name: str, plain: Truth) -> HiddenEffect:
 
 
 def _drawn(name: str, plain: Truth) -> HiddenEffect:
-    """Draw a law and scale it until it moves the section centroids of a finger by the drawn
-    target.
-    """
+    """Draw a law and scale it to move a finger's section centroids by the drawn target."""
     seed, channels = plain.seed, len(plain.finger.pairs)
     rng = np.random.default_rng([seed, list(LAWS).index(name)])
     law = LAWS[name].draw(rng, channels)
@@ -315,9 +308,7 @@ def _simulator(finger: Finger, modulus: float) -> Simulator:
 
 
 def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
-    """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3)
-    mm.
-    """
+    """Solve the second finger under weights at each command (K, C) mm: points (K, N, 3) mm."""
     places, which = different(u)
     return _path(finger, modulus, gravity, force, places.tobytes(), u.shape[1])[which]
 
@@ -368,8 +359,9 @@ def _interpolated(
 def _sweep(
     finger: Finger, modulus: float, gravity: Vector, force: Vector, steps: int
 ) -> _core.Table:
-    """Sweep the second finger under these weights and interpolate with every mode that matters (to
-    0.1 µm).
+    """Sweep the second finger under these weights and interpolate (to 0.1 µm).
+
+    Every mode that matters is used.
     """
     axes = [np.linspace(-REACH, REACH, steps)] * len(finger.pairs)
     sweep = _simulator(finger, modulus).sweep(

@@ -1,5 +1,6 @@
-"""The paper's Table II: letters S, H, O, E led by one solved sequence each, on a simulator and on a
-stand-in.
+"""The paper's Table II: letters S, H, O, E by one solved sequence each.
+
+They are run on a simulator and on a stand-in.
 
     targets ──inverse kinematics of a model──> commands ──> simulator of the finger
         (paper: simulation)
@@ -61,9 +62,10 @@ PUBLISHED_ERRORS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One letter led by one model: what it `expected` of itself, what happened on the `simulator`
-    and the `stand_in`, errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a
-    waypoint is from what was solved.
+    """One letter led by one model.
+
+    What it `expected` of itself, what happened on the `simulator` and the `stand_in`, errors (T,)
+    mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what was solved.
     """
 
     figure: str
@@ -92,8 +94,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Contender:
-    """A model by its name in the table, its world (`gravity` (3,) g, None as it hangs), and the map
-    of its servos.
+    """A model by its name in the table, its conditions, and the map of its servos.
+
+    The conditions are `gravity` (3,) g, None as it hangs.
     """
 
     name: str
@@ -103,8 +106,7 @@ class Contender:
 
 
 def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
-    """Return the models that are compared: without effects, with them if there are some, and the
-    alternative.
+    """Return the models compared: without effects, with them if any, and the alternative.
 
     What is learned on top of the effects goes with them; they are compensated in the orientation
     that the stand-in declares.
@@ -202,8 +204,9 @@ def _servo_map() -> Calibration:
 def _stand_in(
     finger: VirtualFinger, planned: Course, calibration: Calibration | None, seen: NDArray[np.int64]
 ) -> Floats:
-    """Return the true points (K, N, 3) mm of the virtual finger at waypoints `seen` (K,): servos
-    turn whole ticks.
+    """Return the true points (K, N, 3) mm of the virtual finger at waypoints `seen` (K,).
+
+    Servos turn in integer ticks.
     """
     plan = planned.plan
     ticks = (
@@ -219,8 +222,9 @@ def _stand_in(
 
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
-    """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about
-    where it rested.
+    """Return how far (T,) mm a tip (1 + T, 3) is from its figure.
+
+    It is at rest and at waypoints; the figure lies about its place at rest.
     """
     target = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]

@@ -110,9 +110,7 @@ class VirtualFinger:
         return Truth(self.seed, tuple(hidden), finger=self.finger)
 
     def shapes(self, protocol: Protocol) -> Floats:
-        """Return the true points (K, N, 3) mm of the template at each frame; commands as they are,
-        in mm.
-        """
+        """Return true template points (K, N, 3) mm at each frame; commands are in mm, as is."""
 
         def solved(_: Finger, __: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
             places, which = different(u)
@@ -121,8 +119,7 @@ class VirtualFinger:
         return self.truth.shapes_by(solved, protocol)
 
     def measure(self, protocol: Protocol, noise_seed: int = 0) -> tuple[Run, Arrays]:
-        """Play a protocol in mm: the run that hardware would give, and apart from it the arrays of
-        the truth.
+        """Play a protocol in mm: the run of such hardware, and separately the true arrays.
 
         `noise_seed` draws the noise of cameras and encoders. The truth: `vertices` (K, N, 3) mm,
         `command` (K, C) mm that the servos turned to, `acting` (K, C) mm that reached the body,

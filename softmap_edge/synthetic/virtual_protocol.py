@@ -1,5 +1,6 @@
-"""Command records to learn a robot from: a grid of held commands, others to validate, and moves
-with memory to test.
+"""Commands to learn a robot from.
+
+Held commands on a grid, others to validate, and moves with memory to test.
 
     grid        each command of a grid of 7 a channel, in a drawn order, reached from a drawn
                 neighbour, held, seen once
@@ -90,9 +91,7 @@ def _grid(tape: Tape) -> None:
 
 
 def _held(tape: Tape, near: Floats, share: Floats) -> None:
-    """Go to `near`, from there to `share` (C,) of the reach, hold it, and look once before the
-    end.
-    """
+    """Go to `near`, then to `share` (C,) of the reach, hold it, and capture once at the end."""
     tape.to(tape.limits.at(near), 2 * tape.slow, 0.0, "")
     tape.to(tape.limits.at(share), tape.slow, 0.0, "")
     tape.seen.append((tape.now + LOOK, "held"))

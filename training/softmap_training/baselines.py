@@ -40,8 +40,10 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were
-    learned; `triangles` (F, 3) and the ONNX file `onnx` where its points are no vertices.
+    """A regressor.
+
+    `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned;
+    `triangles` (F, 3) and the ONNX file `onnx` where its points are no vertices.
     """
 
     predict: Callable[[Floats], Floats]

@@ -1,5 +1,6 @@
-"""The Chamfer distance as a loss: the compiled core finds nearest points and slopes, torch only
-carries them on.
+"""The Chamfer distance as a loss: the compiled core finds nearest points and slopes.
+
+torch only passes them on.
 
 CD(V, P) = mean over V of the distance to P + mean over P of the distance to V, not squared, in mm
 (as in the paper's tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by

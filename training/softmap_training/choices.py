@@ -23,8 +23,9 @@ RESIDUALS: tuple[ResidualKind, ...] = get_args(ResidualKind)
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained: Adam with a cosine down to `last` of the rate; the best epoch by
-    validation is kept.
+    """How a network is trained: Adam with a cosine down to `last` of the rate.
+
+    The best epoch by validation is kept.
 
     `patience`: epochs without a better validation after which training ends · `decay`: of weights
     (decoupled) · `passes`: how often an epoch goes through all samples; after each epoch a

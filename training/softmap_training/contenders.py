@@ -40,9 +40,7 @@ TITLES = {"modes": "residual, ours", "published": "residual, published"}
 
 @dataclass(frozen=True)
 class Plan:
-    """How contenders are fitted: by which seeds, for how many epochs (None: as usual), and where
-    checkpoints lie.
-    """
+    """How contenders are fitted: seeds, epochs (None: as usual), and checkpoint folder."""
 
     seeds: tuple[int, ...] = (0,)
     epochs: int | None = None
@@ -136,8 +134,7 @@ def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> 
 def residuals(
     lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress
 ) -> list[Row]:
-    """Train a residual on growing parts of a lesson, and evaluate each; the last row is taught by
-    all of it.
+    """Train and evaluate a residual on growing parts of a lesson; the last is all of it.
 
     A part that is too small for a residual is left out.
     """

@@ -1,5 +1,6 @@
-"""A decoder in the manner of DeepSoRo: a code of the command folds a grid of points onto the body,
-twice.
+"""A decoder like DeepSoRo: a code of the command folds a grid of points, twice.
+
+It is folded onto the body.
 
     code = g(u),  p' = f₁(grid, code),  p = f₂(p', code)  (FoldingNet, Yang et al. 2018,
                                                           arXiv:1712.07262)

@@ -57,8 +57,9 @@ def laplacian(
 
 
 def arap(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats) -> Encoding:
-    """Return points (S, 3N) mm as a rotation of each vertex, nine numbers, then handles, three
-    each, and back.
+    """Return points (S, 3N) mm as rotations of vertices and handles, and back.
+
+    Nine numbers for each vertex, then three for each handle.
     """
     matrix, (first, other, weight) = _laplacian(rest, triangles, held)
     edge = rest[first] - rest[other]
@@ -117,9 +118,7 @@ def _laplacian(
 
 
 def _apart(places: Floats, count: int) -> Indices:
-    """Return which vertices lie far apart: each the farthest from those before, the first the
-    highest.
-    """
+    """Return vertices that lie far apart: the highest, then each farthest from those before."""
     chosen = [int(np.argmax(places[:, 2]))]
     near = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(count, len(places)):
@@ -139,7 +138,8 @@ def _ends(first: Indices, other: Indices, count: int) -> csr_array:
 
 
 def _each_axis(back: Floats) -> Floats:
-    """Return a map (N, m) of one coordinate as one of all, (3m, 3N) from codes to points, row by
-    row of the codes.
+    """Return a map (N, m) of one coordinate as one of all, (3m, 3N).
+
+    It is from codes to points, row by row of the codes.
     """
     return np.asarray(np.kron(back.T, np.eye(3)))

@@ -78,8 +78,9 @@ class Row:
     seen: Sequence[Floats] = field(default=(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return means and standard deviations in mm (over frames, and of the mean from seed to
-        seed where there are several), the worst frame, and the details.
+        """Return means and standard deviations in mm, the worst frame, and the details.
+
+        They are over frames, and of the mean from seed to seed where there are several.
         """
         found = {
             f"{name}_mm": {
@@ -100,9 +101,7 @@ class Row:
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
-        """Return rows that differ by their seed as one: their errors together, of times the
-        mean.
-        """
+        """Return rows that differ by seed as one: errors together, times as their mean."""
         errors = {
             name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors
         }
@@ -117,9 +116,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording for validation: clouds, vertices laid onto them (K, N), and the true ones if
-    known.
-    """
+    """A recording for validation: clouds, fitted vertices (K, N), and the true ones if known."""
 
     run: Run
     clouds: list[Floats]
@@ -129,8 +126,9 @@ class Recording:
 
     @classmethod
     def of(cls, run: Run, model: Model, truth: Floats | None = None) -> Recording:
-        """Return that of a run of clouds, in the frame of its base; a model without its residual
-        finds what they show.
+        """Return the recording of a run of clouds, in the frame of its base.
+
+        A model without its residual finds what the clouds show.
 
         Args:
             run: that taught nothing.
@@ -170,8 +168,9 @@ class Recording:
         details: Mapping[str, Any] | None = None,
         body: bool = True,
     ) -> Row:
-        """Evaluate shapes (K, N, 3) mm and their surface; those of no `body` have points that are
-        no vertices.
+        """Evaluate shapes (K, N, 3) mm and their surface.
+
+        Those of no `body` have points that are no vertices.
         """
         found = {
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
@@ -218,8 +217,7 @@ def on_shapes(
 
 
 def holds_shapes_of(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table whose own nodes all these commands (n, C) are: it holds
-    their shapes.
+    """Return whether a model is a table with all commands (n, C) as nodes: it has their shapes.
 
     One that was learned has the nodes, but was taught by the training part alone.
     """
@@ -232,8 +230,9 @@ def holds_shapes_of(model: Model, u: Floats) -> bool:
 
 
 def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
-    """Return commands (n, C) half a cell from the nodes u of a table, towards the middle, and their
-    shapes (n, 3N) mm.
+    """Return commands (n, C) half a cell from the nodes u of a table, and their shapes.
+
+    They lie towards the middle; the shapes are (n, 3N) mm.
 
     The finger is simulated there, so that a table that holds all nodes is evaluated where it has to
     interpolate, as far from its nodes as can be.
@@ -250,9 +249,7 @@ def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
 
 
 def fall(before: Row, after: Row) -> dict[str, float]:
-    """Return by what share each error that both rows have fell from one to the other, of its
-    mean.
-    """
+    """Return by what share each error in both rows fell from one to the other, of its mean."""
     return {
         name: 1.0 - float(np.nanmean(after.errors[name]) / np.nanmean(before.errors[name]))
         for name in before.errors
@@ -261,8 +258,9 @@ def fall(before: Row, after: Row) -> dict[str, float]:
 
 
 def is_decoder(model: Model) -> bool:
-    """Return whether a model's points are no vertices of its finger (`softmap train prior --model
-    deepsoro`).
+    """Return whether a model's points are no vertices of its finger.
+
+    It is then one of `softmap train prior --model deepsoro`.
     """
     return (model.made_from.get("prior") or {}).get("kind") == "deepsoro"
 

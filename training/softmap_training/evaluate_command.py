@@ -1,6 +1,4 @@
-"""The command evaluate: bundles, and what is fitted for comparison, on simulated shapes and on a
-recording.
-"""
+"""The command `evaluate`: bundles and fitted regressors, on simulated shapes and a recording."""
 
 from __future__ import annotations
 
@@ -308,9 +306,7 @@ def _on_run(
     bar: Callable[[str, float], None],
     warnings: list[str],
 ) -> tuple[list[Row], list[Row]]:
-    """Return the rows of the recording, and those of residuals from growing parts of what
-    teaches.
-    """
+    """Return the rows of the recording, and those of residuals from growing training parts."""
     from softmap_training.contenders import decoder, residuals, took
     from softmap_training.recordings import Lesson
 
@@ -372,8 +368,9 @@ def _on_run(
 
 
 def _falls(rows: list[Row]) -> list[dict[str, Any]]:
-    """Return by what share each error falls with a residual, against none and against the decoder,
-    and the paper's.
+    """Return by what share each error falls with a residual, and the paper's share.
+
+    It is against none and against the decoder.
     """
     found = []
     for row in rows:

@@ -1,5 +1,6 @@
-"""The pictures of `softmap evaluate --html`: shapes over clouds, the error over frames, and over
-what taught.
+"""The pictures of `softmap evaluate --html`.
+
+Shapes over clouds, the error over frames, and over the number of training frames.
 
 Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
 triangles); the same numbers give the same bytes. Lengths in mm, times in s. Needs matplotlib;
@@ -51,9 +52,7 @@ AXIS = {
 
 
 def colours(rows: Sequence[Row]) -> dict[str, str]:
-    """Return a colour for each row, by name: those without a residual and the decoder as
-    everywhere.
-    """
+    """Return a colour for each row, by name: fixed ones without a residual and for the decoder."""
     fixed, left = (
         {"deepsoro": FLOOR, "without residual": BEFORE},
         iter(COLOURS * (1 + len(rows) // len(COLOURS))),
@@ -66,8 +65,7 @@ def colours(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
-    """Draw predicted surfaces, and what was seen of each, coloured by its distance from the surface
-    (PNG).
+    """Draw predicted surfaces, and what was seen, coloured by its distance from them (PNG).
 
     panels: what stands above, the row, and which of its frames.
     """
@@ -141,8 +139,9 @@ def over_frames(rows: Sequence[Row], errors: Sequence[str], t: Floats) -> bytes:
 
 
 def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str]) -> bytes:
-    """Draw errors against the number of frames that taught a residual, mean ± sd over seeds, and
-    without it (SVG).
+    """Draw errors against the number of a residual's training frames, and without it (SVG).
+
+    They are mean ± sd over seeds.
     """
     used = colours(rows)
     with matplotlib.rc_context(STYLE):
@@ -210,8 +209,9 @@ def _tidy(axes: Axes) -> None:
 
 
 def _apart(row: Row, frame: int) -> tuple[Floats, Floats]:
-    """Return some of what was seen of a frame (M, 3), and how far each is from the predicted
-    surface (M,) mm.
+    """Return some of a frame's seen points (M, 3), and their distances (M,) mm.
+
+    The distances are from the predicted surface.
     """
     cloud = row.seen[frame]
     cloud = np.ascontiguousarray(cloud[:: max(1, len(cloud) // DRAWN)])

@@ -1,5 +1,6 @@
-"""The HTML page of `softmap evaluate`: tables with the paper's figures, shapes over clouds, errors,
-costs.
+"""The HTML page of `softmap evaluate`: tables, shapes over clouds, errors, costs.
+
+The tables have the paper's figures.
 
 Its text is in `templates/evaluation.html`, its frame that of all reports
 (`softmap_edge/report/pages.py`).
@@ -162,9 +163,7 @@ def _sentence(document: Document) -> str:
 
 
 def _main(document: Document) -> str:
-    """Return the most informative error of a recording: to the true vertices where they are
-    known.
-    """
+    """Return a recording's most informative error: to the true vertices if known."""
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 

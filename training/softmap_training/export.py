@@ -1,5 +1,6 @@
-"""Trained networks to ONNX: layers in a row, BatchNorm folded into the linear layer before it,
-dropout left out.
+"""Trained networks to ONNX: layers in a row, without dropout.
+
+BatchNorm is folded into the linear layer before it.
 
 The graph is written layer by layer, so that it is the same whatever the version of torch; opset and
 IR are those that onnxruntime and the compiled core read. Pinned by tests/training/test_training.py.
@@ -26,8 +27,7 @@ Floats = NDArray[np.float64]
 
 
 def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | None = None) -> bytes:
-    """Return the ONNX file of a network as training made it: commands (n, C) → points (n, 3N), n
-    free.
+    """Return the ONNX file of a network in training: commands (n, C) → points (n, 3N), n free.
 
     metadata: written into the file.
 
@@ -132,8 +132,9 @@ class Graph:
         self.add("Gemm", weights, bias, transB=1)
 
     def file(self, channels: int, metadata: dict[str, str], size: int | None = None) -> bytes:
-        """Return the file: commands (n, channels) → numbers (n, size), by default as many as its
-        last constant has.
+        """Return the file: commands (n, channels) → numbers (n, size).
+
+        `size` is by default as many as its last constant has.
         """
         size = self.constants[-1].dims[0] if size is None else size
         given = helper.make_tensor_value_info("command", TensorProto.FLOAT, ["n", channels])
@@ -149,9 +150,7 @@ class Graph:
 
 
 def _folded(linear: tuple[Floats, Floats], norm: nn.BatchNorm1d) -> tuple[Floats, Floats]:
-    """Return the linear layer that does what it does with a BatchNorm in its evaluating mode behind
-    it.
-    """
+    """Return the linear layer with the BatchNorm behind it, in evaluating mode, folded in."""
     weights, bias = linear
     factor = _numbers(norm.weight) / np.sqrt(_numbers(norm.running_var) + norm.eps)
     return weights * factor[:, None], (bias - _numbers(norm.running_mean)) * factor + _numbers(

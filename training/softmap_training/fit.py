@@ -1,5 +1,6 @@
-"""The loop that trains any network: seeds, checkpoints after every epoch, early stopping, a log
-that others can read.
+"""The loop that trains any network.
+
+Seeds, checkpoints after every epoch, early stopping, a log that others can read.
 
 A folder holds `checkpoint.pt` (weights only: tensors and numbers, nothing that runs), `log.csv`,
 and with `tensorboard=True` the events of TensorBoard. The same call goes on where it was stopped
@@ -33,8 +34,7 @@ COLUMNS = ("epoch", "training_loss", "validation_mm", "rate", "seconds")
 
 @dataclass
 class Task:
-    """What is trained on what: `loss(network, some)` of the samples `some` (B,), and
-    `validate(network)` in mm.
+    """What is trained: `loss(network, some)` of samples `some` (B,), `validate(network)` in mm.
 
     `data` is hashed, so that a checkpoint goes on with its own data only.
     """
@@ -201,9 +201,7 @@ def _keep(
 def _resume(
     folder: Path, key: str, network: Any, optimizer: Any, falls: Any, draw: Any
 ) -> _State | None:
-    """Return where a training of this key stands, everything put back there; None if it has not
-    begun.
-    """
+    """Return the state of this key's training, restored; None if it has not begun."""
     file = folder / "checkpoint.pt"
     if not file.is_file():
         return None

@@ -1,5 +1,4 @@
-"""The networks, as layers in a row so that each can be written to ONNX: commands (n, C) mm to
-points (n, 3N) mm.
+"""The networks, as layers in a row for ONNX: commands (n, C) mm to points (n, 3N) mm.
 
 Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs
 normalised one by one. Ours: a few GELU layers to weights of the leading modes of the training
@@ -51,8 +50,9 @@ class Modes(nn.Module):
 
 
 def spread(commands: Floats) -> Floats:
-    """Return the standard deviation of each command (S, C); 1 for one that never moves, which has
-    no information.
+    """Return the standard deviation of each command (S, C); 1 for one that never moves.
+
+    Such a command has no information.
     """
     size = commands.std(axis=0)
     return np.where(size > NARROW, size + EPSILON, 1.0)
@@ -75,8 +75,9 @@ def published_prior(commands: Floats, points: Floats, dropout: float = 0.1) -> n
 def mode_prior(
     commands: Floats, points: Floats, widths: Sequence[int], count: int
 ) -> nn.Sequential:
-    """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm over commands
-    (S, C) mm.
+    """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm.
+
+    They are over commands (S, C) mm.
     """
     mean = points.mean(axis=0)
     _, size, modes = np.linalg.svd(points - mean, full_matrices=False)
@@ -88,8 +89,9 @@ def mode_prior(
 def published_residual(
     commands: Floats, size: int, widths: Sequence[int], dropout: float
 ) -> nn.Sequential:
-    """Return the residual as its authors released it: 64-256-256-64, LayerNorm, GELU, dropout, to
-    3N numbers in mm.
+    """Return the residual as its authors released it.
+
+    64-256-256-64, LayerNorm, GELU, dropout, to 3N numbers in mm.
     """
     layers: list[nn.Module] = [Scale(commands.mean(axis=0), spread(commands))]
     width = commands.shape[1]
@@ -103,8 +105,9 @@ def published_residual(
 
 
 def to_modes(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int]) -> nn.Sequential:
-    """Return GELU layers of `widths` from commands (S, C) mm to weights of `modes` (m, 3N) mm about
-    `mean` (3N,).
+    """Return GELU layers of `widths` from commands (S, C) mm to weights of modes.
+
+    These are `modes` (m, 3N) mm about `mean` (3N,).
     """
     half, middle = half_range(commands), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
     layers: list[nn.Module] = [Scale(middle, half)]

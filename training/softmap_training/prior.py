@@ -1,5 +1,6 @@
-"""Train a prior on a simulated set and put it into a bundle in place of the table: the paper's
-network, or ours.
+"""Train a prior on a simulated set and put it into a bundle in place of the table.
+
+It is the paper's network, or ours.
 
     û = f_θ(u),   loss = mean over the set of |f_θ(ũ) − ỹ|², ỹ what the last, fixed layer makes the
                   outputs of
@@ -71,8 +72,9 @@ BIGGEST = 10.0  # times the robot's length from its base: a point there is none
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), the vertices
-    that are held.
+    """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), and `held`.
+
+    The last are the vertices that are held.
     """
 
     rest: Floats
@@ -186,8 +188,9 @@ def fit_prior(
     kind: str,
     seed: int = 0,
 ) -> Tabulated:
-    """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it at the nodes of
-    a model's axes.
+    """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it.
+
+    The table is at the nodes of a model's axes.
 
     Raises:
         TrainingError: its points are no vertices, another finger's set, or what it needs is not
@@ -228,8 +231,7 @@ def decoder_model(
     folder: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Model, dict[str, Any]]:
-    """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a
-    report.
+    """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm; return model and report.
 
     Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of
     them that move most. Nothing else of the base's is in it: no fields, effects, calibration. It is
@@ -313,8 +315,9 @@ def _evaluated(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
 def _made(
     kind: PriorKind, commands: Floats, points: Floats, train: Indices, surface: Surface | None
 ) -> tuple[nn.Sequential, Floats, int]:
-    """Return a network, what it is to give (S, m) before its last layers, and how many of these are
-    fixed.
+    """Return a network, its targets (S, m) before its last layers, and their count.
+
+    They are the layers that are fixed.
     """
     if kind == "modes":
         network = mode_prior(commands[train], points[train], PRIOR_WIDTHS, PRIOR_MODES)
@@ -349,8 +352,9 @@ def _normalised(last: Any, values: Floats) -> Floats:
 def with_prior(
     base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats
 ) -> Model:
-    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` are
-    the test part.
+    """Return a bundle's model with a trained prior in place of its own.
+
+    `commands` and `points` are the test part.
 
     Its own error grows by that of what was trained, in squares.
 
@@ -428,8 +432,9 @@ def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
 
 
 def _taught(base: Model, taught: Floats) -> Floats:
-    """Return the range (C, 2) of commands of a bundle, cut to what taught its prior where that is
-    clearly narrower.
+    """Return the range (C, 2) of commands of a bundle, cut to that of its prior.
+
+    It is cut where the training data's is clearly narrower.
     """
     low, high = base.command_range.T
     slack = BEYOND * (high - low)

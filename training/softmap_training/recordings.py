@@ -1,5 +1,6 @@
-"""Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and
-what was seen.
+"""Recordings that teach on top of a model, as one lesson.
+
+What the model makes of each frame, and what was seen.
 
 Clouds are brought into the frame of their base where it is clearly displaced
 (`alignment/base_in_clouds.py`), and the template is laid onto them, run by run. Units: mm. Pinned
@@ -101,9 +102,7 @@ class Lesson:
 
     @property
     def parts(self) -> Folds:
-        """Frames that teach and those that are held out, `choices.HELD_OUT` times: every so many
-        blocks.
-        """
+        """Training and held-out frames, `choices.HELD_OUT` times: every so many blocks."""
         folds, found = run_folds(self.times), []
         for number in range(min(choices.HELD_OUT, len(folds))):
             train, some = np.arange(len(self)), folds[number :: choices.HELD_OUT]
@@ -119,8 +118,9 @@ class Lesson:
         )
 
     def share(self, share: float, seed: int) -> Indices:
-        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its
-        smaller ones.
+        """Return the frames of a share of the blocks, ascending.
+
+        A seed's larger shares hold its smaller ones.
         """
         blocks = self.blocks
         order = np.random.default_rng(seed).permutation(len(blocks))

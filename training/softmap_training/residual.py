@@ -132,9 +132,7 @@ def _left_out(
     progress: Progress | None,
     device: str,
 ) -> Floats:
-    """Return, for each epoch, the mean distance in mm from the vertices seen in the part that was
-    left out.
-    """
+    """Return each epoch's mean distance (mm) from the seen vertices of the held-out part."""
     curves = []
     for number, (train, held) in enumerate(parts):
         seeded(recipe.seed)

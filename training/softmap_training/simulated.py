@@ -1,5 +1,6 @@
-"""What a network learns from: the shapes of a sweep, from a Zarr store chunk by chunk or from the
-edge's `.npz`.
+"""What a network learns from: the shapes of a sweep.
+
+From a Zarr store chunk by chunk, or from the edge's `.npz`.
 
     made = SimulatedSet.load("dense.zarr")
     split = made.split(seed=0)
@@ -34,9 +35,7 @@ MOST_SEED = 1 << 32
 
 @dataclass(frozen=True)
 class Split:
-    """Which rows (n,) train, validate and test, ascending; the seed and the rule that shared them
-    out.
-    """
+    """Rows (n,) to train, validate and test, ascending; the seed and the rule of the split."""
 
     train: Rows
     validation: Rows
@@ -47,8 +46,9 @@ class Split:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """Simulated shapes: command (S, C) mm or N, vertices (S, N, 3) mm, triangles (F, 3), the
-    finger's file as text.
+    """Simulated shapes: command (S, C) mm or N, vertices (S, N, 3) mm, triangles (F, 3).
+
+    With the finger's file as text.
 
     `vertices` takes slices and reads only these from a store; `shapes` reads any rows, checked.
     """
@@ -105,8 +105,7 @@ class SimulatedSet:
         return found
 
     def split(self, seed: int = 0) -> Split:
-        """Share the rows out by the frozen rule; the same seed and number of rows give the same
-        split for ever.
+        """Split the rows by the frozen rule: seed and count always give the same split.
 
         Raises SimulationError for a seed that is none.
         """

@@ -1,5 +1,4 @@
-"""The Zarr 3 store of a dense sweep: made in one step, filled chunk by chunk, checked when it is
-opened.
+"""The Zarr 3 store of a dense sweep: made in one step, filled by chunk, checked on opening.
 
     command (S, C)  as commanded, mm or N · vertices (S, N, 3) mm float32 · pull (S, T) N ·
                     triangles (F, 3) int32
@@ -55,8 +54,9 @@ REMEDY = "make it again with `softmap model sweep`"
 
 @dataclass(frozen=True)
 class Store:
-    """An open store: its attributes as read, what is small in memory, `vertices` and `pull` read as
-    they are asked for.
+    """An open store: attributes, small arrays in memory, `vertices` and `pull` on demand.
+
+    The attributes are as read.
 
     path · attributes · axes: one (n,) for each command · command (S, C) · triangles (F, 3) · done
     (chunks,) · vertices (S, N, 3), pull (S, T), marks (chunks,), where `done` is kept: zarr arrays.
@@ -82,8 +82,9 @@ class Store:
         return slice(chunk * self.chunk, min((chunk + 1) * self.chunk, len(self.command)))
 
     def write(self, chunk: int, vertices: Floats, pull: Floats) -> None:
-        """Write a chunk: vertices (n, N, 3) mm and pull (n, T) N of its rows; it is done once both
-        are there.
+        """Write a chunk: vertices (n, N, 3) mm and pull (n, T) N; it is done with both.
+
+        They are those of its rows.
 
         Raises SimulationError for arrays that are not these: a worker of another version made them.
         """
@@ -123,9 +124,7 @@ class Store:
         return found
 
     def check_same(self, required: dict[str, Any]) -> None:
-        """Raise SimulationError where the store is of something else than `attributes_of`
-        requires.
-        """
+        """Raise SimulationError if the store is not of what `attributes_of` requires."""
         for name in ("finger", "mesh_sha256", "gravity", "tip_force", "axes", "chunk"):
             there, here = self.attributes[name], required[name]
             if there != here:
@@ -136,8 +135,9 @@ class Store:
 
 
 def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[str, Any]:
-    """Return what a store says of a sweep of `finger` over `axes` under its own gravity, in chunks
-    of `chunk` rows.
+    """Return what a store says of a sweep of `finger` over `axes`.
+
+    It is under its own gravity, in chunks of `chunk` rows.
     """
     return {
         "schema": SCHEMA,

@@ -1,5 +1,6 @@
-"""Dense sweeps into a Zarr store, on the local cores or on a Dask cluster; what was interrupted
-goes on where it was.
+"""Dense sweeps into a Zarr store, on the local cores or on a Dask cluster.
+
+An interrupted sweep goes on where it was.
 
     sweep_to_zarr(Finger.builtin(), "dense.zarr", grid_axes(Finger.builtin(), 101))
 
@@ -98,8 +99,9 @@ def sweep_to_zarr(
 def solve(
     simulator: Simulator, command: Floats, progress: Progress | None = None
 ) -> tuple[Floats, Floats]:
-    """Return vertices (n, N, 3) mm and pull (n, T) N at commands (n, C), solved from home along a
-    short way.
+    """Return vertices (n, N, 3) mm and pull (n, T) N at commands (n, C).
+
+    They are solved from home along a short way.
     """
     order = tour(command)
     along = simulator.path_and_pull(command[order], progress=progress)
@@ -116,9 +118,7 @@ def _here(
 
 
 def _on_cluster(address: str, finger: Finger, store: Store, left: list[int]) -> Iterator[Solved]:
-    """Solve chunks on a cluster, as many at a time as its threads take, in whatever order they come
-    back.
-    """
+    """Solve chunks on a cluster, as many at a time as it has threads, in any order."""
     from distributed import Client, as_completed
 
     if isinstance(finger.solid, Meshed):

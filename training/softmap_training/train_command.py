@@ -1,5 +1,6 @@
-"""The command train: a prior from simulated shapes, a residual from a recording; both end in a
-bundle.
+"""The command `train`: a prior from simulated shapes, a residual from a recording.
+
+Both end in a bundle.
 """
 
 from __future__ import annotations

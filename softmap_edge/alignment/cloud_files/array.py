@@ -1,5 +1,6 @@
-"""Read a cloud that numpy saved: `.npy`, or an `.npz` archive with `points`, or with one array of
-places of any name.
+"""Read a cloud that numpy saved: `.npy`, or an `.npz` archive.
+
+The archive has `points`, or one array of places of any name.
 
 Sizes in a header are compared with the bytes of the file before memory is allocated; objects are
 never read.
@@ -135,9 +136,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Floats:
-    """Return an array as points: its fields x, y, z, its rows, the rows of its pixels, or its
-    columns.
-    """
+    """Return an array as points: its fields x, y, z, rows, pixel rows, or columns."""
     if array.dtype.names:
         fields = {name.lower(): name for name in array.dtype.names}
         if not {"x", "y", "z"} <= set(fields) or any(

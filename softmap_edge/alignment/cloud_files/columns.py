@@ -161,8 +161,9 @@ def _by_values(sample: Floats, label: str, why: str) -> tuple[Triple, str]:
 
 
 def no_coordinates(sample: Floats) -> dict[int, str]:
-    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason; three are
-    left if possible.
+    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason.
+
+    Three are left if possible.
     """
     rows, count = sample.shape
     known = np.isfinite(sample)

@@ -1,5 +1,6 @@
-"""Read the points of a PCD file, version 0.6 or 0.7: text, binary or compressed, with any fields in
-any order.
+"""Read the points of a PCD file, version 0.6 or 0.7, with any fields in any order.
+
+It is text, binary or compressed.
 
 Sizes in the header are compared with the bytes of the file before memory is allocated. The
 viewpoint is not applied.

@@ -1,5 +1,6 @@
-"""Read the vertices of a PLY file: text or binary of both byte orders, with any properties in any
-order.
+"""Read the vertices of a PLY file: text or binary of both byte orders, any properties.
+
+They may be in any order.
 
 Sizes in the header are compared with the bytes of the file before memory is allocated. Elements
 before the vertices are skipped, also those with lists; elements after the vertices are not read.
@@ -40,8 +41,9 @@ _ROWS = 2000  # from which columns are decided
 
 @dataclass
 class _Element:
-    """A table of the file: its rows, and the types of their properties; a list has two, of its
-    length and its items.
+    """A table of the file: its rows, and the types of their properties.
+
+    A list has two types: of its length and its items.
     """
 
     name: str

@@ -146,16 +146,15 @@ def _found(lines: Sequence[str], path: Path) -> tuple[_Dialect, int]:
 
 
 def _is_scan_table(lines: Sequence[str], some: Sequence[int]) -> bool:
-    """Whether the file begins as PTX does: two counts, four rows of three numbers, a matrix of four
-    by four.
+    """Whether the file begins as PTX does.
+
+    Two counts, four rows of three numbers, a matrix of four by four.
     """
     return [len(lines[k].split()) for k in some[:10]] == [1, 1, 3, 3, 3, 3, 4, 4, 4, 4]
 
 
 def _value(cell: str) -> float:
-    """Return the number in a cell, NaN if it stands for "not seen"; raise ValueError for anything
-    else.
-    """
+    """Return a cell's number, NaN for "not seen"; raise ValueError for anything else."""
     text = cell.strip().strip('"')
     if text.lower() in _UNSEEN:
         return float("nan")
@@ -165,8 +164,9 @@ def _value(cell: str) -> float:
 
 
 def _sample(rows: Sequence[Sequence[str]]) -> Floats:
-    """Return the cells of some rows as numbers, NaN if a cell holds none; as many columns as the
-    median row.
+    """Return the cells of some rows as numbers, NaN if a cell holds none.
+
+    There are as many columns as in the median row.
     """
     width = int(np.median([len(row) for row in rows]))
     values = np.full((len(rows), width), np.nan)
@@ -181,8 +181,9 @@ def _sample(rows: Sequence[Sequence[str]]) -> Floats:
 
 
 def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
-    """Return the names of the nearest line above the rows that names axes, else of the nearest with
-    a name a column.
+    """Return the names of the nearest line above the rows that names axes.
+
+    Else those of the nearest with a name a column.
     """
     split = [
         [_split(text, mark) for text in _texts(line) for mark in _order(dialect)]
@@ -202,9 +203,7 @@ def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
 
 
 def _fitted(names: list[str], sample: Floats) -> list[str]:
-    """Return names of columns, with one before them where a first column that numbers the rows has
-    none.
-    """
+    """Return the column names, with one added for a first column of unnamed row numbers."""
     if len(names) == sample.shape[1] - 1 and no_coordinates(sample).get(0) in (
         COUNTS,
         NUMBERS,
@@ -241,9 +240,7 @@ def _numbers(
     columns: Triple,
     vertices: bool = False,
 ) -> Floats:
-    """Return the three columns of all rows: fast where each cell is a plain number, else cell by
-    cell.
-    """
+    """Return the three columns of all rows: fast for plain numbers, else cell by cell."""
     for convert in (None, _value):
         if convert is None and dialect.comma:
             continue

@@ -17,8 +17,9 @@ OFTEN = 10.0  # and by how much more often than the median place of a cloud whos
 
 
 def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Return which points (M, 3) are measurements, and a sentence about those that are left out (""
-    if none are).
+    """Return which points (M, 3) are measurements, and a sentence on those left out.
+
+    The sentence is "" if none are left out.
     """
     finite = np.isfinite(points).all(axis=1)
     zero = finite & (points == 0.0).all(axis=1)
@@ -41,9 +42,7 @@ def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def _repeated(points: Floats, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
-    """Return which points lie at a place that repeats too often to be measured, and these places in
-    words.
-    """
+    """Return points at places that repeat too often to be measured, and these in words."""
     rows = np.flatnonzero(good)
     order = rows[np.lexsort(points[rows].T)]
     new = (

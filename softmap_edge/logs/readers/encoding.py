@@ -16,7 +16,7 @@ from pathlib import Path
 from softmap_edge.errors import RunError
 
 _BLOCK = 2**22  # bytes read at a time
-_HEAD = 4096  # bytes that tell UTF-16 and UTF-32
+_HEAD = 4096  # bytes that identify UTF-16 and UTF-32
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"),
     (codecs.BOM_UTF32_BE, "utf-32"),

@@ -82,7 +82,7 @@ def open_motive(path: Path) -> TextColumns:
     kinds = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "type"), [])
     rows = [row + [""] * (width - len(row)) for row in (kinds, named, cells[at - 1], cells[at])]
     names = ["frame", "time"]
-    taken = set(names)  # beside the list: a damaged head may hold 500 000 cells
+    taken = set(names)  # next to the list: a damaged head may hold 500 000 cells
     for kind, name, what, axis in list(zip(*rows))[2:]:
         column = (
             f"{name}.{axis.lower()}"

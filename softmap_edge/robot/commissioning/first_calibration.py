@@ -33,7 +33,7 @@ CALIPER = 0.1  # of the radius: a tendon lies on top of the pulley and winds in 
 RULER_MM = 0.5  # standard deviation of a reading of the ruler
 SHORTEST_MM = 2.0  # of tendon: what a ruler must read to say anything
 AGREE = 3.0  # standard deviations that radius and ruler may lie apart
-# of a servo's own slope: how far a servo may move another command that nobody looked at
+# of a servo's own slope: how far a servo may move another command, unobserved
 COUPLING = 0.1
 AXES = "xyz"
 

@@ -377,8 +377,8 @@ class Controller(Supervisor):
             }
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         setup["session"] = session_mark.path_of(self.rig.port)
-        # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in
-        # order.
+        # Its own session: a Ctrl-C in the terminal is for this side, which releases tension and
+        # ends it in order.
         self._process = subprocess.Popen(
             [
                 sys.executable,

@@ -43,7 +43,7 @@ Floats = NDArray[np.float64]
 
 RATE = 200.0  # looks at the horns a second
 FRAMES = 30.0  # frames a second
-LATE = (0.02, 0.01)  # s from a frame to whoever asks: at least, and at random beyond
+LATE = (0.02, 0.01)  # s from a frame to its arrival: at least, and at random beyond
 NOISE = 0.1  # mm, each coordinate of each point
 DRIFT = 30e-6  # of the camera's clock against the host's
 LATEST = 15  # frames that may still be on their way

@@ -67,7 +67,7 @@ def read_key(path: str | Path) -> bytes:
         LinkError: it cannot be read, others may read it, or it is no key.
     """
     try:
-        # A pipe that nobody writes is not waited for.
+        # Do not wait for a pipe without a writer.
         with open(
             path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)
         ) as file:

@@ -34,7 +34,7 @@ METHODS = ("exact", "paper")
 HEAVIEST = 1e4  # g at the tip
 # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
 REACHED = 0.01
-# effects of the path, not of a sample, and what tells how late they are
+# effects of the path, not of a sample, and the parameter of their delay
 PREVIEWED = {"latency": "delay", "lag": "tau"}
 
 

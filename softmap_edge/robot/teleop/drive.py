@@ -371,7 +371,7 @@ class Drive:
             and not self._stays
             and self._robot.state not in ("engaged", "hold", "safe_stop")
         ):
-            self.account.ended, self.account.failed = self._eyes.gone, True  # once it has slackened
+            self.account.ended, self.account.failed = self._eyes.gone, True  # tension is released
 
     def _tell(self, report: LoopReport) -> None:
         said = words.sentence(report)

@@ -171,7 +171,7 @@ class CameraHandSource(HandSource):
             self._pictures.close()
 
     def _close(self) -> None:
-        # whoever waits for its next picture ends at once
+        # a thread that waits for its next picture ends at once
         if isinstance(self._pictures, CameraFrames):
             self._pictures.close()
 

@@ -86,7 +86,7 @@ def fetch_model(
                         # without a date: the same bytes each time
                         task.writestr(zipfile.ZipInfo(name), network)
             sha256 = hashlib.sha256(partial.read_bytes()).hexdigest()
-            _record(target).unlink(missing_ok=True)  # never the old checksum beside the new file
+            _record(target).unlink(missing_ok=True)  # never the old checksum next to the new file
         write_atomically(_record(target), f"{sha256}  {target.name}\n")
     except OSError as cause:
         raise TeleopError(

@@ -46,7 +46,7 @@ MOST_PAGES = 8
 LONGEST = 2048  # bytes of a page's message
 MOST_OPENING = 16  # connections that have not brought their token yet; more are closed unheard
 OPENING = 5.0  # s for that
-LATE = 0.25  # s: a message that may be older tells nothing of now
+LATE = 0.25  # s: a message that may be older does not describe the present
 REMEMBERED = 64  # states that came back, by which a page's clock is read
 JPEG = 70  # quality, of 100: 25 kB a picture
 SERVED = {
@@ -137,7 +137,7 @@ class Page:
         self._server.shutdown()
         self._thread.join(3.0)
 
-    # --- what the driving thread asks and tells -----------------------------------------
+    # --- what the driving thread reads and sends -----------------------------------------
 
     def shows(self, hello: Document, view: View) -> None:
         """Set what a page receives on arrival, and the source of each state.

@@ -21,7 +21,7 @@ from softmap_edge.robot.teleop.sketch import ShapePreview
 
 Floats = NDArray[np.float64]
 
-SEEN = 0.02  # mm: less is not drawn anew
+SEEN = 0.02  # mm: less is not drawn again
 AVERAGED = 60  # ages of sights over whose median the latency is
 
 
