@@ -188,9 +188,7 @@ def differing_times(*times: float) -> list[str]:
 
 
 def _plain(time: float, digits: int) -> str:
-    """Return a time with at most `digits` digits; the digits before the point are always
-    complete.
-    """
+    """Return a time with at most `digits` digits; those before the point are always complete."""
     if not 1e-6 < abs(time) < 1e15:
         return f"{time:.{digits}g}"
     text = f"{time:.{max(0, digits - len(str(int(abs(time)))))}f}"

@@ -209,9 +209,7 @@ def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
 
 
 def _fitted(commands: Floats, taught: Floats, count: int) -> ModeArrays:
-    """Return the arrays of a scattered family of `count` modes for values (S, 3N) at commands (S,
-    C).
-    """
+    """Return a scattered family of `count` modes for values (S, 3N) at commands (S, C)."""
     mean, modes = _reduced(taught, count)
     fitted = _fitted_weights(commands, (taught - mean) @ modes.T)
     return fitted.of_modes(mean.astype(np.float32), modes.astype(np.float32))

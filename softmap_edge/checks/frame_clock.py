@@ -269,8 +269,9 @@ def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Fitted numbers: `inverse` of the last one's information, its standard error, and the squares
-    that are left.
+    """Fitted numbers.
+
+    `inverse` of the last one's information, its standard error, and the squares that are left.
     """
 
     value: Floats

@@ -336,8 +336,10 @@ def field_arrays(
 
 
 def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> SecondArrays:
-    """Compress what loads and moduli do beyond their fields, on the grid of `axes`: to a few modes,
-    made of the `modes` (m, 3N) of the fields. Those of tensions only if they `answers`.
+    """Compress what loads and moduli do beyond their fields, on the grid of `axes`.
+
+    To a few modes, made of the `modes` (m, 3N) of the fields. Those of tensions only if they
+    `answers`.
     """
     loads, moduli, causes = len(_core.LOADS), len(_core.MODULI), bend.growth.shape[1]
     first, other = np.triu_indices(causes)

@@ -224,8 +224,7 @@ def overlong_stroke(points: Array, command: Array) -> str | None:
 
 
 def doubts_of_base(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> list[str]:
-    """Say whether places look like cm, the origin of the base frame like m, or the frame is not the
-    base frame.
+    """Return doubts about the unit of places, the origin of the base frame, and the frame.
 
     Args:
         t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
@@ -244,8 +243,7 @@ def doubts_of_base(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
 
 
 def _origin_in_metres(rest: Array, mapping: Mapping) -> str | None:
-    """Return the suspicion that the origin of the base is given in m: 1000 times as far, it is at
-    the robot.
+    """Return the suspicion that the origin is given in m: 1000 times as far, it is at the robot.
 
     Args:
         rest: (M, 3) mm, places of the robot or of its clamp at rest, in the base frame as declared.

@@ -84,8 +84,9 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ElasticRodArrays:
-    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its
-    load fields.
+    """A rod with its numbers (P,) and the nominal `flexibility` (mm per N) of its tendons.
+
+    The flexibility serves its load fields.
 
     `free` has, for each number, the group in which a fit changed it; -1 where it was known and
     stayed fixed.

@@ -312,9 +312,7 @@ class Model:
 
     @property
     def has_earlier_numbers(self) -> bool:
-        """Whether the prior's numbers were changed along with an effect and are known as they were
-        before.
-        """
+        """Whether the prior's numbers changed along with an effect, and earlier ones are known."""
         return self._before is not None
 
     @property
@@ -323,9 +321,7 @@ class Model:
         return before if isinstance(before, NumbersBefore) else None
 
     def _before_laws(self) -> Model:
-        """Return the model with the numbers of its rod, and its error, as they were before any of
-        them was changed.
-        """
+        """Return the model with its rod's numbers, and its error, from before any was changed."""
         before = self._before
         if before is None or self._elastic is None:
             return self

@@ -56,8 +56,7 @@ def read_network(
     grid: Grid,
     trusted: Callable[[Path, str], bool],
 ) -> tuple[NetworkArrays | ModeArrays, Document | None]:
-    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read
-    it.
+    """Read an ONNX file: its arrays, and a description if only onnxruntime can read it.
 
     One that training wrote stays a network; another becomes a table.
 

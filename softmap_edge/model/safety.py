@@ -323,9 +323,7 @@ def _looks(low: Floats, high: Floats) -> Floats:
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon, None where the model has no pull of its
-    tendons.
-    """
+    """Return the largest tension (N) of any tendon; None if the model has no tendon pull."""
     tensions = None if model.arrays is None else model.arrays.prior.tensions()
     if tensions is None:
         return None

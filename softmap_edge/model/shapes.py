@@ -65,9 +65,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Scattered commands: `nodes` (n, C), `scale` (C,) of each command, power of the kernel, 1 or
-    3.
-    """
+    """Scattered commands: `nodes` (n, C), `scale` (C,) of each, power of the kernel (1 or 3)."""
 
     nodes: Numbers
     scale: Numbers
@@ -242,8 +240,9 @@ class PriorArrays:
 
 @dataclass(frozen=True, eq=False)
 class PairArrays:
-    """Second derivatives for P pairs of causes: `weights` (S, P, m'), `stretch` (S, P, T) mm,
-    `growth` (S, causes).
+    """Second derivatives for P pairs of causes.
+
+    `weights` (S, P, m'), `stretch` (S, P, T) mm, `growth` (S, causes).
     """
 
     weights: Stored
@@ -381,8 +380,9 @@ class FieldArrays:
         return self.coefficients[name].values, np.zeros(modes.shape[1]), modes
 
     def _full_stretch(self, stored: Floats, tendons: int) -> Floats:
-        """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each
-        tension; zero where a bundle has no such field.
+        """Return the stretch (S, T·(F + T)) of every tendon for each field and each tension.
+
+        The fields are those of `_core.FIELDS`; zero where a bundle has none.
         """
         loads, fields = len(_core.LOADS), len(_core.FIELDS)
         given = stored.reshape(len(stored), tendons, loads + tendons)
@@ -463,9 +463,10 @@ Pairs = tuple[list[tuple[int, int]], list[int]]  # of causes, and the causes who
 
 
 def pairs_of(loads: int, moduli: int, tensions: int) -> tuple[Pairs, Pairs]:
-    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them,
-    and whose growth goes with them: pairs among loads and tensions, then of each modulus with all
-    of these and moduli from itself on.
+    """Return the pairs of causes as `_core.Second` takes them, and whose growth goes with them.
+
+    Causes are loads, then moduli, then tensions. The pairs are those among loads and tensions, then
+    those of each modulus with all of these and with moduli from itself on.
     """
     plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
     own = list(range(loads, loads + moduli))

@@ -164,9 +164,7 @@ def model_from_shapes(
 
 
 def _modes(flat: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the mean (M,) and as many modes (m, M) as hold the movement of shapes (S, M) to HELD
-    of itself.
-    """
+    """Return the mean (M,) and modes (m, M) that hold the movement of shapes (S, M) to HELD."""
     some = flat[:: max(1, -(-len(flat) // MODE_ROWS))]
     mean = flat.mean(axis=0)
     basis = leading(some - mean, min(MODES, *some.shape))
@@ -286,9 +284,7 @@ def _stiffness(
 def _fields(
     sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: Stiffness
 ) -> FieldArrays:
-    """Return the arrays of the load fields: on a coarser grid, or over some of the scattered
-    commands.
-    """
+    """Return the load fields: on a coarser grid, or over some of the scattered commands."""
     points = sweep.vertices.shape[1]
     if sweep.axes is not None:
         steps = FIELD_STEPS
