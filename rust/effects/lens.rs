@@ -11,7 +11,7 @@
 
 use super::conditions::Context;
 use super::declaration::*;
-use crate::algebra::vector::{Vec3, axpy, dot};
+use crate::algebra::{Mat3, Vec3};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -65,8 +65,8 @@ impl SensingEffect for Lens {
         }
         for (p, place) in points.chunks_exact_mut(3).zip(positions) {
             if *place {
-                let shift = seen_beside(params[0], [p[0], p[1], p[2]], cameras);
-                p.iter_mut().zip(shift).for_each(|(p, shift)| *p += shift);
+                let shift = seen_beside(params[0], Vec3::from_slice(p), cameras);
+                p.iter_mut().zip(shift.to_array()).for_each(|(p, shift)| *p += shift);
             }
         }
     }
@@ -74,49 +74,27 @@ impl SensingEffect for Lens {
 
 /// By how much a point is seen beside its place, mm.
 fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
-    let (mut system, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
-    for (i, row) in system.iter_mut().enumerate() {
-        row[i] = UNIQUE;
-    }
+    let mut system = Mat3::from_diagonal(Vec3::splat(UNIQUE));
+    let mut right = Vec3::ZERO;
     for pose in cameras {
-        let axes = pose.map(|row| [row[0], row[1], row[2]]);
-        let q = [0, 1, 2].map(|i| dot(axes[i], p) + pose[i][3]);
-        if q[2] <= 0.0 {
+        let [x, y, z] = pose.map(|row| Vec3::from_slice(&row));
+        let q = Mat3::from_rows(x, y, z) * p + Vec3::from(pose.map(|row| row[3]));
+        if q.z <= 0.0 {
             continue;
         }
-        let (x, y) = (q[0] / q[2], q[1] / q[2]);
-        let bent = radial * (x * x + y * y);
+        let seen = q / q.z;
+        let bent = radial * (seen.x * seen.x + seen.y * seen.y);
         // From the camera to p, and the ray that it takes it for, both in the base frame, at the
         // depth of p.
-        let beside = [0, 1, 2].map(|i| bent * (axes[0][i] * q[0] + axes[1][i] * q[1]));
-        let ray = [0, 1, 2]
-            .map(|i| axes[0][i] * q[0] + axes[1][i] * q[1] + axes[2][i] * q[2] + beside[i]);
-        let square = dot(ray, ray);
+        let beside = bent * (q.x * x + q.y * y);
+        let ray = q.x * x + q.y * y + q.z * z + beside;
+        let square = ray.length_squared();
         // The distance of p + shift from the ray: that of (shift − beside), since the ray goes
         // through p + beside.
-        let across = |v: Vec3| axpy(v, -dot(v, ray) / square, ray);
-        let wanted = across(beside);
-        for i in 0..3 {
-            let mut unit = [0.0; 3];
-            unit[i] = 1.0;
-            let column = across(unit);
-            for (k, row) in system.iter_mut().enumerate() {
-                row[i] += column[k];
-            }
-            right[i] += wanted[i];
-        }
+        let across = |v: Vec3| v - v.dot(ray) / square * ray;
+        let [along_x, along_y, along_z] = Vec3::AXES.map(across);
+        system += Mat3::from_cols(along_x, along_y, along_z);
+        right += across(beside);
     }
-    solve(system, right)
-}
-
-/// The solution of a symmetric positive definite system, by Cramer's rule along its columns.
-fn solve(system: [Vec3; 3], right: Vec3) -> Vec3 {
-    let det = crate::algebra::vector::det(&system);
-    [0, 1, 2].map(|c| {
-        let mut replaced = system;
-        for (row, value) in replaced.iter_mut().zip(right) {
-            row[c] = value;
-        }
-        crate::algebra::vector::det(&replaced) / det
-    })
+    system.inverse() * right
 }

@@ -55,8 +55,8 @@ fn check_cantilever(
 ) {
     let (length, side, young, g) = (60.0, 10.0, 0.5, 1e-3);
     let sag = |n: usize, poisson: f64| {
-        let solid = solid([n, n, 5 * n], [side, side, length], young, poisson);
-        end_moves(&solid, &reach(&solid, &[], [g, 0.0, 0.0], [0.0; 3]))
+        let solid = solid([n, n, 5 * n], Vec3::new(side, side, length), young, poisson);
+        end_moves(&solid, &reach(&solid, &[], g * Vec3::X, Vec3::ZERO))
     };
     // With ν near 0 the clamp does not restrain the section, which is what a beam assumes.
     let sags = cells.map(|n| sag(n, 0.02));
@@ -92,11 +92,11 @@ fn cantilever_of_quadratic_tetrahedra_sags_as_beam_theory_says_with_order_three(
 #[test]
 fn tetrahedra_and_bricks_agree_in_a_large_bend() {
     let solids = [
-        block([6, 6, 24], [10.0, 10.0, 60.0], 0.3, 0.47),
-        cut([3, 3, 12], [10.0, 10.0, 60.0], 0.3, 0.47),
+        block([6, 6, 24], Vec3::new(10.0, 10.0, 60.0), 0.3, 0.47),
+        cut([3, 3, 12], Vec3::new(10.0, 10.0, 60.0), 0.3, 0.47),
     ];
     let [fine, coarse] = solids.map(|solid| {
-        let state = reach(&solid, &[], [0.0, 0.0, 1.0], [0.12, 0.0, 0.0]);
+        let state = reach(&solid, &[], Vec3::Z, 0.12 * Vec3::X);
         end_moves(&solid, &state)
     });
     // Half the length sideways; what is left is the bricks' own error, which falls with their size.
@@ -112,18 +112,16 @@ fn a_stiffer_region_and_a_stiffer_side_bend_as_beam_theory_says() {
     let far = f64::INFINITY;
     let sag = |region: Option<Region>, axis: usize| {
         let body = Body::new(young, 0.02, 1000.0, region.into_iter().collect()).unwrap();
-        let mesh = mesh::block([4, 4, 30], [side, side, length]).unwrap();
+        let mesh = mesh::block([4, 4, 30], Vec3::new(side, side, length)).unwrap();
         let solid = Solid::new(mesh, Vec::new(), &body).unwrap();
-        let mut gravity = [0.0; 3];
-        gravity[axis] = g;
-        let state = reach(&solid, &[], gravity, [0.0; 3]);
+        let state = reach(&solid, &[], g * Vec3::AXES[axis], Vec3::ZERO);
         let end = solid.mesh.nodes.len() - 1;
         state.x[end][axis] - solid.mesh.nodes[end][axis]
     };
     let region = |high: f64, side: Option<f64>| {
         Some(Region {
-            low: [-far; 3],
-            high: [far, far, high],
+            low: Vec3::splat(-far),
+            high: Vec3::new(far, far, high),
             side,
             cells: None,
             young: 2.0 * young,

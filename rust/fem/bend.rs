@@ -12,6 +12,7 @@
 //! 1e-4. Units: mm, N, g. Limit: as for fields, where K at constant tension is indefinite it is
 //! shifted.
 
+use super::Vec3;
 use super::change::add_parts;
 use super::moduli::Moduli;
 use super::newton::{Solver, State};
@@ -19,7 +20,6 @@ use super::progress::Progress;
 use super::solid::Solid;
 use super::sweep::Simulation;
 use super::work::inner;
-use super::{Vec3, sub};
 use crate::error::Result;
 use crate::response::loads::{LOADS, TIP_FORCE};
 
@@ -122,7 +122,7 @@ impl Simulation {
                 }
                 let moved = self.solid.displace(&state.x, &step, 1.0);
                 let moved = self.points.place(&moved);
-                let field = moved.iter().zip(&at).map(|(p, q)| sub(*p, *q));
+                let field = moved.iter().zip(&at).map(|(p, q)| p - q);
                 answer.fields.push(field.collect());
                 let longer = slopes.iter().zip(&both.1);
                 lengths.push(
@@ -189,7 +189,7 @@ impl<'a> Difference<'a> {
     }
 
     fn at(&self, x: &[Vec3], tension: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut force, mut stretch) = (vec![[0.0; 3]; x.len()], vec![0.0; tension.len()]);
+        let (mut force, mut stretch) = (vec![Vec3::ZERO; x.len()], vec![0.0; tension.len()]);
         let parts = (&self.solid.elements[..], &self.solid.cables[..]);
         add_parts(parts, x, tension, 1.0, &mut force, &mut stretch);
         (self.solid.gathered(force), stretch)

@@ -5,10 +5,10 @@
 //! together (N/mm). Driven by tension: energy T (L − L₀) with T = ⟨command⟩₊ in N, whatever the
 //! length. Frictionless.
 
+use super::Vec3;
 use super::guide::{Averaging, Weights, guides};
 use super::mesh::Mesh;
 use super::route::Route;
-use super::{Vec3, axpy, norm, sub};
 use crate::error::{Result, invalid};
 
 /// What a cable's command is.
@@ -55,15 +55,13 @@ impl Cable {
 
     /// Place of a guide.
     pub fn place(&self, guide: usize, x: &[Vec3]) -> Vec3 {
-        self.guides[guide]
-            .iter()
-            .fold([0.0; 3], |p, &(n, w)| axpy(p, w, x[n]))
+        self.guides[guide].iter().map(|&(n, w)| w * x[n]).sum()
     }
 
     /// Length through the guides, mm.
     pub fn length(&self, x: &[Vec3]) -> f64 {
         (1..self.guides.len())
-            .map(|g| norm(sub(self.place(g, x), self.place(g - 1, x))))
+            .map(|g| self.place(g, x).distance(self.place(g - 1, x)))
             .sum()
     }
 
@@ -94,10 +92,10 @@ impl Cable {
     pub fn slope(&self, x: &[Vec3], mut add: impl FnMut(usize, Vec3)) {
         self.segments(x, |g, _, t| {
             for &(n, w) in &self.guides[g] {
-                add(n, [w * t[0], w * t[1], w * t[2]]);
+                add(n, w * t);
             }
             for &(n, w) in &self.guides[g - 1] {
-                add(n, [-w * t[0], -w * t[1], -w * t[2]]);
+                add(n, -w * t);
             }
         });
     }
@@ -110,9 +108,7 @@ impl Cable {
         mut add: impl FnMut(usize, usize, [Vec3; 3]),
     ) {
         self.segments(x, |g, length, t| {
-            let h: [Vec3; 3] = std::array::from_fn(|i| {
-                std::array::from_fn(|j| tension / length * (f64::from(i == j) - t[i] * t[j]))
-            });
+            let h = Vec3::AXES.map(|axis| tension / length * (axis - axis.dot(t) * t));
             let both: Vec<(usize, f64)> = self.guides[g - 1]
                 .iter()
                 .map(|&(n, w)| (n, -w))
@@ -120,7 +116,7 @@ impl Cable {
                 .collect();
             for &(a, wa) in &both {
                 for &(b, wb) in both.iter().filter(|&&(b, _)| b <= a) {
-                    add(a, b, h.map(|row| row.map(|v| wa * wb * v)));
+                    add(a, b, h.map(|row| wa * wb * row));
                 }
             }
         });
@@ -146,9 +142,9 @@ impl Cable {
         let mut before = self.place(0, x);
         for g in 1..self.guides.len() {
             let here = self.place(g, x);
-            let step = sub(here, before);
-            let length = norm(step).max(1e-12);
-            visit(g, length, step.map(|v| v / length));
+            let step = here - before;
+            let length = step.length().max(1e-12);
+            visit(g, length, step / length);
             before = here;
         }
     }
@@ -190,11 +186,11 @@ mod tests {
         mesh.nodes
             .iter()
             .map(|p| {
-                [
+                Vec3::new(
                     p[0] + 0.003 * p[2] * p[2],
                     0.98 * p[1],
                     p[2] - 0.04 * p[0] * p[2] / 10.0,
-                ]
+                )
             })
             .collect()
     }
@@ -229,16 +225,16 @@ mod tests {
         let x = bent(&mesh);
         let n = mesh.nodes.len();
         let slope = |x: &[Vec3]| {
-            let mut s = vec![[0.0; 3]; n];
-            cable.slope(x, |a, v| s[a] = axpy(s[a], 1.0, v));
+            let mut s = vec![Vec3::ZERO; n];
+            cable.slope(x, |a, v| s[a] += v);
             s
         };
         let at = slope(&x);
         let mut stiff = std::collections::HashMap::new();
         cable.geometric(&x, 1.0, |a, b, block| {
-            let e = stiff.entry((a, b)).or_insert([[0.0; 3]; 3]);
+            let e = stiff.entry((a, b)).or_insert([Vec3::ZERO; 3]);
             for i in 0..3 {
-                e[i] = axpy(e[i], 1.0, block[i]);
+                e[i] += block[i];
             }
         });
         let h = 1e-5;
@@ -287,7 +283,10 @@ mod tests {
     fn a_route_by_points_is_the_formula_it_samples_and_a_helix_turns() {
         let (mesh, straight) = setup(0.7);
         let (c, s) = (0.7f64.cos(), 0.7f64.sin());
-        let points = Route::Points(vec![[8.0 * c, 8.0 * s, 0.0], [6.0 * c, 6.0 * s, 50.0]]);
+        let points = Route::Points(vec![
+            Vec3::new(8.0 * c, 8.0 * s, 0.0),
+            Vec3::new(6.0 * c, 6.0 * s, 50.0),
+        ]);
         let same = Cable::new(&mesh, &points, AVERAGE, 20.0, Drive::Shortening).unwrap();
         assert!((same.length(&bent(&mesh)) - straight.length(&bent(&mesh))).abs() < 1e-9);
         let helix = Route::Formula {
@@ -305,10 +304,12 @@ mod tests {
 
     #[test]
     fn guides_in_a_free_mesh_lie_on_the_route_follow_a_linear_field_and_are_smooth() {
-        let (nodes, cells) = cut_block([3, 3, 6], [18.0, 18.0, 48.0]);
+        let (nodes, cells) = cut_block([3, 3, 6], Vec3::new(18.0, 18.0, 48.0));
         let mesh = tetrahedra(nodes, &cells, 0).unwrap();
         let cable = |shift: f64| {
-            let points = (0..9).map(|k| [6.0 + shift, 1.0, 5.0 * k as f64]).collect();
+            let points = (0..9)
+                .map(|k| Vec3::new(6.0 + shift, 1.0, 5.0 * k as f64))
+                .collect();
             Cable::new(
                 &mesh,
                 &Route::Points(points),
@@ -317,15 +318,16 @@ mod tests {
                 Drive::Shortening,
             )
         };
-        let field = |p: &Vec3| [p[0] + 0.1 * p[2], 1.2 * p[1] - 0.3 * p[0], 0.9 * p[2] + 3.0];
+        let field =
+            |p: &Vec3| Vec3::new(p[0] + 0.1 * p[2], 1.2 * p[1] - 0.3 * p[0], 0.9 * p[2] + 3.0);
         let moved: Vec<Vec3> = mesh.nodes.iter().map(field).collect();
         // Inside, at the wall, and in a channel outside it.
         for shift in [0.0, 3.0, 5.5] {
             let cable = cable(shift).unwrap();
             for g in 0..9 {
-                let place = [6.0 + shift, 1.0, 5.0 * g as f64];
-                assert!(norm(sub(cable.place(g, &mesh.nodes), place)) < 1e-9);
-                assert!(norm(sub(cable.place(g, &moved), field(&place))) < 1e-9);
+                let place = Vec3::new(6.0 + shift, 1.0, 5.0 * g as f64);
+                assert!(cable.place(g, &mesh.nodes).distance(place) < 1e-9);
+                assert!(cable.place(g, &moved).distance(field(&place)) < 1e-9);
             }
         }
         let message = cable(6.2).unwrap_err().to_string();

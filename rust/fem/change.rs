@@ -9,12 +9,12 @@
 //! ∂r/∂p, and a cable stretches by b·dx/dp + ∂L/∂p, b = ∂L/∂x. Derivatives in p are central
 //! differences of two such designs. Units: mm, N, rad inside, ° in a change.
 
+use super::Vec3;
 use super::cable::Cable;
 use super::element::{Element, elements};
 use super::material::Modulation;
 use super::natural::MOST_NODES;
 use super::solid::{Design, Solid};
-use super::{Vec3, axpy};
 use crate::error::Result;
 use crate::response::loads::{ACROSS, CURVE, LOADS, PUSH, ROUTING, STIFF, TWIST};
 
@@ -103,7 +103,7 @@ pub(super) fn bind(design: &mut Design) -> Result<Vec<Cable>> {
 /// A rest place of a body twisted by `twist` rad at its tip.
 fn twisted(p: Vec3, twist: f64, height: f64) -> Vec3 {
     let (s, c) = (twist * (p[2] / height).clamp(0.0, 1.0)).sin_cos();
-    [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]]
+    Vec3::new(c * p[0] - s * p[1], s * p[0] + c * p[1], p[2])
 }
 
 /// A rest place of a body bent to an arc whose tip is `curve` mm aside (of a small angle): κ =
@@ -119,11 +119,11 @@ fn bent(p: Vec3, curve: [f64; 2], height: f64) -> Vec3 {
     // The middle line is at (1 − cos)/κ, sin/κ; what is off it turns with its section.
     let half = (0.5 * curvature * p[2]).sin();
     let aside = 2.0 * half * half / curvature + (cos - 1.0) * out;
-    [
+    Vec3::new(
         p[0] + side[0] * aside,
         p[1] + side[1] * aside,
         sin / curvature - sin * out,
-    ]
+    )
 }
 
 /// The parts of a changed design that pull and push at places which are not its own equilibrium.
@@ -165,18 +165,18 @@ pub(super) fn add_parts(
     force: &mut [Vec3],
     stretch: &mut [f64],
 ) {
-    let mut own = [[0.0; 3]; MOST_NODES];
+    let mut own = [Vec3::ZERO; MOST_NODES];
     for element in elements {
-        own.fill([0.0; 3]);
+        own.fill(Vec3::ZERO);
         element.force(x, &mut own);
         for (&n, f) in element.nodes().iter().zip(own) {
-            force[n] = axpy(force[n], share, f);
+            force[n] += share * f;
         }
     }
     for ((cable, tension), stretch) in cables.iter().zip(tension).zip(stretch) {
         *stretch += share * (cable.length(x) - cable.rest_length);
         if *tension != 0.0 {
-            cable.slope(x, |n, b| force[n] = axpy(force[n], share * tension, b));
+            cable.slope(x, |n, b| force[n] += share * tension * b);
         }
     }
 }
@@ -210,7 +210,7 @@ impl Changes {
         tension: &'a [f64],
     ) -> impl Iterator<Item = (usize, Vec<f64>, Vec<f64>)> + 'a {
         self.pairs.iter().map(move |(field, step, [up, down])| {
-            let (mut force, mut stretch) = (vec![[0.0; 3]; x.len()], vec![0.0; tension.len()]);
+            let (mut force, mut stretch) = (vec![Vec3::ZERO; x.len()], vec![0.0; tension.len()]);
             up.add(x, tension, -0.5 / step, &mut force, &mut stretch);
             down.add(x, tension, 0.5 / step, &mut force, &mut stretch);
             (

@@ -4,13 +4,13 @@
 //! A field is the displacement per unit by back-substitution at the equilibrium's tangent, all
 //! other tensions as they are.
 
+use super::Vec3;
 use super::change::Changes;
 use super::newton::{Solver, State};
 use super::progress::Progress;
 use super::solid::Load;
 use super::sweep::Simulation;
 use super::work::inner;
-use super::{Vec3, sub};
 use crate::error::Result;
 use crate::response::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
 
@@ -95,7 +95,7 @@ impl Simulation {
             let moved = self
                 .points
                 .place(&self.solid.displace(&state.x, &step, 1.0));
-            answer.fields[field] = moved.iter().zip(&at).map(|(p, q)| sub(*p, *q)).collect();
+            answer.fields[field] = moved.iter().zip(&at).map(|(p, q)| p - q).collect();
             for (c, b) in cables.iter().enumerate() {
                 answer.stretch[c * count + field] = own[c] + inner(b, &step);
             }

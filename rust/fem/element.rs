@@ -15,10 +15,10 @@
 //! fine reference at 43–86° on the usual mesh). Four-node tetrahedra lock (2–5 mm) and are never
 //! used. Pinned by the tests below and the patch test.
 
+use super::Vec3;
 use super::material::Body;
 use super::natural::Kind;
-use super::{Vec3, axpy, dot};
-use crate::algebra::vector::{cofactor, det};
+use crate::algebra::{Mat3, outer};
 use crate::error::{Result, invalid};
 
 /// Stiffness of a pair of nodes, N/mm.
@@ -79,7 +79,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         let corners: [Vec3; N] = std::array::from_fn(|a| nodes[cell[a]]);
         let mut element = Hyperelastic {
             nodes: std::array::from_fn(|a| cell[a]),
-            gradient: [[[0.0; 3]; N]; Q],
+            gradient: [[Vec3::ZERO; N]; Q],
             weight: [0.0; Q],
             mu: [0.0; Q],
             kappa: [0.0; Q],
@@ -91,17 +91,17 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         for (q, &xi) in points.iter().enumerate() {
             let (value, slope) = kind.shape(xi);
             let (place, jacobian) = kind.place(&corners, xi);
-            let (cofactor, det) = cofactor(&jacobian);
+            let det = jacobian.determinant();
             if !(det.is_finite() && det > 0.0) {
                 return Err(invalid(format!(
-                    "cell at {:.1?} mm is inside out (Jacobian {det:.3e}); use a smoother profile, \
+                    "cell at {:.1} mm is inside out (Jacobian {det:.3e}); use a smoother profile, \
                     more layers or a better mesh",
                     corners[0]
                 )));
             }
+            let steeper = jacobian.inverse().transpose();
             for a in 0..N {
-                // dN/dX = J^(−T) dN/dξ, and J^(−T) is the cofactor over the determinant.
-                self::apply(&cofactor, slope[a], 1.0 / det, &mut element.gradient[q][a]);
+                element.gradient[q][a] = steeper * slope[a]; // dN/dX = J^(−T) dN/dξ
                 element.share[a] += weight * det * value[a];
             }
             let material = body.at(place, number);
@@ -140,24 +140,20 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
     fn add_force(
         &self,
         q: usize,
-        f: &[Vec3; 3],
-        c: &[Vec3; 3],
+        f: Mat3,
         j: f64,
         force: &mut [Vec3],
         swell: &mut [Vec3; N],
     ) -> ([Vec3; N], [Vec3; N], f64, f64) {
         let weight = self.weight[q];
-        let first = dot(f[0], f[0]) + dot(f[1], f[1]) + dot(f[2], f[2]);
+        let (spatial, first) = (f.inverse().transpose(), first(f));
         let scale = self.mu[q] * weight / j.cbrt().powi(2);
-        let (mut g, mut v) = ([[0.0; 3]; N], [[0.0; 3]; N]);
+        let (mut g, mut v) = ([Vec3::ZERO; N], [Vec3::ZERO; N]);
         for a in 0..N {
             let n = self.gradient[q][a];
-            apply(c, n, 1.0 / j, &mut g[a]);
-            apply(f, n, 1.0, &mut v[a]);
-            for i in 0..3 {
-                force[a][i] += scale * (v[a][i] - first / 3.0 * g[a][i]);
-                swell[a][i] += weight * j * g[a][i];
-            }
+            (g[a], v[a]) = (spatial * n, f * n);
+            force[a] += scale * (v[a] - first / 3.0 * g[a]);
+            swell[a] += weight * j * g[a];
         }
         (g, v, first, scale)
     }
@@ -167,8 +163,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
     fn add_point(
         &self,
         q: usize,
-        f: &[Vec3; 3],
-        c: &[Vec3; 3],
+        f: Mat3,
         j: f64,
         pressure: f64,
         force: &mut [Vec3],
@@ -176,21 +171,17 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         swell: &mut [Vec3; N],
     ) -> f64 {
         let (weight, mu) = (self.weight[q], self.mu[q]);
-        let (g, v, first, scale) = self.add_force(q, f, c, j, force, swell);
+        let (g, v, first, scale) = self.add_force(q, f, j, force, swell);
         let spin = pressure * j * weight;
         for a in 0..N {
-            let left: Vec3 = std::array::from_fn(|i| {
-                scale * (first * 2.0 / 9.0 * g[a][i] - 2.0 / 3.0 * v[a][i]) + spin * g[a][i]
-            });
-            let middle: Vec3 = std::array::from_fn(|i| -2.0 / 3.0 * scale * g[a][i]);
-            let right: Vec3 = std::array::from_fn(|i| (scale * first / 3.0 - spin) * g[a][i]);
+            let left = scale * (first * 2.0 / 9.0 * g[a] - 2.0 / 3.0 * v[a]) + spin * g[a];
+            let middle = -2.0 / 3.0 * scale * g[a];
+            let right = (scale * first / 3.0 - spin) * g[a];
             for b in 0..=a {
-                let same = scale * dot(self.gradient[q][a], self.gradient[q][b]);
+                let same = scale * self.gradient[q][a].dot(self.gradient[q][b]);
                 let block = &mut k[a * (a + 1) / 2 + b];
                 for i in 0..3 {
-                    for m in 0..3 {
-                        block[i][m] += left[i] * g[b][m] + middle[i] * v[b][m] + g[b][i] * right[m];
-                    }
+                    block[i] += left[i] * g[b] + middle[i] * v[b] + g[b][i] * right;
                     block[i][i] += same;
                 }
             }
@@ -198,12 +189,10 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         weight * 0.5 * mu * (first / j.cbrt().powi(2) - 3.0)
     }
 
-    fn deformation(&self, x: &[Vec3; N], q: usize) -> [Vec3; 3] {
-        let mut f = [[0.0; 3]; 3];
+    fn deformation(&self, x: &[Vec3; N], q: usize) -> Mat3 {
+        let mut f = Mat3::ZERO;
         for a in 0..N {
-            for i in 0..3 {
-                f[i] = axpy(f[i], x[a][i], self.gradient[q][a]);
-            }
+            f += outer(x[a], self.gradient[q][a]);
         }
         f
     }
@@ -225,12 +214,11 @@ impl<const N: usize, const Q: usize, const G: usize> Element for Hyperelastic<N,
             let (mut shear, mut dilated) = (0.0, 0.0);
             for q in part * G..(part + 1) * G {
                 let f = self.deformation(&x, q);
-                let j = det(&f);
+                let j = f.determinant();
                 if j.is_nan() || j <= 0.0 {
                     return f64::INFINITY;
                 }
-                let trace = dot(f[0], f[0]) + dot(f[1], f[1]) + dot(f[2], f[2]);
-                shear += self.weight[q] * 0.5 * self.mu[q] * (trace / j.cbrt().powi(2) - 3.0);
+                shear += self.weight[q] * 0.5 * self.mu[q] * (first(f) / j.cbrt().powi(2) - 3.0);
                 dilated += self.weight[q] * j;
             }
             energy += shear + self.bulk(part, dilated).0;
@@ -241,49 +229,49 @@ impl<const N: usize, const Q: usize, const G: usize> Element for Hyperelastic<N,
     fn force(&self, x: &[Vec3], force: &mut [Vec3]) {
         let x = self.gather(x);
         for part in 0..Q / G {
-            let (mut dilated, mut swell) = (0.0, [[0.0; 3]; N]);
+            let (mut dilated, mut swell) = (0.0, [Vec3::ZERO; N]);
             for q in part * G..(part + 1) * G {
                 let f = self.deformation(&x, q);
-                let (c, j) = cofactor(&f);
+                let j = f.determinant();
                 dilated += self.weight[q] * j;
-                self.add_force(q, &f, &c, j, force, &mut swell);
+                self.add_force(q, f, j, force, &mut swell);
             }
             let pressure = self.bulk(part, dilated).1;
             for a in 0..N {
-                force[a] = axpy(force[a], pressure, swell[a]);
+                force[a] += pressure * swell[a];
             }
         }
     }
 
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64 {
         let x = self.gather(x);
-        force.fill([0.0; 3]);
-        k.fill([[0.0; 3]; 3]);
+        force.fill(Vec3::ZERO);
+        k.fill([Vec3::ZERO; 3]);
         let mut energy = 0.0;
         for part in 0..Q / G {
-            let mut points = [([[0.0; 3]; 3], [[0.0; 3]; 3], 0.0); G];
+            let mut points = [(Mat3::ZERO, 0.0); G];
             let mut dilated = 0.0;
             for (g, point) in points.iter_mut().enumerate() {
                 let f = self.deformation(&x, part * G + g);
-                let (c, j) = cofactor(&f);
+                let j = f.determinant();
                 if j.is_nan() || j <= 0.0 {
                     return f64::INFINITY;
                 }
-                *point = (f, c, j);
+                *point = (f, j);
                 dilated += self.weight[part * G + g] * j;
             }
             let (stored, pressure, bulk) = self.bulk(part, dilated);
             energy += stored;
-            let mut swell = [[0.0; 3]; N]; // dV/dx of the deformed part
-            for (g, (f, c, j)) in points.iter().enumerate() {
-                energy += self.add_point(part * G + g, f, c, *j, pressure, force, k, &mut swell);
+            let mut swell = [Vec3::ZERO; N]; // dV/dx of the deformed part
+            for (g, &(f, j)) in points.iter().enumerate() {
+                energy += self.add_point(part * G + g, f, j, pressure, force, k, &mut swell);
             }
             for a in 0..N {
-                force[a] = axpy(force[a], pressure, swell[a]);
+                force[a] += pressure * swell[a];
                 for b in 0..=a {
                     let block = &mut k[a * (a + 1) / 2 + b];
                     for i in 0..3 {
-                        block[i] = axpy(block[i], bulk * swell[a][i], swell[b]);
+                        block[i] += bulk * swell[a][i] * swell[b];
                     }
                 }
             }
@@ -292,11 +280,9 @@ impl<const N: usize, const Q: usize, const G: usize> Element for Hyperelastic<N,
     }
 }
 
-/// `out = s M n`
-fn apply(m: &[Vec3; 3], n: Vec3, s: f64, out: &mut Vec3) {
-    for i in 0..3 {
-        out[i] = s * dot(m[i], n);
-    }
+/// I₁ = tr FᵀF
+fn first(f: Mat3) -> f64 {
+    f.x_axis.length_squared() + f.y_axis.length_squared() + f.z_axis.length_squared()
 }
 
 #[cfg(test)]

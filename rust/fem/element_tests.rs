@@ -8,28 +8,28 @@ use crate::fem::natural::EDGES;
 /// a wrong sign.
 fn skewed(kind: Kind) -> (Vec<Vec3>, Vec<Vec3>) {
     let mut rest = vec![
-        [0.0, 0.1, 0.0],
-        [2.0, 0.0, 0.2],
-        [2.2, 1.9, 0.0],
-        [0.1, 2.0, -0.1],
-        [0.0, 0.0, 3.0],
-        [2.1, 0.1, 2.9],
-        [2.0, 2.1, 3.2],
-        [-0.1, 1.8, 3.0],
+        Vec3::new(0.0, 0.1, 0.0),
+        Vec3::new(2.0, 0.0, 0.2),
+        Vec3::new(2.2, 1.9, 0.0),
+        Vec3::new(0.1, 2.0, -0.1),
+        Vec3::new(0.0, 0.0, 3.0),
+        Vec3::new(2.1, 0.1, 2.9),
+        Vec3::new(2.0, 2.1, 3.2),
+        Vec3::new(-0.1, 1.8, 3.0),
     ];
     if kind == Kind::Tetrahedron {
         rest = vec![rest[0], rest[1], rest[2], rest[7]];
         for (e, [i, j]) in EDGES.into_iter().enumerate() {
-            let mid: Vec3 = std::array::from_fn(|c| 0.5 * (rest[i][c] + rest[j][c]));
-            rest.push(axpy(mid, 0.05 * (e as f64).sin(), [1.0, -0.5, 0.3]));
+            let mid = 0.5 * (rest[i] + rest[j]);
+            rest.push(mid + 0.05 * (e as f64).sin() * Vec3::new(1.0, -0.5, 0.3));
         }
     }
     let x = rest.iter().map(|p| {
-        [
+        Vec3::new(
             1.1 * p[0] + 0.3 * p[2] + 0.02 * p[2] * p[2],
             0.9 * p[1] - 0.2 * p[0] + 0.03 * p[0] * p[2],
             0.95 * p[2] + 0.1 * p[1] - 0.02 * p[1] * p[0],
-        ]
+        )
     });
     (rest.clone(), x.collect())
 }
@@ -48,7 +48,7 @@ fn gradient_and_tangent_agree_with_finite_differences() {
         let (rest, x) = skewed(kind);
         let element = one(kind, &rest, 0.6, 0.48).unwrap();
         let n = kind.nodes();
-        let (mut force, mut k) = (vec![[0.0; 3]; n], vec![[[0.0; 3]; 3]; n * (n + 1) / 2]);
+        let (mut force, mut k) = (vec![Vec3::ZERO; n], vec![[Vec3::ZERO; 3]; n * (n + 1) / 2]);
         let energy = element.tangent(&x, &mut force, &mut k);
         assert!((energy - element.energy(&x)).abs() < 1e-13 * energy);
         let h = 1e-5;
@@ -90,18 +90,14 @@ fn rigid_motion_costs_nothing_and_uniform_strain_has_the_closed_form() {
         let (c, s) = (0.8, 0.6);
         let turned = |p: &Vec3| {
             let (x, y) = (c * p[0] - s * p[1], s * p[0] + c * p[1]);
-            [x + 5.0, y - 2.0, p[2] + 1.0]
+            Vec3::new(x + 5.0, y - 2.0, p[2] + 1.0)
         };
         let turned: Vec<Vec3> = rest.iter().map(turned).collect();
         assert!(element.energy(&turned).abs() < 1e-13);
-        let stretch = [1.2, 0.9, 1.05];
-        let x: Vec<Vec3> = rest
-            .iter()
-            .map(|p| std::array::from_fn(|i| stretch[i] * p[i]))
-            .collect();
-        let j: f64 = stretch.iter().product();
-        let first: f64 = stretch.iter().map(|l| l * l).sum();
-        let material = Body::uniform(0.3, 0.45, 0.0).unwrap().at([0.0; 3], 0);
+        let stretch = Vec3::new(1.2, 0.9, 1.05);
+        let x: Vec<Vec3> = rest.iter().map(|p| stretch * p).collect();
+        let (j, first) = (stretch.element_product(), stretch.length_squared());
+        let material = Body::uniform(0.3, 0.45, 0.0).unwrap().at(Vec3::ZERO, 0);
         let density = 0.5 * material.mu * (first * j.powf(-2.0 / 3.0) - 3.0)
             + 0.25 * material.kappa * (j * j - 1.0 - 2.0 * j.ln());
         let volume: f64 = element.share().iter().sum();
@@ -113,7 +109,7 @@ fn rigid_motion_costs_nothing_and_uniform_strain_has_the_closed_form() {
 fn an_inverted_cell_is_refused_or_infinite() {
     for kind in KINDS {
         let (rest, x) = skewed(kind);
-        let flipped: Vec<Vec3> = x.iter().map(|p| [-p[0], p[1], p[2]]).collect();
+        let flipped: Vec<Vec3> = x.iter().map(|p| Vec3::new(-p[0], p[1], p[2])).collect();
         let element = one(kind, &rest, 0.3, 0.45).unwrap();
         assert_eq!(element.energy(&flipped), f64::INFINITY);
         assert!(one(kind, &flipped, 0.3, 0.45).is_err());

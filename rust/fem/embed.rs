@@ -4,9 +4,9 @@
 //! on the cell's map). Meshes of one finger differ by their facets: a point up to `tolerance` mm
 //! outside is extrapolated, farther is refused.
 
+use super::Vec3;
 use super::mesh::Mesh;
 use super::natural::{Kind, MOST_NODES};
-use super::{Vec3, norm, sub};
 use crate::error::{Result, invalid};
 use rayon::prelude::*;
 
@@ -42,7 +42,7 @@ impl Points {
                 let (cell, xi, outside) = finder.nearest(p);
                 if outside.is_nan() || outside > tolerance {
                     return Err(invalid(format!(
-                        "template vertex {index} at {p:.2?} mm lies {outside:.2} mm outside the \
+                        "template vertex {index} at {p:.2} mm lies {outside:.2} mm outside the \
                         solid (allowed {tolerance} mm); the template must belong to this finger's \
                         shape"
                     )));
@@ -58,10 +58,7 @@ impl Points {
     pub fn place(&self, x: &[Vec3]) -> Vec<Vec3> {
         self.weights
             .iter()
-            .map(|w| {
-                w.iter()
-                    .fold([0.0; 3], |p, &(n, s)| super::axpy(p, s, x[n]))
-            })
+            .map(|w| w.iter().map(|&(n, s)| s * x[n]).sum())
             .collect()
     }
 }
@@ -76,15 +73,10 @@ pub(super) struct Finder<'a> {
 impl<'a> Finder<'a> {
     pub fn new(mesh: &'a Mesh) -> Finder<'a> {
         let cells: Vec<&[usize]> = mesh.each_cell().collect();
-        let corners = mesh.kind.corners();
+        let (corners, count) = (mesh.kind.corners(), mesh.kind.corners() as f64);
         let centre = |cell: &&[usize]| {
-            let sum = |i: usize| {
-                cell[..corners]
-                    .iter()
-                    .map(|&n| mesh.nodes[n][i])
-                    .sum::<f64>()
-            };
-            std::array::from_fn(|i| sum(i) / corners as f64)
+            let corners = cell[..corners].iter().map(|&n| mesh.nodes[n]);
+            corners.sum::<Vec3>() / count
         };
         Finder {
             mesh,
@@ -97,14 +89,14 @@ impl<'a> Finder<'a> {
     pub fn nearest(&self, p: Vec3) -> (usize, Vec3, f64) {
         let kind = self.mesh.kind;
         let mut order: Vec<usize> = (0..self.cells.len()).collect();
-        let far = |b: usize| norm(sub(self.centres[b], p));
+        let far = |b: usize| self.centres[b].distance(p);
         let count = candidates(kind).min(order.len());
         if count < order.len() {
             order.select_nth_unstable_by(count, |&a, &b| far(a).total_cmp(&far(b)));
         }
-        let mut best = (0, [0.0; 3], f64::INFINITY);
+        let mut best = (0, Vec3::ZERO, f64::INFINITY);
         for &b in &order[..count] {
-            let mut nodes = [[0.0; 3]; MOST_NODES];
+            let mut nodes = [Vec3::ZERO; MOST_NODES];
             for (at, &n) in nodes.iter_mut().zip(self.cells[b]) {
                 *at = self.mesh.nodes[n];
             }
@@ -113,7 +105,7 @@ impl<'a> Finder<'a> {
                 let outside = if inside == xi {
                     0.0
                 } else {
-                    norm(sub(kind.place(&nodes, inside).0, p))
+                    kind.place(&nodes, inside).0.distance(p)
                 };
                 if outside < best.2 {
                     best = (b, xi, outside);
@@ -155,11 +147,12 @@ mod tests {
         .unwrap();
         let points: Vec<Vec3> = one.surface.iter().map(|&n| one.nodes[n]).collect();
         let bound = Points::embedded(&other, &points, 1.0).unwrap();
-        let field = |p: &Vec3| [p[0] + 0.1 * p[2], 1.2 * p[1] - 0.3 * p[0], 0.9 * p[2] + 3.0];
+        let field =
+            |p: &Vec3| Vec3::new(p[0] + 0.1 * p[2], 1.2 * p[1] - 0.3 * p[0], 0.9 * p[2] + 3.0);
         let moved = bound.place(&other.nodes.iter().map(field).collect::<Vec<_>>());
         for (p, q) in points.iter().zip(moved) {
             // Trilinear bricks carry a linear field exactly, inside and outside.
-            assert!(norm(sub(field(p), q)) < 1e-9);
+            assert!(field(p).distance(q) < 1e-9);
         }
     }
 
@@ -175,8 +168,8 @@ mod tests {
             },
         )
         .unwrap();
-        assert!(Points::embedded(&mesh, &[[11.0, 0.0, 5.0]], 1.0).is_ok());
-        assert!(Points::embedded(&mesh, &[[16.0, 0.0, 5.0]], 1.0).is_err());
-        assert!(Points::embedded(&mesh, &[[f64::NAN, 0.0, 5.0]], 1.0).is_err());
+        assert!(Points::embedded(&mesh, &[Vec3::new(11.0, 0.0, 5.0)], 1.0).is_ok());
+        assert!(Points::embedded(&mesh, &[Vec3::new(16.0, 0.0, 5.0)], 1.0).is_err());
+        assert!(Points::embedded(&mesh, &[Vec3::new(f64::NAN, 0.0, 5.0)], 1.0).is_err());
     }
 }

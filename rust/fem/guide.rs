@@ -10,11 +10,11 @@
 //! rest layer, so a channel must not run sideways; elsewhere a guide more than two rings (3 mm)
 //! outside the solid is refused.
 
+use super::Vec3;
 use super::embed::Finder;
 use super::mesh::{Mesh, Section, radius_at};
 use super::route::Route;
-use super::{Vec3, axpy, dot, norm, sub};
-use crate::algebra::dense;
+use crate::algebra::{Mat3, dense, outer};
 use crate::error::{Result, invalid};
 use std::f64::consts::TAU;
 
@@ -53,7 +53,7 @@ pub fn guides(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<We
         Route::Formula { angle, turn, path } => {
             angle.is_finite() && turn.is_finite() && path.iter().flatten().all(|v| v.is_finite())
         }
-        Route::Points(points) => points.iter().flatten().all(|v| v.is_finite()),
+        Route::Points(points) => points.iter().all(|p| p.is_finite()),
     };
     if !finite || !matches!(route, Route::Points(p) if p.len() >= 2) && !route.ascends() {
         return Err(invalid(
@@ -178,27 +178,25 @@ fn add_moving_least_squares(
     share: f64,
     total: &mut [f64],
 ) -> Result<()> {
-    let row = |n: &Vec3| [1.0, (n[0] - place[0]) / reach, (n[1] - place[1]) / reach];
+    let row = |n: &Vec3| Vec3::new(1.0, (n[0] - place[0]) / reach, (n[1] - place[1]) / reach);
     let bump = |r: &Vec3| (1.0 - r[1] * r[1] - r[2] * r[2]).max(0.0).powi(3);
-    let mut moment = [[0.0; 3]; 3];
+    let mut moment = Mat3::ZERO;
     for n in nodes {
         let r = row(n);
-        let phi = bump(&r);
-        for i in 0..3 {
-            moment[i] = axpy(moment[i], phi * r[i], r);
-        }
+        moment += bump(&r) * outer(r, r);
     }
-    let (inverse, det) = crate::algebra::vector::cofactor(&moment);
-    if det.is_nan() || det < 1e-9 * moment[0][0].powi(3).max(1e-12) {
+    let det = moment.determinant();
+    if det.is_nan() || det < 1e-9 * moment.x_axis.x.powi(3).max(1e-12) {
         return Err(invalid(format!(
             "tendon guide at x = {:.1}, y = {:.1} mm has too few nodes around it; use a finer core \
             or more rings",
             place[0], place[1]
         )));
     }
+    let first = moment.inverse().x_axis;
     for (n, w) in nodes.iter().zip(total) {
         let r = row(n);
-        *w += share * bump(&r) * dot(inverse[0], r) / det;
+        *w += share * bump(&r) * first.dot(r);
     }
     Ok(())
 }
@@ -211,7 +209,7 @@ fn scattered(mesh: &Mesh, places: &[Vec3], ring: f64) -> Result<Vec<Weights>> {
         let outside = if inside { 0.0 } else { to_surface(mesh, place) };
         if outside.is_nan() || outside > OUTSIDE_RINGS * ring {
             return Err(invalid(format!(
-                "guide {g} of a tendon at {place:.2?} mm lies {outside:.2} mm outside the solid; \
+                "guide {g} of a tendon at {place:.2} mm lies {outside:.2} mm outside the solid; \
                 allowed are two rings, {:.1} mm: check the tendon's frame and unit, or widen \
                 guide_ring_mm",
                 OUTSIDE_RINGS * ring
@@ -219,7 +217,7 @@ fn scattered(mesh: &Mesh, places: &[Vec3], ring: f64) -> Result<Vec<Weights>> {
         }
         in_space(&mesh.nodes, place, REACH_RINGS * ring).ok_or_else(|| {
             invalid(format!(
-                "guide {g} of a tendon at {place:.2?} mm has all its nodes on one side; use a \
+                "guide {g} of a tendon at {place:.2} mm has all its nodes on one side; use a \
                 finer mesh or a wider guide_ring_mm"
             ))
         })
@@ -232,15 +230,15 @@ fn to_surface(mesh: &Mesh, p: Vec3) -> f64 {
     let corners = |t: &[usize; 3]| t.map(|v| mesh.nodes[mesh.surface[v]]);
     mesh.triangles
         .iter()
-        .map(|t| norm(sub(p, on_triangle(corners(t), p))))
+        .map(|t| p.distance(on_triangle(corners(t), p)))
         .fold(f64::INFINITY, f64::min)
 }
 
 /// The place on a triangle that is nearest to a point (Ericson, Real-Time Collision Detection, ch.
 /// 5.1.5).
 fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
-    let (ab, ac) = (sub(b, a), sub(c, a));
-    let from = |corner: Vec3| (dot(ab, sub(p, corner)), dot(ac, sub(p, corner)));
+    let (ab, ac) = (b - a, c - a);
+    let from = |corner: Vec3| (ab.dot(p - corner), ac.dot(p - corner));
     let ((a1, a2), (b1, b2), (c1, c2)) = (from(a), from(b), from(c));
     if a1 <= 0.0 && a2 <= 0.0 {
         return a;
@@ -253,17 +251,17 @@ fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     }
     let (to_a, to_b, to_c) = (b1 * c2 - c1 * b2, c1 * a2 - a1 * c2, a1 * b2 - b1 * a2);
     if to_c <= 0.0 && a1 >= 0.0 && b1 <= 0.0 {
-        return axpy(a, a1 / (a1 - b1), ab);
+        return a + a1 / (a1 - b1) * ab;
     }
     if to_b <= 0.0 && a2 >= 0.0 && c2 <= 0.0 {
-        return axpy(a, a2 / (a2 - c2), ac);
+        return a + a2 / (a2 - c2) * ac;
     }
     if to_a <= 0.0 && b2 >= b1 && c1 >= c2 {
         let along = (b2 - b1) / ((b2 - b1) + (c1 - c2));
-        return axpy(b, along, sub(c, b));
+        return b + along * (c - b);
     }
     let sum = to_a + to_b + to_c;
-    axpy(axpy(a, to_b / sum, ab), to_c / sum, ac)
+    a + to_b / sum * ab + to_c / sum * ac
 }
 
 /// Moving-least-squares weights of a place among nodes in space; none where the nodes do not
@@ -272,7 +270,7 @@ fn in_space(nodes: &[Vec3], place: Vec3, reach: f64) -> Option<Weights> {
     let mut far: Vec<(f64, usize)> = nodes
         .iter()
         .enumerate()
-        .map(|(n, p)| (norm(sub(*p, place)), n))
+        .map(|(n, p)| (p.distance(place), n))
         .collect();
     far.sort_by(|a, b| a.0.total_cmp(&b.0));
     // The distance of the twelfth node is continuous in the place, so the weights are too.
@@ -281,7 +279,7 @@ fn in_space(nodes: &[Vec3], place: Vec3, reach: f64) -> Option<Weights> {
         .iter()
         .take_while(|(d, _)| *d < reach)
         .map(|&(d, n)| {
-            let r = sub(nodes[n], place).map(|v| v / reach);
+            let r = (nodes[n] - place) / reach;
             (
                 n,
                 [1.0, r[0], r[1], r[2]],
@@ -315,21 +313,21 @@ mod tests {
 
     #[test]
     fn the_nearest_place_on_a_triangle_beats_every_other() {
-        let corners = [[0.0, 0.0, 0.0], [3.0, 0.5, 0.0], [0.5, 2.0, 1.0]];
+        let corners = [
+            Vec3::ZERO,
+            Vec3::new(3.0, 0.5, 0.0),
+            Vec3::new(0.5, 2.0, 1.0),
+        ];
         let at = |u: f64, v: f64| {
-            axpy(
-                axpy(corners[0], u, sub(corners[1], corners[0])),
-                v,
-                sub(corners[2], corners[0]),
-            )
+            corners[0] + u * (corners[1] - corners[0]) + v * (corners[2] - corners[0])
         };
         for k in 0..200 {
             let number = |i: usize| 4.0 * ((17 * k + 5 * i) as f64).sin() + 1.0;
-            let p = [number(0), number(1), number(2)];
-            let found = norm(sub(p, on_triangle(corners, p)));
+            let p = Vec3::new(number(0), number(1), number(2));
+            let found = p.distance(on_triangle(corners, p));
             let tried = (0..=60).flat_map(|i| (0..=60 - i).map(move |j| (i, j)));
             let best = tried
-                .map(|(i, j)| norm(sub(p, at(i as f64 / 60.0, j as f64 / 60.0))))
+                .map(|(i, j)| p.distance(at(i as f64 / 60.0, j as f64 / 60.0)))
                 .fold(f64::INFINITY, f64::min);
             // The grid of places tried is 0.05 mm wide.
             assert!(

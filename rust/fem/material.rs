@@ -51,7 +51,7 @@ pub struct Region {
 
 impl Region {
     fn holds(&self, p: Vec3, cell: usize) -> bool {
-        let boxed = (0..3).all(|i| self.low[i] <= p[i] && p[i] <= self.high[i]);
+        let boxed = self.low.cmple(p).all() && p.cmple(self.high).all();
         let marked = |cells: &Arc<[bool]>| cells.get(cell).is_some_and(|marked| *marked);
         boxed
             && self.cells.as_ref().is_none_or(marked)
@@ -153,8 +153,8 @@ mod tests {
     fn the_last_region_that_holds_a_place_decides() {
         let far = f64::INFINITY;
         let region = |low: f64, high: f64, side: Option<f64>, young: f64| Region {
-            low: [-far, -far, low],
-            high: [far, far, high],
+            low: Vec3::new(-far, -far, low),
+            high: Vec3::new(far, far, high),
             side,
             cells: None,
             young,
@@ -166,11 +166,11 @@ mod tests {
         let body = Body::new(0.3, 0.45, 1000.0, regions).unwrap();
         let young = |p: Vec3| body.at(p, 0).mu * 2.0 * 1.45;
         for (p, e) in [
-            ([1.0, 0.0, 5.0], 0.3),
-            ([1.0, 0.0, 15.0], 0.6),
-            ([1.0, 0.0, 25.0], 1.2),
-            ([-1.0, 0.0, 25.0], 0.6),
-            ([-1.0, 0.0, 35.0], 0.3),
+            (Vec3::new(1.0, 0.0, 5.0), 0.3),
+            (Vec3::new(1.0, 0.0, 15.0), 0.6),
+            (Vec3::new(1.0, 0.0, 25.0), 1.2),
+            (Vec3::new(-1.0, 0.0, 25.0), 0.6),
+            (Vec3::new(-1.0, 0.0, 35.0), 0.3),
         ] {
             assert!((young(p) - e).abs() < 1e-12, "{p:?}");
         }
@@ -179,7 +179,7 @@ mod tests {
             ..region(10.0, 30.0, None, 2.4)
         };
         let body = Body::new(0.3, 0.45, 1000.0, vec![marked]).unwrap();
-        let young = |z: f64, cell: usize| body.at([1.0, 0.0, z], cell).mu * 2.0 * 1.45;
+        let young = |z: f64, cell: usize| body.at(Vec3::new(1.0, 0.0, z), cell).mu * 2.0 * 1.45;
         for (z, cell, e) in [
             (15.0, 0, 0.3),
             (15.0, 1, 2.4),

@@ -125,7 +125,7 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
         .flat_map(|&z| {
             let r = radius_at(profile, z);
             disc.iter()
-                .map(move |p| [r * p[0], r * p[1], z])
+                .map(move |p| Vec3::new(r * p[0], r * p[1], z))
                 .collect::<Vec<_>>()
         })
         .collect();
@@ -152,9 +152,9 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
 /// A block of `cells` bricks and `size` mm, z = 0 at its clamped face, x and y through its middle.
 pub fn block(cells: [usize; 3], size: Vec3) -> Result<Mesh> {
     let [nx, ny, nz] = cells;
-    if !size.iter().all(|s| s.is_finite() && *s > 0.0) {
+    if !(size.is_finite() && size.cmpgt(Vec3::ZERO).all()) {
         return Err(invalid(format!(
-            "block of {size:?} mm: each length must be above 0; measure width, depth and height"
+            "block of {size} mm: each length must be above 0; measure width, depth and height"
         )));
     }
     let per_layer = nx.saturating_add(1).saturating_mul(ny.saturating_add(1));
@@ -168,14 +168,18 @@ pub fn block(cells: [usize; 3], size: Vec3) -> Result<Mesh> {
             MOST_WORK as f64 * FACTOR_BYTES,
         )));
     }
-    let step: Vec3 = std::array::from_fn(|i| size[i] / cells[i] as f64);
+    let step = size / Vec3::from(cells.map(|n| n as f64));
     let at = |i: usize, j: usize, k: usize| (k * (ny + 1) + j) * (nx + 1) + i;
     let (mut nodes, mut bricks) = (Vec::new(), Vec::new());
     for k in 0..=nz {
         for j in 0..=ny {
             for i in 0..=nx {
                 let (x, y) = (i as f64 * step[0], j as f64 * step[1]);
-                nodes.push([x - 0.5 * size[0], y - 0.5 * size[1], k as f64 * step[2]]);
+                nodes.push(Vec3::new(
+                    x - 0.5 * size[0],
+                    y - 0.5 * size[1],
+                    k as f64 * step[2],
+                ));
                 if i < nx && j < ny && k < nz {
                     let q = |k: usize| {
                         [

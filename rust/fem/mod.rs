@@ -27,5 +27,4 @@ pub mod sweep;
 pub mod tetrahedra;
 mod work;
 
-pub use crate::algebra::vector::Vec3;
-pub(crate) use crate::algebra::vector::{axpy, dot, norm, sub};
+pub use crate::algebra::Vec3;

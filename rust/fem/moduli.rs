@@ -78,7 +78,7 @@ fn answering(design: &Design, body: &Body) -> Result<Elements> {
 }
 
 fn forces(solid: &Solid, elements: &[Box<dyn Element>], x: &[Vec3]) -> Vec<f64> {
-    let mut force = vec![[0.0; 3]; x.len()];
+    let mut force = vec![Vec3::ZERO; x.len()];
     add_parts((elements, &[]), x, &[], 1.0, &mut force, &mut []);
     solid.gathered(force)
 }

@@ -6,7 +6,8 @@
 //! quadratic Lᵢ(2Lᵢ − 1) at corners and 4LᵢLⱼ at mid-edges (Zienkiewicz & Taylor, The Finite
 //! Element Method, ch. 4), in the order of VTK: corners, then the edges of `EDGES`.
 
-use super::{Vec3, axpy, norm, sub};
+use super::Vec3;
+use crate::algebra::{Mat3, outer};
 
 /// Nodes of the largest cell.
 pub const MOST_NODES: usize = 10;
@@ -24,7 +25,7 @@ const CORNERS: [[f64; 3]; 8] = [
     [-1., 1., 1.],
 ];
 /// Slopes of the barycentric coordinates.
-const SLOPES: [Vec3; 4] = [[-1., -1., -1.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
+const SLOPES: [Vec3; 4] = [Vec3::NEG_ONE, Vec3::X, Vec3::Y, Vec3::Z];
 
 /// What a mesh is made of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +74,7 @@ impl Kind {
                 let sign = |q: usize, bit: usize| if q >> bit & 1 == 1 { g } else { -g };
                 (
                     (0..8)
-                        .map(|q| [sign(q, 0), sign(q, 1), sign(q, 2)])
+                        .map(|q| Vec3::new(sign(q, 0), sign(q, 1), sign(q, 2)))
                         .collect(),
                     1.0,
                 )
@@ -81,8 +82,8 @@ impl Kind {
             Kind::Tetrahedron => {
                 let near = (5.0 + 3.0 * 5f64.sqrt()) / 20.0;
                 let far = (5.0 - 5f64.sqrt()) / 20.0;
-                let at = |q: usize| std::array::from_fn(|i| if q == i + 1 { near } else { far });
-                ((0..4).map(at).collect(), 1.0 / 24.0)
+                let at = |q: usize| [1, 2, 3].map(|i| if q == i { near } else { far });
+                ((0..4).map(|q| at(q).into()).collect(), 1.0 / 24.0)
             }
         }
     }
@@ -90,8 +91,8 @@ impl Kind {
     /// Where a search for natural coordinates starts.
     pub fn centre(self) -> Vec3 {
         match self {
-            Kind::Brick => [0.0; 3],
-            Kind::Tetrahedron => [0.25; 3],
+            Kind::Brick => Vec3::ZERO,
+            Kind::Tetrahedron => Vec3::splat(0.25),
         }
     }
 
@@ -106,35 +107,31 @@ impl Kind {
                 }
                 let positive = l.map(|v| v.max(0.0));
                 let sum: f64 = positive.iter().sum();
-                [positive[1] / sum, positive[2] / sum, positive[3] / sum]
+                Vec3::new(positive[1], positive[2], positive[3]) / sum
             }
         }
     }
 
     /// Shape functions and their derivatives; a brick uses the first eight.
     pub fn shape(self, xi: Vec3) -> ([f64; MOST_NODES], [Vec3; MOST_NODES]) {
-        let (mut value, mut slope) = ([0.0; MOST_NODES], [[0.0; 3]; MOST_NODES]);
+        let (mut value, mut slope) = ([0.0; MOST_NODES], [Vec3::ZERO; MOST_NODES]);
         match self {
             Kind::Brick => {
-                for (a, c) in CORNERS.iter().enumerate() {
-                    let f = [1.0 + c[0] * xi[0], 1.0 + c[1] * xi[1], 1.0 + c[2] * xi[2]];
+                for (a, c) in CORNERS.into_iter().map(Vec3::from).enumerate() {
+                    let f = 1.0 + c * xi;
                     value[a] = 0.125 * f[0] * f[1] * f[2];
-                    slope[a] = [
-                        0.125 * c[0] * f[1] * f[2],
-                        0.125 * f[0] * c[1] * f[2],
-                        0.125 * f[0] * f[1] * c[2],
-                    ];
+                    slope[a] = 0.125 * c * Vec3::new(f[1] * f[2], f[0] * f[2], f[0] * f[1]);
                 }
             }
             Kind::Tetrahedron => {
                 let l = [1.0 - xi[0] - xi[1] - xi[2], xi[0], xi[1], xi[2]];
                 for a in 0..4 {
                     value[a] = l[a] * (2.0 * l[a] - 1.0);
-                    slope[a] = SLOPES[a].map(|s| (4.0 * l[a] - 1.0) * s);
+                    slope[a] = (4.0 * l[a] - 1.0) * SLOPES[a];
                 }
                 for (e, &[i, j]) in EDGES.iter().enumerate() {
                     value[4 + e] = 4.0 * l[i] * l[j];
-                    slope[4 + e] = axpy(SLOPES[i].map(|s| 4.0 * l[j] * s), 4.0 * l[i], SLOPES[j]);
+                    slope[4 + e] = 4.0 * l[j] * SLOPES[i] + 4.0 * l[i] * SLOPES[j];
                 }
             }
         }
@@ -143,14 +140,12 @@ impl Kind {
 
     /// Place and Jacobian dx/dξ (rows x, columns ξ) of a cell with these nodes at natural
     /// coordinates.
-    pub fn place(self, nodes: &[Vec3], xi: Vec3) -> (Vec3, [Vec3; 3]) {
+    pub fn place(self, nodes: &[Vec3], xi: Vec3) -> (Vec3, Mat3) {
         let (value, slope) = self.shape(xi);
-        let (mut x, mut jacobian) = ([0.0; 3], [[0.0; 3]; 3]);
+        let (mut x, mut jacobian) = (Vec3::ZERO, Mat3::ZERO);
         for a in 0..self.nodes() {
-            x = axpy(x, value[a], nodes[a]);
-            for i in 0..3 {
-                jacobian[i] = axpy(jacobian[i], nodes[a][i], slope[a]);
-            }
+            x += value[a] * nodes[a];
+            jacobian += outer(nodes[a], slope[a]);
         }
         (x, jacobian)
     }
@@ -160,19 +155,13 @@ impl Kind {
         let mut xi = self.centre();
         for _ in 0..30 {
             let (x, jacobian) = self.place(nodes, xi);
-            let gap = sub(p, x);
-            let (cofactor, det) = crate::algebra::vector::cofactor(&jacobian);
-            // J⁻¹ is the transposed cofactor over the determinant.
-            let step: Vec3 =
-                std::array::from_fn(|i| (0..3).map(|k| cofactor[k][i] * gap[k]).sum::<f64>() / det);
-            for i in 0..3 {
-                xi[i] = (xi[i] + step[i]).clamp(-4.0, 4.0);
-            }
-            if norm(step) < 1e-13 {
+            let step = jacobian.inverse() * (p - x);
+            xi = (xi + step).map(|v| v.clamp(-4.0, 4.0));
+            if step.length() < 1e-13 {
                 break;
             }
         }
-        let settled = norm(sub(self.place(nodes, xi).0, p)) < 1e-9;
+        let settled = self.place(nodes, xi).0.distance(p) < 1e-9;
         settled.then_some(xi)
     }
 }
@@ -185,10 +174,10 @@ mod tests {
     fn functions_are_one_at_their_node_sum_to_one_and_slope_as_differences_do() {
         for kind in [Kind::Brick, Kind::Tetrahedron] {
             let corners: Vec<Vec3> = match kind {
-                Kind::Brick => CORNERS.to_vec(),
+                Kind::Brick => CORNERS.map(Vec3::from).to_vec(),
                 Kind::Tetrahedron => {
-                    let c = [[0.0; 3], SLOPES[1], SLOPES[2], SLOPES[3]];
-                    let mid = |e: &[usize; 2]| axpy(c[e[0]].map(|v| 0.5 * v), 0.5, c[e[1]]);
+                    let c = [Vec3::ZERO, SLOPES[1], SLOPES[2], SLOPES[3]];
+                    let mid = |e: &[usize; 2]| 0.5 * (c[e[0]] + c[e[1]]);
                     c.iter().copied().chain(EDGES.iter().map(mid)).collect()
                 }
             };
@@ -197,9 +186,9 @@ mod tests {
                 for a in 0..kind.nodes() {
                     assert!((value[a] - f64::from(a == n)).abs() < 1e-14);
                 }
-                assert!(norm(sub(kind.place(&corners, at).0, at)) < 1e-14);
+                assert!(kind.place(&corners, at).0.distance(at) < 1e-14);
             }
-            let (xi, h) = ([0.21, 0.33, 0.17], 1e-6);
+            let (xi, h) = (Vec3::new(0.21, 0.33, 0.17), 1e-6);
             let slope = kind.shape(xi).1;
             assert!((kind.shape(xi).0.iter().sum::<f64>() - 1.0).abs() < 1e-14);
             for i in 0..3 {
@@ -214,7 +203,7 @@ mod tests {
                 }
             }
             let found = kind.natural(&corners, xi).unwrap();
-            assert!(norm(sub(found, xi)) < 1e-12 && kind.inside(found) == found);
+            assert!(found.distance(xi) < 1e-12 && kind.inside(found) == found);
             let (points, weight) = kind.points();
             // The rules integrate a quadratic exactly: ∫ x² is 8/3 over the brick and 1/60 over the
             // tetrahedron.

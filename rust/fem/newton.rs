@@ -302,11 +302,10 @@ impl<'a> Solver<'a> {
             self.linearise(state).ok()?;
         }
         let solid = self.work.solid;
-        let change = |a: Vec3, b: Vec3| [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
         let mut rhs = solid.dead_vector(&Load {
             cables: Vec::new(),
-            gravity: change(state.load.gravity, load.gravity),
-            tip: change(state.load.tip, load.tip),
+            gravity: load.gravity - state.load.gravity,
+            tip: load.tip - state.load.tip,
         });
         let mut pull = |c: usize, b: &[f64]| {
             let (cable, [from, to]) = (&solid.cables[c], [&state.load, load].map(|l| l.cables[c]));
@@ -350,16 +349,12 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
         ));
     }
     let step = work.solve(work.residual.iter().map(|r| -r).collect());
-    Ok(solid.displace(&vec![[0.0; 3]; x.len()], &step, 1.0))
+    Ok(solid.displace(&vec![Vec3::ZERO; x.len()], &step, 1.0))
 }
 
 /// Number of steps on the way to a load, before rounding up.
 fn steps(solid: &Solid, from: &Load, to: &Load) -> f64 {
-    let largest = |a: &[f64], b: &[f64], unit: f64| {
-        a.iter()
-            .zip(b)
-            .fold(0.0, |m: f64, (p, q)| m.max((p - q).abs() / unit))
-    };
+    let largest = |a: Vec3, b: Vec3, unit: f64| (a - b).abs().max_element() / unit;
     let commands = from.cables.iter().zip(&to.cables).zip(&solid.cables);
     commands
         .fold(0.0, |m: f64, ((p, q), cable)| {
@@ -369,8 +364,8 @@ fn steps(solid: &Solid, from: &Load, to: &Load) -> f64 {
             };
             m.max((p - q).abs() / unit)
         })
-        .max(largest(&from.gravity, &to.gravity, STEP_GRAVITY))
-        .max(largest(&from.tip, &to.tip, STEP_TIP))
+        .max(largest(from.gravity, to.gravity, STEP_GRAVITY))
+        .max(largest(from.tip, to.tip, STEP_TIP))
 }
 
 fn between(a: &Load, b: &Load, t: f64) -> Load {
@@ -380,18 +375,17 @@ fn between(a: &Load, b: &Load, t: f64) -> Load {
             .map(|(p, q)| p + t * (q - p))
             .collect::<Vec<f64>>()
     };
-    let mix3 = |p: Vec3, q: Vec3| std::array::from_fn(|i| p[i] + t * (q[i] - p[i]));
     Load {
         cables: mix(&a.cables, &b.cables),
-        gravity: mix3(a.gravity, b.gravity),
-        tip: mix3(a.tip, b.tip),
+        gravity: a.gravity + t * (b.gravity - a.gravity),
+        tip: a.tip + t * (b.tip - a.tip),
     }
 }
 
 fn no_equilibrium(load: &Load, residual: f64) -> Error {
     Error::NoEquilibrium(format!(
-        "no equilibrium at tendon commands {:.3?} (mm, or N by tension), gravity {:.2?} g, tip \
-        load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try \
+        "no equilibrium at tendon commands {:.3?} (mm, or N by tension), gravity {:.2} g, tip \
+        load {:.3} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try \
         smaller commands or loads, a stiffer material, or a finer mesh",
         load.cables, load.gravity, load.tip
     ))

@@ -8,7 +8,6 @@ use crate::fem::mesh::{self, Resolution};
 use crate::fem::route::Route;
 use crate::fem::solid::Design;
 use crate::fem::tetrahedra::{tests::cut_block, tetrahedra};
-use crate::fem::{axpy, norm, sub};
 use std::f64::consts::FRAC_PI_2;
 
 pub(in crate::fem) fn design(core: usize, layers: usize) -> Design {
@@ -52,11 +51,11 @@ pub(super) fn reach(solid: &Solid, shortening: &[f64], gravity: Vec3, tip: Vec3)
 
 #[test]
 fn patch_test_a_linear_field_is_in_balance_inside_distorted_cells() {
-    let size = [3.0, 4.0, 5.0];
+    let size = Vec3::new(3.0, 4.0, 5.0);
     let inner = |p: &Vec3| p[0].abs() < 1.4 && p[1].abs() < 1.9 && (0.1..4.9).contains(&p[2]);
     let distort = |nodes: &mut [Vec3]| {
         for (n, p) in nodes.iter_mut().enumerate().filter(|(_, p)| inner(p)) {
-            *p = std::array::from_fn(|i| p[i] + 0.2 * ((7 * n + 3 * i) as f64).sin());
+            (0..3).for_each(|i| p[i] += 0.2 * ((7 * n + 3 * i) as f64).sin());
         }
     };
     let mut bricks = mesh::block([3, 3, 3], size).unwrap();
@@ -66,18 +65,18 @@ fn patch_test_a_linear_field_is_in_balance_inside_distorted_cells() {
     for mesh in [bricks, tetrahedra(nodes, &cells, 0).unwrap()] {
         let solid = Solid::new(mesh, Vec::new(), &Body::uniform(0.5, 0.45, 0.0).unwrap()).unwrap();
         let field = |p: &Vec3| {
-            [
+            Vec3::new(
                 1.2 * p[0] + 0.3 * p[1],
                 0.9 * p[1] - 0.2 * p[2],
                 1.1 * p[2] + 0.1 * p[0],
-            ]
+            )
         };
         let x: Vec<Vec3> = solid.mesh.nodes.iter().map(field).collect();
         let mut work = Work::new(&solid).unwrap();
         let still = Load {
             cables: vec![],
-            gravity: [0.0; 3],
-            tip: [0.0; 3],
+            gravity: Vec3::ZERO,
+            tip: Vec3::ZERO,
         };
         work.assemble(&x, &still);
         let nodes = solid.mesh.nodes.iter().zip(&solid.free);
@@ -102,8 +101,8 @@ fn tangent_of_the_whole_solid_agrees_with_finite_differences_and_woodbury_with_i
     let state = reach(
         &solid,
         &[4.0, 1.0, -4.0, -1.0],
-        [0.3, 0.0, 1.0],
-        [0.0, 0.05, 0.0],
+        Vec3::new(0.3, 0.0, 1.0),
+        Vec3::new(0.0, 0.05, 0.0),
     );
     let mut work = Work::new(&solid).unwrap();
     work.assemble(&state.x, &state.load);
@@ -137,9 +136,9 @@ fn a_tension_does_what_the_shortening_with_that_tension_does() {
     let mut other = design(2, 8);
     other.drive = Drive::Tension;
     let by_tension = Solid::build(other).unwrap();
-    let gravity = [0.2, 0.0, 1.0];
+    let gravity = Vec3::new(0.2, 0.0, 1.0);
     let mut solver = Solver::new(&by_shortening).unwrap();
-    let mut state = solver.home(gravity, [0.0; 3]).unwrap();
+    let mut state = solver.home(gravity, Vec3::ZERO).unwrap();
     let mut goal = state.load.clone();
     goal.cables = vec![7.0, 5.0, -7.0, -5.0];
     solver.advance(&mut state, &goal).unwrap();
@@ -148,31 +147,36 @@ fn a_tension_does_what_the_shortening_with_that_tension_does() {
         pulls[0] > 2.0 && pulls[1] > 1.0 && pulls[2] < 0.0,
         "{pulls:?}"
     );
-    let same = reach(&by_tension, &pulls, gravity, [0.0; 3]);
-    let apart = |(p, q): (&Vec3, &Vec3)| norm(sub(*p, *q));
+    let same = reach(&by_tension, &pulls, gravity, Vec3::ZERO);
+    let apart = |(p, q): (&Vec3, &Vec3)| p.distance(*q);
     assert!(same.x.iter().zip(&state.x).map(apart).fold(0.0, f64::max) < 1e-4);
 }
 
 #[test]
 fn a_quarter_turn_of_the_command_turns_the_shape() {
     let solid = Solid::build(design(3, 12)).unwrap();
-    let one = reach(&solid, &[6.0, 3.0, -6.0, -3.0], [0.5, 0.0, 1.0], [0.0; 3]);
-    let two = reach(&solid, &[-3.0, 6.0, 3.0, -6.0], [0.0, 0.5, 1.0], [0.0; 3]);
-    assert!(
-        norm(sub(
-            one.x[one.x.len() - 1],
-            solid.mesh.nodes[one.x.len() - 1]
-        )) > 10.0
+    let one = reach(
+        &solid,
+        &[6.0, 3.0, -6.0, -3.0],
+        Vec3::new(0.5, 0.0, 1.0),
+        Vec3::ZERO,
     );
+    let two = reach(
+        &solid,
+        &[-3.0, 6.0, 3.0, -6.0],
+        Vec3::new(0.0, 0.5, 1.0),
+        Vec3::ZERO,
+    );
+    assert!(one.x[one.x.len() - 1].distance(solid.mesh.nodes[one.x.len() - 1]) > 10.0);
     for (n, p) in solid.mesh.nodes.iter().enumerate() {
-        let turned = |v: Vec3| [-v[1], v[0], v[2]];
+        let turned = |v: Vec3| Vec3::new(-v[1], v[0], v[2]);
         let image = solid
             .mesh
             .nodes
             .iter()
-            .position(|q| norm(sub(*q, turned(*p))) < 1e-9)
+            .position(|q| q.distance(turned(*p)) < 1e-9)
             .unwrap();
-        assert!(norm(sub(turned(one.x[n]), two.x[image])) < 1e-5);
+        assert!(turned(one.x[n]).distance(two.x[image]) < 1e-5);
     }
 }
 
@@ -184,9 +188,9 @@ fn a_slack_cable_is_no_cable() {
         Solid::build(design(2, 8)).unwrap(),
         Solid::build(alone).unwrap(),
     );
-    let gravity = [0.0, 0.0, -0.2]; // standing: gravity slackens too
-    let all = reach(&four, &[6.0, -4.0, -6.0, -4.0], gravity, [0.0; 3]);
-    let single = reach(&one, &[6.0], gravity, [0.0; 3]);
+    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slackens too
+    let all = reach(&four, &[6.0, -4.0, -6.0, -4.0], gravity, Vec3::ZERO);
+    let single = reach(&one, &[6.0], gravity, Vec3::ZERO);
     let tension: Vec<f64> = four
         .cables
         .iter()
@@ -201,16 +205,16 @@ fn a_slack_cable_is_no_cable() {
         all.x
             .iter()
             .zip(&single.x)
-            .all(|(p, q)| norm(sub(*p, *q)) < 1e-5)
+            .all(|(p, q)| p.distance(*q) < 1e-5)
     );
 }
 
 #[test]
 fn the_cable_s_work_is_the_energy_gained_over_a_stroke() {
     let solid = Solid::build(design(2, 8)).unwrap();
-    let gravity = [0.4, 0.1, 0.0];
+    let gravity = Vec3::new(0.4, 0.1, 0.0);
     let mut solver = Solver::new(&solid).unwrap();
-    let mut state = solver.home(gravity, [0.0; 3]).unwrap();
+    let mut state = solver.home(gravity, Vec3::ZERO).unwrap();
     let (steps, stroke) = (40, 10.0);
     let mut pulls = Vec::new();
     // taut from here on, so that the tension is smooth and Simpson's rule exact to 1e-5
@@ -221,7 +225,7 @@ fn the_cable_s_work_is_the_energy_gained_over_a_stroke() {
         let goal = Load {
             cables: vec![d, -d, -d, -d],
             gravity,
-            tip: [0.0; 3],
+            tip: Vec3::ZERO,
         };
         solver.advance(&mut state, &goal).unwrap();
         pulls.push(solver.pulls(&state)[0]);
@@ -248,8 +252,8 @@ fn large_steps_and_small_steps_end_at_the_same_equilibrium() {
     let solid = Solid::build(design(2, 8)).unwrap();
     let goal = Load {
         cables: vec![8.0, 5.0, -8.0, -5.0],
-        gravity: [0.0, 0.0, 1.0],
-        tip: [0.0; 3],
+        gravity: Vec3::Z,
+        tip: Vec3::ZERO,
     };
     let far = reach(&solid, &goal.cables, goal.gravity, goal.tip);
     let mut solver = Solver::new(&solid).unwrap();
@@ -262,7 +266,7 @@ fn large_steps_and_small_steps_end_at_the_same_equilibrium() {
         far.x
             .iter()
             .zip(&near.x)
-            .all(|(p, q)| norm(sub(*p, *q)) < 1e-5)
+            .all(|(p, q)| p.distance(*q) < 1e-5)
     );
 }
 
@@ -270,11 +274,11 @@ fn large_steps_and_small_steps_end_at_the_same_equilibrium() {
 fn an_impossible_command_says_where_and_what_to_try() {
     let solid = Solid::build(design(1, 6)).unwrap();
     let mut solver = Solver::new(&solid).unwrap();
-    let mut state = solver.home([0.0; 3], [0.0; 3]).unwrap();
+    let mut state = solver.home(Vec3::ZERO, Vec3::ZERO).unwrap();
     let goal = Load {
         cables: vec![0.0; 4],
-        gravity: [0.0; 3],
-        tip: [0.0, 0.0, -1e6],
+        gravity: Vec3::ZERO,
+        tip: Vec3::new(0.0, 0.0, -1e6),
     };
     let error = solver.advance(&mut state, &goal).unwrap_err();
     let text = error.to_string();
@@ -290,7 +294,7 @@ fn an_impossible_command_says_where_and_what_to_try() {
 fn the_finger_converges_under_refinement() {
     let tip = |core: usize, layers: usize| {
         let solid = Solid::build(design(core, layers)).unwrap();
-        let state = reach(&solid, &[8.0, 0.0, -8.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+        let state = reach(&solid, &[8.0, 0.0, -8.0, 0.0], Vec3::Z, Vec3::ZERO);
         let last = state.x.len() - solid.mesh.per_layer;
         state.x[last..].iter().map(|p| p[0]).sum::<f64>() / solid.mesh.per_layer as f64
     };
@@ -310,7 +314,7 @@ fn the_finger_converges_under_refinement() {
 #[test]
 fn a_load_acts_where_it_hangs() {
     // Force and moment of the shares are those of the place, and farther out it bends more.
-    let size = [30.0, 30.0, 100.0];
+    let size = Vec3::new(30.0, 30.0, 100.0);
     let at = |load_at: Option<Vec3>| {
         Solid::build(Design {
             mesh: mesh::block([3, 3, 40], size).unwrap(),
@@ -327,20 +331,20 @@ fn a_load_acts_where_it_hangs() {
             change: Default::default(),
         })
     };
-    let place = [4.0, -3.0, 103.0];
+    let place = Vec3::new(4.0, -3.0, 103.0);
     let solid = at(Some(place)).unwrap();
     let load = Load {
         cables: Vec::new(),
-        gravity: [0.0; 3],
-        tip: [1.0, 1.0, 1.0],
+        gravity: Vec3::ZERO,
+        tip: Vec3::ONE,
     };
-    let (mut force, mut first) = (0.0, [0.0; 3]);
+    let (mut force, mut first) = (0.0, Vec3::ZERO);
     for (n, &x) in solid.mesh.nodes.iter().enumerate() {
         let f = solid.dead_force(n, &load)[0];
         force += f;
-        first = axpy(first, f, x);
+        first += f * x;
     }
     assert!((force - 1.0).abs() < 1e-12);
-    assert!(norm(sub(first, place)) < 1e-9);
-    assert!(at(Some([0.0, 0.0, 160.0])).is_err());
+    assert!(first.distance(place) < 1e-9);
+    assert!(at(Some(Vec3::new(0.0, 0.0, 160.0))).is_err());
 }

@@ -32,7 +32,7 @@ impl Route {
             },
             Route::Points(points) => {
                 let (s, c) = by.sin_cos();
-                let turn = |p: &Vec3| [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]];
+                let turn = |p: &Vec3| Vec3::new(c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]);
                 Route::Points(points.iter().map(turn).collect())
             }
         }
@@ -83,7 +83,7 @@ impl Route {
                 let z = |k: usize| first + (last - first) * k as f64 / count as f64;
                 let place = |k: usize| {
                     let [x, y] = self.at(z(k));
-                    [x, y, z(k)]
+                    Vec3::new(x, y, z(k))
                 };
                 (0..=count).map(place).collect()
             }

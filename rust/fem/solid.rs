@@ -5,6 +5,7 @@
 //! (consistent, ρ g) and a tip load spread over the last tenth of the height, with a slope where it
 //! acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
 
+use super::Vec3;
 use super::cable::{Cable, Drive};
 use super::change::{self, Change};
 use super::element::{Element, elements};
@@ -12,7 +13,6 @@ use super::guide::Averaging;
 use super::material::Body;
 use super::mesh::Mesh;
 use super::route::Route;
-use super::{Vec3, axpy, dot, norm, sub};
 use crate::algebra::dense;
 use crate::algebra::sparse::Pattern;
 use crate::error::{Result, invalid};
@@ -146,9 +146,11 @@ impl Solid {
     /// its force and moment.
     fn load_at(&mut self, place: Vec3) -> Result<()> {
         let nodes = &self.mesh.nodes;
-        let middle = (0..nodes.len()).fold([0.0; 3], |m, n| axpy(m, self.tip[n], nodes[n]));
-        let away = sub(place, middle);
-        let far = norm(away);
+        let middle = (0..nodes.len())
+            .map(|n| self.tip[n] * nodes[n])
+            .sum::<Vec3>();
+        let away = place - middle;
+        let far = away.length();
         if far.is_nan() || far > LOAD_REACH * self.mesh.height {
             return Err(invalid(format!(
                 "load at ({:.4}, {:.4}, {:.4}) mm: allowed is up to {:.4} mm from the middle of \
@@ -164,20 +166,20 @@ impl Solid {
         }
         let mut spread = vec![vec![0.0; 3]; 3];
         for (n, share) in self.tip.iter().enumerate() {
-            let d = sub(nodes[n], middle);
+            let d = nodes[n] - middle;
             for (a, row) in spread.iter_mut().enumerate() {
                 row.iter_mut()
-                    .zip(d)
+                    .zip(d.to_array())
                     .for_each(|(s, b)| *s += share * d[a] * b);
             }
         }
-        let slope = match dense::solve(spread, away.to_vec()).as_deref() {
+        let slope = match dense::solve(spread, away.to_array().to_vec()).as_deref() {
             Some(&[x, y, z])
                 if [x, y, z]
                     .iter()
                     .all(|s| s.abs() * self.mesh.height < STEEPEST) =>
             {
-                [x, y, z]
+                Vec3::new(x, y, z)
             }
             _ => {
                 return Err(invalid(format!(
@@ -188,7 +190,7 @@ impl Solid {
             }
         };
         for (n, share) in self.tip.iter_mut().enumerate() {
-            *share *= 1.0 + dot(slope, sub(nodes[n], middle));
+            *share *= 1.0 + slope.dot(nodes[n] - middle);
         }
         Ok(())
     }
@@ -200,8 +202,7 @@ impl Solid {
 
     /// Dead force on a node, N.
     pub fn dead_force(&self, node: usize, load: &Load) -> Vec3 {
-        let own = load.gravity.map(|g| g * self.weight[node]);
-        axpy(own, self.tip[node], load.tip)
+        self.weight[node] * load.gravity + self.tip[node] * load.tip
     }
 
     /// Total energy, N·mm; infinite where a cell is inside out.
@@ -220,24 +221,18 @@ impl Solid {
     }
 
     pub(super) fn dead_work(&self, x: &[Vec3], load: &Load) -> f64 {
-        let moved = |n: usize| sub(x[n], self.mesh.nodes[n]);
+        let moved = |n: usize| x[n] - self.mesh.nodes[n];
         (0..x.len())
-            .map(|n| dot(self.dead_force(n, load), moved(n)))
+            .map(|n| self.dead_force(n, load).dot(moved(n)))
             .sum()
     }
 
     /// Add a vector of unknowns, scaled, to node places.
     pub fn displace(&self, x: &[Vec3], by: &[f64], scale: f64) -> Vec<Vec3> {
-        let step = |f: usize| [by[3 * f], by[3 * f + 1], by[3 * f + 2]];
+        let step = |f: usize| Vec3::from_slice(&by[3 * f..]);
         x.iter()
             .zip(&self.free)
-            .map(|(p, &f)| {
-                if f == HELD {
-                    *p
-                } else {
-                    axpy(*p, scale, step(f))
-                }
-            })
+            .map(|(p, &f)| if f == HELD { *p } else { p + scale * step(f) })
             .collect()
     }
 
@@ -254,9 +249,7 @@ impl Solid {
     pub fn push_vector(&self, station: usize, axis: usize) -> Vec<f64> {
         let mut f = vec![0.0; self.unknowns()];
         for (n, share) in self.push[station].iter().enumerate() {
-            let mut force = [0.0; 3];
-            force[axis] = *share;
-            self.scatter(n, force, &mut f);
+            self.scatter(n, *share * Vec3::AXES[axis], &mut f);
         }
         f
     }

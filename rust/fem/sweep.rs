@@ -71,10 +71,11 @@ impl Simulation {
 
     /// The load of a command.
     pub fn load(&self, command: &[f64], gravity: Vec3, tip: Vec3) -> Result<Load> {
-        let mut numbers = command.iter().chain(&gravity).chain(&tip);
+        let loads = [gravity.to_array(), tip.to_array()];
+        let mut numbers = command.iter().chain(loads.as_flattened());
         if command.len() != self.channels() || !numbers.all(|v| v.abs() <= LARGEST) {
             return Err(invalid(format!(
-                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in \
+                "command {command:?}, gravity {gravity}, load {tip}: expected {} commands in \
                 mm or N, and loads in g and N, each within ±{LARGEST:e}",
                 self.channels()
             )));

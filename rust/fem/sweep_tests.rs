@@ -3,11 +3,8 @@
 
 use super::*;
 use crate::algebra::complementarity::Problem;
-use crate::algebra::vector::sub;
-use crate::fem::axpy;
 use crate::fem::change::changed;
 use crate::fem::newton::tests::design;
-use crate::fem::norm;
 use crate::fem::solid::Design;
 use crate::response::cables::Cables;
 use crate::response::loads::{
@@ -42,17 +39,17 @@ fn simulation(design: Design, points: Option<&[Vec3]>) -> Simulation {
 fn largest(a: &[Vec3], b: &[Vec3]) -> f64 {
     a.iter()
         .zip(b)
-        .fold(0.0, |m: f64, (p, q)| m.max(norm(sub(*p, *q))))
+        .fold(0.0, |m: f64, (p, q)| m.max(p.distance(*q)))
 }
 
-const HANGING: Vec3 = [0.0, 0.0, 1.0];
+const HANGING: Vec3 = Vec3::Z;
 
 #[test]
 fn sweep_is_in_c_order_and_agrees_with_the_path() {
     let s = small(2, 8, None);
     let axes = vec![vec![-5.0, 0.0, 4.0], vec![-6.0, -1.0, 3.0, 5.0]];
     let grid = s
-        .sweep(&axes, HANGING, [0.0; 3], &Progress::default())
+        .sweep(&axes, HANGING, Vec3::ZERO, &Progress::default())
         .unwrap();
     let commands: Vec<Vec<f64>> = axes[0]
         .iter()
@@ -62,7 +59,7 @@ fn sweep_is_in_c_order_and_agrees_with_the_path() {
         .path(
             &commands,
             &vec![HANGING; 12],
-            [0.0; 3],
+            Vec3::ZERO,
             &Progress::default(),
         )
         .unwrap();
@@ -90,9 +87,11 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     let progress = Progress::default();
     let design = loads[LOADS..].iter().any(|c| *c != 0.0);
     let found = s
-        .fields(&commands, HANGING, [0.0; 3], design, &progress)
+        .fields(&commands, HANGING, Vec3::ZERO, design, &progress)
         .unwrap();
-    let start = s.path(&commands, &[HANGING], [0.0; 3], &progress).unwrap();
+    let start = s
+        .path(&commands, &[HANGING], Vec3::ZERO, &progress)
+        .unwrap();
     let constant = |values: Vec<f64>| -> Arc<Table> {
         Arc::new(Table::new(vec![], vec![], values, vec![]).unwrap())
     };
@@ -122,7 +121,7 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
         .map(|p| {
             let fields = found[0].fields.iter().zip(&weights);
             let there = fields.filter(|(f, _)| !f.is_empty());
-            there.fold([0.0; 3], |sum, (f, w)| axpy(sum, *w, f[p]))
+            there.fold(Vec3::ZERO, |sum, (f, w)| sum + w * f[p])
         })
         .collect()
 }
@@ -130,19 +129,15 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
 fn solved(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> {
     let place = |scale: f64| {
         let part = |i: usize| scale * loads[i];
-        let gravity = [part(0), part(1), 1.0 + part(2)];
-        let tip = [part(3), part(4), part(5)];
+        let gravity = Vec3::new(part(0), part(1), 1.0 + part(2));
+        let tip = Vec3::new(part(3), part(4), part(5));
         s.path(&[command.to_vec()], &[gravity], tip, &Progress::default())
             .unwrap()
             .remove(0)
             .places
     };
     let (before, after) = (place(0.0), place(1.0));
-    after
-        .iter()
-        .zip(&before)
-        .map(|(p, q)| sub(*p, *q))
-        .collect()
+    after.iter().zip(&before).map(|(p, q)| p - q).collect()
 }
 
 #[test]
@@ -154,7 +149,7 @@ fn fields_are_the_slopes_of_solved_loads() {
             let mut loads = loads(&[]);
             loads[f] = unit;
             let (slope, truth) = (answered(&s, &command, &loads), solved(&s, &command, &loads));
-            let size = truth.iter().fold(0.0, |m: f64, v| m.max(norm(*v)));
+            let size = truth.iter().fold(0.0, |m: f64, v| m.max(v.length()));
             // The curvature of the answer over so small a load.
             assert!(
                 largest(&slope, &truth) < 1e-2 * size.max(0.02 * unit),
@@ -176,7 +171,7 @@ fn large_loads_that_change_which_cables_pull_are_answered_too() {
     ] {
         let loads = loads(&first);
         let (said, truth) = (answered(&s, &command, &loads), solved(&s, &command, &loads));
-        let size = truth.iter().fold(0.0, |m: f64, v| m.max(norm(*v)));
+        let size = truth.iter().fold(0.0, |m: f64, v| m.max(v.length()));
         // Geometric nonlinearity only; with the tangent of the start instead the error is half of
         // the displacement.
         assert!(
@@ -188,11 +183,7 @@ fn large_loads_that_change_which_cables_pull_are_answered_too() {
 }
 
 fn rms(a: &[Vec3], b: &[Vec3]) -> f64 {
-    let sum: f64 = a
-        .iter()
-        .zip(b)
-        .map(|(p, q)| norm(sub(*p, *q)).powi(2))
-        .sum();
+    let sum: f64 = a.iter().zip(b).map(|(p, q)| p.distance(*q).powi(2)).sum();
     (sum / a.len() as f64).sqrt()
 }
 
@@ -219,21 +210,17 @@ fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
                 let path = s.path(
                     &[command.to_vec()],
                     &[HANGING],
-                    [0.0; 3],
+                    Vec3::ZERO,
                     &Progress::default(),
                 );
                 path.unwrap().remove(0).places
             };
             let (before, after) = (look(&s), look(&other));
-            let truth: Vec<Vec3> = after
-                .iter()
-                .zip(&before)
-                .map(|(p, q)| sub(*p, *q))
-                .collect();
+            let truth: Vec<Vec3> = after.iter().zip(&before).map(|(p, q)| p - q).collect();
             let said = answered(&s, command, &change);
             (
                 rms(&said, &truth),
-                rms(&truth, &vec![[0.0; 3]; truth.len()]),
+                rms(&truth, &vec![Vec3::ZERO; truth.len()]),
             )
         })
         .collect()
@@ -288,17 +275,14 @@ fn a_body_at_rest_takes_the_shape_of_its_changed_design() {
         let s = small(2, 8, None);
         let found = s.fields(
             &[vec![0.0, 0.0]],
-            [0.0; 3],
-            [0.0; 3],
+            Vec3::ZERO,
+            Vec3::ZERO,
             true,
             &Progress::default(),
         );
         let field = &found.unwrap()[0].fields[field];
         let rest: Vec<Vec3> = s.points.place(&s.solid.mesh.nodes);
-        (
-            rest,
-            field.iter().map(|v| v.map(|v| by * v)).collect::<Vec<_>>(),
-        )
+        (rest, field.iter().map(|v| by * v).collect::<Vec<_>>())
     };
     let (rest, arc) = still(CURVE, 2.0);
     let (_, roll) = still(TWIST, 6.0);
@@ -306,9 +290,9 @@ fn a_body_at_rest_takes_the_shape_of_its_changed_design() {
     let rate = 6f64.to_radians() / 60.0;
     for (((p, a), r), s) in rest.iter().zip(&arc).zip(&roll).zip(&stiff) {
         let k = 4.0 / 3600.0 * p[2];
-        assert!(norm(sub(*a, [0.5 * k * p[2], 0.0, -k * p[0]])) < 1e-3);
-        assert!(norm(sub(*r, [-rate * p[2] * p[1], rate * p[2] * p[0], 0.0])) < 1e-3);
-        assert!(norm(*s) < 1e-9);
+        assert!(a.distance(Vec3::new(0.5 * k * p[2], 0.0, -k * p[0])) < 1e-3);
+        assert!(r.distance(rate * p[2] * Vec3::new(-p[1], p[0], 0.0)) < 1e-3);
+        assert!(s.length() < 1e-9);
     }
 }
 
@@ -327,7 +311,7 @@ fn another_mesh_reports_the_same_points() {
         s.path(
             &[vec![6.0, 3.0]],
             &[HANGING],
-            [0.0; 3],
+            Vec3::ZERO,
             &Progress::default(),
         )
         .unwrap()
@@ -359,9 +343,11 @@ fn guesses_of_a_rough_mesh_lead_to_the_equilibria_of_a_fine_one() {
     let commands = vec![vec![6.0, 3.0], vec![-8.0, 1.0]];
     let go = Progress::default();
     let guessed = fine
-        .path_from(&rough, &commands, HANGING, [0.0; 3], &go)
+        .path_from(&rough, &commands, HANGING, Vec3::ZERO, &go)
         .unwrap();
-    let alone = fine.path(&commands, &[HANGING; 2], [0.0; 3], &go).unwrap();
+    let alone = fine
+        .path(&commands, &[HANGING; 2], Vec3::ZERO, &go)
+        .unwrap();
     for (a, b) in guessed.iter().zip(&alone) {
         assert!(largest(&a.places, &b.places) < 1e-4);
     }
@@ -374,21 +360,21 @@ fn a_stop_interrupts_and_bad_requests_are_refused() {
     stopped.stop.store(true, Ordering::Relaxed);
     let axes = vec![vec![0.0, 1.0], vec![0.0, 1.0]];
     assert!(matches!(
-        s.sweep(&axes, HANGING, [0.0; 3], &stopped),
+        s.sweep(&axes, HANGING, Vec3::ZERO, &stopped),
         Err(Error::Interrupted)
     ));
     let go = Progress::default();
-    assert!(s.sweep(&axes[..1], HANGING, [0.0; 3], &go).is_err());
+    assert!(s.sweep(&axes[..1], HANGING, Vec3::ZERO, &go).is_err());
     assert!(
-        s.sweep(&[vec![1.0, 0.0], vec![0.0]], HANGING, [0.0; 3], &go)
+        s.sweep(&[vec![1.0, 0.0], vec![0.0]], HANGING, Vec3::ZERO, &go)
             .is_err()
     );
-    assert!(s.path(&[vec![1.0]], &[HANGING], [0.0; 3], &go).is_err());
+    assert!(s.path(&[vec![1.0]], &[HANGING], Vec3::ZERO, &go).is_err());
     assert!(
-        s.path(&[vec![1.0, f64::NAN]], &[HANGING], [0.0; 3], &go)
+        s.path(&[vec![1.0, f64::NAN]], &[HANGING], Vec3::ZERO, &go)
             .is_err()
     );
-    assert!(s.path(&[vec![1.0, 0.0]], &[], [0.0; 3], &go).is_err());
+    assert!(s.path(&[vec![1.0, 0.0]], &[], Vec3::ZERO, &go).is_err());
 }
 
 #[test]

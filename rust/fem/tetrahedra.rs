@@ -6,9 +6,9 @@
 //! finite, cells that point outside the nodes, are inside out or flat, loose nodes, several bodies,
 //! a size that no finger has, nothing clamped. Units: mm in the base frame; z ≤ 0 is held.
 
+use super::Vec3;
 use super::mesh::{Mesh, Section, outer_surface};
 use super::natural::{EDGES, Kind};
-use super::{Vec3, norm, sub};
 use crate::error::{Result, invalid};
 use std::collections::HashMap;
 
@@ -94,10 +94,10 @@ fn check_numbers(nodes: &[Vec3], cells: &[Vec<usize>], refine: usize) -> Result<
     }
     if let Some(n) = nodes
         .iter()
-        .position(|p| !p.iter().all(|v| v.is_finite() && v.abs() < 1e9))
+        .position(|p| !p.abs().cmplt(Vec3::splat(1e9)).all())
     {
         return Err(invalid(format!(
-            "node {n} of the mesh lies at {:?}; export it again",
+            "node {n} of the mesh lies at {}; export it again",
             nodes[n]
         )));
     }
@@ -152,9 +152,9 @@ fn check_cells(nodes: &[Vec3], cells: &[Vec<usize>]) -> Result<()> {
     let (mut flat, mut turned, mut first) = (0, 0, None);
     for (c, cell) in cells.iter().enumerate() {
         let corner = |i: usize| nodes[cell[i]];
-        let edges = [1, 2, 3].map(|i| sub(corner(i), corner(0)));
-        let volume = crate::algebra::vector::cofactor(&edges).1 / 6.0;
-        let length = |e: &[usize; 2]| norm(sub(corner(e[0]), corner(e[1])));
+        let edges = [1, 2, 3].map(|i| corner(i) - corner(0));
+        let volume = triple(edges) / 6.0;
+        let length = |e: &[usize; 2]| corner(e[0]).distance(corner(e[1]));
         let longest = EDGES.iter().map(length).fold(0.0, f64::max);
         if volume.abs() <= FLAT * longest.powi(3) {
             flat += 1;
@@ -169,11 +169,16 @@ fn check_cells(nodes: &[Vec3], cells: &[Vec<usize>]) -> Result<()> {
         None => Ok(()),
         Some((c, at, volume)) => Err(invalid(format!(
             "of {} tetrahedra {turned} are inside out and {flat} flat (the first is cell {c} at \
-            {at:.2?} mm with {volume:.3e} mm³); \
+            {at:.2} mm with {volume:.3e} mm³); \
             mesh it again, or number its nodes in VTK's order",
             cells.len()
         ))),
     }
+}
+
+/// Volume of the parallelepiped of three edges, below zero where they turn the other way.
+fn triple([a, b, c]: [Vec3; 3]) -> f64 {
+    a.dot(b.cross(c))
 }
 
 /// Give 4-node cells a node in the middle of each edge.
@@ -183,7 +188,7 @@ fn promote(nodes: &mut Vec<Vec3>, cells: &mut [Vec<usize>]) {
         for [i, j] in EDGES {
             let (a, b) = (cell[i].min(cell[j]), cell[i].max(cell[j]));
             let node = *middle.entry([a, b]).or_insert_with(|| {
-                nodes.push(std::array::from_fn(|k| 0.5 * (nodes[a][k] + nodes[b][k])));
+                nodes.push(0.5 * (nodes[a] + nodes[b]));
                 nodes.len() - 1
             });
             cell.push(node);
@@ -205,7 +210,7 @@ fn split(nodes: &[Vec3], cells: &[Vec<usize>]) -> Vec<Vec<usize>> {
     for cell in cells {
         let at = |i: usize| nodes[cell[i]];
         finer.extend(CORNERS.map(|c| c.map(|i| cell[i]).to_vec()));
-        let length = |d: &[usize; 2]| norm(sub(at(d[0]), at(d[1])));
+        let length = |d: &[usize; 2]| at(d[0]).distance(at(d[1]));
         let shortest = AROUND
             .iter()
             .min_by(|a, b| length(&a.0).total_cmp(&length(&b.0)))
@@ -213,8 +218,8 @@ fn split(nodes: &[Vec3], cells: &[Vec<usize>]) -> Vec<Vec<usize>> {
         let ([a, b], ring) = *shortest;
         for k in 0..4 {
             let mut four = [a, b, ring[k], ring[(k + 1) % 4]];
-            let edges = [1, 2, 3].map(|i| sub(at(four[i]), at(four[0])));
-            if crate::algebra::vector::cofactor(&edges).1 < 0.0 {
+            let edges = [1, 2, 3].map(|i| at(four[i]) - at(four[0]));
+            if triple(edges) < 0.0 {
                 four.swap(2, 3);
             }
             finer.push(four.map(|i| cell[i]).to_vec());
@@ -247,17 +252,13 @@ pub(crate) mod tests {
 
     fn volume(mesh: &Mesh) -> f64 {
         let at = |v: usize| mesh.nodes[mesh.surface[v]];
-        let six: f64 = mesh
-            .triangles
-            .iter()
-            .map(|t| crate::algebra::vector::cofactor(&t.map(at)).1)
-            .sum();
+        let six: f64 = mesh.triangles.iter().map(|t| triple(t.map(at))).sum();
         six / 6.0
     }
 
     #[test]
     fn a_cut_block_has_its_volume_and_refining_keeps_it() {
-        let (nodes, cells) = cut_block([2, 2, 3], [4.0, 6.0, 9.0]);
+        let (nodes, cells) = cut_block([2, 2, 3], Vec3::new(4.0, 6.0, 9.0));
         for refine in 0..2 {
             let mesh = tetrahedra(nodes.clone(), &cells, refine).unwrap();
             assert_eq!(mesh.cells.len(), 10 * 72 * 8usize.pow(refine as u32));
@@ -272,7 +273,7 @@ pub(crate) mod tests {
 
     #[test]
     fn ten_node_cells_are_taken_as_they_are() {
-        let (mut nodes, mut cells) = cut_block([1, 1, 2], [4.0, 4.0, 9.0]);
+        let (mut nodes, mut cells) = cut_block([1, 1, 2], Vec3::new(4.0, 4.0, 9.0));
         let promoted = tetrahedra(nodes.clone(), &cells, 0).unwrap();
         promote(&mut nodes, &mut cells);
         let given = tetrahedra(nodes, &cells, 0).unwrap();
@@ -284,26 +285,24 @@ pub(crate) mod tests {
     fn bad_meshes_are_refused_in_one_line() {
         type Parts = (Vec<Vec3>, Vec<Vec<usize>>);
         type Spoil = fn(&mut Parts);
-        let good = || cut_block([1, 1, 2], [4.0, 4.0, 9.0]);
+        let good = || cut_block([1, 1, 2], Vec3::new(4.0, 4.0, 9.0));
         let cases: [(&str, Spoil); 9] = [
             ("no tetrahedra", |m| m.1.clear()),
             ("inside out", |m| m.1[3].swap(0, 1)),
             ("flat", |m| m.1[3][0] = m.1[3][1]),
             ("names node", |m| m.1[0][2] = 999),
-            ("belong to no tetrahedron", |m| m.0.push([1.0, 1.0, 1.0])),
+            ("belong to no tetrahedron", |m| m.0.push(Vec3::ONE)),
             ("2 separate bodies", |m| {
                 let n = m.0.len();
                 m.0.extend([
-                    [9.0, 0.0, 0.0],
-                    [10.0, 0.0, 0.0],
-                    [9.0, 1.0, 0.0],
-                    [9.0, 0.0, 1.0],
+                    Vec3::new(9.0, 0.0, 0.0),
+                    Vec3::new(10.0, 0.0, 0.0),
+                    Vec3::new(9.0, 1.0, 0.0),
+                    Vec3::new(9.0, 0.0, 1.0),
                 ]);
                 m.1.push(vec![n, n + 1, n + 2, n + 3]);
             }),
-            ("unit", |m| {
-                m.0.iter_mut().for_each(|p| *p = p.map(|v| 1e-3 * v))
-            }),
+            ("unit", |m| m.0.iter_mut().for_each(|p| *p *= 1e-3)),
             ("are held", |m| m.0.iter_mut().for_each(|p| p[2] += 1.0)),
             ("node 2", |m| m.0[2][1] = f64::NAN),
         ];

@@ -55,8 +55,8 @@ impl<'a> Work<'a> {
         let mut energy = -solid.dead_work(x, load);
         let width = solid.mesh.kind.nodes();
         let pairs = width * (width + 1) / 2;
-        let mut force = [[0.0; 3]; MOST_NODES];
-        let mut k = [[[0.0; 3]; 3]; MOST_NODES * (MOST_NODES + 1) / 2];
+        let mut force = [Vec3::ZERO; MOST_NODES];
+        let mut k = [[Vec3::ZERO; 3]; MOST_NODES * (MOST_NODES + 1) / 2];
         for (element, slots) in solid.elements.iter().zip(solid.slots.chunks_exact(pairs)) {
             energy += element.tangent(x, &mut force[..width], &mut k[..pairs]);
             if !energy.is_finite() {
@@ -81,10 +81,10 @@ impl<'a> Work<'a> {
     pub fn balance(&mut self, x: &[Vec3], load: &Load) -> bool {
         let solid = self.solid;
         self.residual.fill(0.0);
-        let mut force = [[0.0; 3]; MOST_NODES];
+        let mut force = [Vec3::ZERO; MOST_NODES];
         for element in &solid.elements {
             let force = &mut force[..element.nodes().len()];
-            force.fill([0.0; 3]);
+            force.fill(Vec3::ZERO);
             element.force(x, force);
             for (node, force) in element.nodes().iter().zip(force) {
                 solid.scatter(*node, *force, &mut self.residual);
@@ -107,9 +107,8 @@ impl<'a> Work<'a> {
     /// Take the dead forces on the first `nodes` from the residual.
     fn add_dead(&mut self, nodes: usize, load: &Load) {
         for n in 0..nodes {
-            let f = self.solid.dead_force(n, load);
-            self.solid
-                .scatter(n, [-f[0], -f[1], -f[2]], &mut self.residual);
+            let force = self.solid.dead_force(n, load);
+            self.solid.scatter(n, -force, &mut self.residual);
         }
     }
 
@@ -121,13 +120,13 @@ impl<'a> Work<'a> {
             let fa = solid.free[nodes[a]];
             for b in 0..=a {
                 let fb = solid.free[nodes[b]];
-                let (slot, m) = (slots[pair] as usize, &k[pair]);
+                let (slot, m) = (slots[pair] as usize, k[pair].map(<[f64; 3]>::from));
                 pair += 1;
                 if fa == HELD || fb == HELD {
                     continue;
                 }
                 if fa >= fb {
-                    solid.pattern.add(&mut self.values, fb, slot, m);
+                    solid.pattern.add(&mut self.values, fb, slot, &m);
                 } else {
                     let turned = std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]));
                     solid.pattern.add(&mut self.values, fa, slot, &turned);
@@ -152,7 +151,9 @@ impl<'a> Work<'a> {
                 && fb != HELD
                 && let Some(slot) = solid.pattern.slot(fa, fb)
             {
-                solid.pattern.add(&mut self.values, fb, slot, &block);
+                solid
+                    .pattern
+                    .add(&mut self.values, fb, slot, &block.map(Into::into));
             }
         });
     }

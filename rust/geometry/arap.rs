@@ -8,9 +8,9 @@
 //! long as the weights c stay: its factor is made once. Neither step raises the energy. Units: mm.
 
 use super::laplacian::Edges;
-use super::rotation::{LANES, NO_TURN, Quaternion, columns, follow, turned};
+use super::rotation::{LANES, NO_TURN, Quaternion, follow, rotation};
 use crate::algebra::sparse::{Factor, Pattern};
-use crate::algebra::vector::{Vec3, add, axpy, dot, scaled, sub};
+use crate::algebra::{Mat3, Vec3, outer};
 use crate::error::{Result, invalid};
 use std::sync::Arc;
 
@@ -128,15 +128,13 @@ impl Arap {
             lanes[..some.len()].copy_from_slice(some);
             for k in 0..some.len() {
                 let i = LANES * first + k;
-                let mut own = [[0.0; 3]; 3];
+                let mut own = Mat3::ZERO;
                 for (j, w) in self.edges.of(i) {
-                    let (now, then) = (sub(places[i], places[j]), sub(self.rest[i], self.rest[j]));
-                    for c in 0..3 {
-                        own[c] = axpy(own[c], w * then[c], now);
-                    }
+                    let (now, then) = (places[i] - places[j], self.rest[i] - self.rest[j]);
+                    own += outer(now, w * then);
                 }
                 for c in 0..3 {
-                    (0..3).for_each(|r| a[c][r][k] = own[c][r]);
+                    (0..3).for_each(|r| a[c][r][k] = own.col(c)[r]);
                 }
             }
             follow(&a, &mut lanes, ROUNDS);
@@ -146,13 +144,11 @@ impl Arap {
 
     /// What the edges want of each vertex: Σ_j w_ij (R_i + R_j)(r_i − r_j).
     pub fn wanted(&self, turns: &[Quaternion], mut to: impl FnMut(usize, Vec3)) {
-        let turns: Vec<_> = turns.iter().map(|q| columns(*q)).collect();
+        let turns: Vec<_> = turns.iter().map(|q| rotation(*q)).collect();
         for i in 0..self.rest.len() {
-            let mut sum = [0.0; 3];
+            let mut sum = Vec3::ZERO;
             for (j, w) in self.edges.of(i) {
-                let then = scaled(sub(self.rest[i], self.rest[j]), w);
-                let both: [Vec3; 3] = std::array::from_fn(|c| add(turns[i][c], turns[j][c]));
-                sum = add(sum, turned(&both, then));
+                sum += (turns[i] + turns[j]) * (w * (self.rest[i] - self.rest[j]));
             }
             to(i, sum);
         }
@@ -162,11 +158,11 @@ impl Arap {
     pub fn energy(&self, pose: &Pose) -> f64 {
         let mut sum = 0.0;
         for i in 0..self.rest.len() {
-            let turn = columns(pose.turns[i]);
+            let turn = rotation(pose.turns[i]);
             for (j, w) in self.edges.of(i) {
-                let then = turned(&turn, sub(self.rest[i], self.rest[j]));
-                let off = sub(sub(pose.places[i], pose.places[j]), then);
-                sum += w * dot(off, off);
+                let then = turn * (self.rest[i] - self.rest[j]);
+                let off = pose.places[i] - pose.places[j] - then;
+                sum += w * off.length_squared();
             }
         }
         sum
@@ -181,21 +177,21 @@ impl Held<'_> {
         arap.local(pose);
         let (right, strength) = (&mut self.right, &self.strength);
         arap.wanted(&pose.turns, |i, sum| {
-            (0..3).for_each(|c| right[c * n + i] = sum[c] + strength[i] * goals[i][c]);
+            let sum = sum + strength[i] * goals[i];
+            (0..3).for_each(|c| right[c * n + i] = sum[c]);
         });
         self.factor.solve(&arap.pattern, right);
         for (i, place) in pose.places.iter_mut().enumerate() {
-            *place = std::array::from_fn(|c| right[c * n + i]);
+            *place = Vec3::new(right[i], right[n + i], right[2 * n + i]);
         }
     }
 
     /// The whole energy, mm².
     pub fn energy(&self, pose: &Pose, goals: &[Vec3]) -> f64 {
         let held = pose.places.iter().zip(goals).zip(&self.strength);
-        let held = held.filter(|(_, c)| **c > 0.0).map(|((p, q), c)| {
-            let off = sub(*p, *q);
-            c * dot(off, off)
-        });
+        let held = held
+            .filter(|(_, c)| **c > 0.0)
+            .map(|((p, q), c)| c * p.distance_squared(*q));
         self.arap.energy(pose) + held.sum::<f64>()
     }
 }
@@ -210,7 +206,11 @@ mod tests {
         for r in 0..rings {
             for k in 0..around {
                 let angle = std::f64::consts::TAU * k as f64 / around as f64;
-                rest.push([8.0 * angle.cos(), 8.0 * angle.sin(), 5.0 * r as f64]);
+                rest.push(Vec3::new(
+                    8.0 * angle.cos(),
+                    8.0 * angle.sin(),
+                    5.0 * r as f64,
+                ));
             }
         }
         let mut triangles = vec![];
@@ -226,8 +226,8 @@ mod tests {
 
     fn rigid(p: Vec3) -> Vec3 {
         let (s, c) = 0.8f64.sin_cos();
-        let turned = [p[0], c * p[1] - s * p[2], s * p[1] + c * p[2]];
-        [turned[0] + 3.0, turned[1] - 7.0, turned[2] + 1.0]
+        let turned = Vec3::new(p[0], c * p[1] - s * p[2], s * p[1] + c * p[2]);
+        turned + Vec3::new(3.0, -7.0, 1.0)
     }
 
     #[test]
@@ -239,8 +239,8 @@ mod tests {
         let mut held = arap.held(strength.collect()).unwrap();
         let mut pose = arap.pose();
         (0..600).for_each(|_| held.step(&mut pose, &goals));
-        let off = pose.places.iter().zip(&goals).map(|(p, q)| sub(*p, *q));
-        assert!(off.flatten().all(|v| v.abs() < 1e-9));
+        let mut pairs = pose.places.iter().zip(&goals);
+        assert!(pairs.all(|(p, q)| p.abs_diff_eq(*q, 1e-9)));
         assert!(arap.energy(&pose) < 1e-16);
     }
 
@@ -248,7 +248,7 @@ mod tests {
     fn no_step_raises_the_energy_and_strong_hands_have_their_way() {
         let (rest, triangles) = tube(12, 10);
         let arap = Arap::new(rest.clone(), &triangles).unwrap();
-        let bent = |p: &Vec3| [p[0] + 0.004 * p[2] * p[2], p[1], p[2] * 0.9];
+        let bent = |p: &Vec3| Vec3::new(p[0] + 0.004 * p[2] * p[2], p[1], p[2] * 0.9);
         let goals: Vec<Vec3> = rest.iter().map(bent).collect();
         for strength in [1e-6, 0.1, 1e7] {
             let mut held = arap.held(vec![strength; rest.len()]).unwrap();
@@ -260,8 +260,8 @@ mod tests {
                 assert!(after <= before + 1e-9 * before.abs(), "{before} to {after}");
                 before = after;
             }
-            let far = pose.places.iter().zip(&goals).map(|(p, q)| sub(*p, *q));
-            let far = far.flatten().fold(0.0, |m: f64, v| m.max(v.abs()));
+            let far = pose.places.iter().zip(&goals).map(|(p, q)| p - q);
+            let far = far.fold(0.0, |m: f64, v| m.max(v.abs().max_element()));
             match strength {
                 s if s > 1e6 => assert!(far < 1e-5),
                 s if s < 1e-5 => assert!(arap.energy(&pose) < 1e-3),
@@ -304,7 +304,7 @@ mod tests {
         let arap = Arap::new(rest.clone(), &triangles).unwrap();
         assert!(arap.held(vec![0.0; rest.len()]).is_err());
         assert!(arap.held(vec![1.0; 3]).is_err());
-        let lonely = [rest, vec![[0.0; 3]]].concat();
+        let lonely = [rest, vec![Vec3::ZERO]].concat();
         assert!(Arap::new(lonely, &triangles).is_err());
     }
 }

@@ -8,7 +8,7 @@
 //! changes, the distance has a kink, and where a pair touches, its share of the gradient is zero.
 
 use super::nearest::{Nearest, both_ways};
-use crate::algebra::vector::{Vec3, axpy, sub};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 
 /// What was measured.
@@ -47,10 +47,10 @@ impl Chamfer {
         trusted: &[f64],
         (first, second): (f64, f64),
     ) -> Vec<Vec3> {
-        let mut out = vec![[0.0; 3]; template.len()];
+        let mut out = vec![Vec3::ZERO; template.len()];
         let mut pull = |i: usize, j: usize, distance: f64, share: f64| {
             if distance > 0.0 {
-                out[i] = axpy(out[i], share / distance, sub(template[i], cloud[j]));
+                out[i] += share / distance * (template[i] - cloud[j]);
             }
         };
         let shares = |weights: &[f64], count: usize, times: f64| match weights {
@@ -112,12 +112,14 @@ mod tests {
                 .wrapping_add(1442695040888963407);
             80.0 * (state >> 11) as f64 / (1u64 << 53) as f64
         };
-        (0..count).map(|_| [next(), next(), next()]).collect()
+        (0..count)
+            .map(|_| Vec3::new(next(), next(), next()))
+            .collect()
     }
 
     #[test]
     fn two_points_apart_count_from_both_sides_unsquared() {
-        let found = Chamfer::new(&[[0.0; 3]], &[[3.0, 4.0, 0.0]], &[], &[]).unwrap();
+        let found = Chamfer::new(&[Vec3::ZERO], &[Vec3::new(3.0, 4.0, 0.0)], &[], &[]).unwrap();
         assert_eq!((found.there, found.back), (5.0, 5.0));
     }
 

@@ -1,7 +1,7 @@
 //! Points in the order of Morton's curve, which fills space: what is near along it lies near as a
 //! rule (Morton 1966).
 
-use crate::algebra::vector::Vec3;
+use crate::algebra::Vec3;
 
 /// Cells of the curve along an axis.
 const CELLS: usize = 16;
@@ -21,23 +21,20 @@ const APART: [u16; CELLS] = {
 #[inline(always)]
 pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
     // Four points at once: as many numbers as fill wide vectors.
-    let (mut low, mut high) = ([f64::INFINITY; 12], [f64::NEG_INFINITY; 12]);
+    let (mut low, mut high) = ([Vec3::INFINITY; 4], [Vec3::NEG_INFINITY; 4]);
     for points in [a, b] {
-        let mut fours = points.as_flattened().chunks_exact(12);
+        let mut fours = points.chunks_exact(4);
         for four in &mut fours {
-            for k in 0..12 {
-                low[k] = if four[k] < low[k] { four[k] } else { low[k] };
-                high[k] = if four[k] > high[k] { four[k] } else { high[k] };
+            for k in 0..4 {
+                (low[k], high[k]) = (low[k].min(four[k]), high[k].max(four[k]));
             }
         }
-        for (k, v) in fours.remainder().iter().enumerate() {
-            (low[k], high[k]) = (low[k].min(*v), high[k].max(*v));
+        for (k, p) in fours.remainder().iter().enumerate() {
+            (low[k], high[k]) = (low[k].min(*p), high[k].max(*p));
         }
     }
-    let of = |all: [f64; 12], worse: fn(f64, f64) -> f64| {
-        std::array::from_fn(|c| (1..4).fold(all[c], |best, k| worse(best, all[3 * k + c])))
-    };
-    (of(low, f64::min), of(high, f64::max))
+    let of = |all: [Vec3; 4], worse: fn(Vec3, Vec3) -> Vec3| all.into_iter().fold(all[0], worse);
+    (of(low, Vec3::min), of(high, Vec3::max))
 }
 
 /// Points in single precision about the middle of a box, where it is finest, along Morton's curve;
@@ -50,12 +47,10 @@ pub struct Ordered {
 impl Ordered {
     #[inline(always)]
     pub fn new(points: &[Vec3], low: Vec3, high: Vec3) -> Ordered {
-        let middle: Vec3 = std::array::from_fn(|c| 0.5 * (low[c] + high[c]));
-        let scale: [f32; 3] = std::array::from_fn(|c| {
-            let side = (high[c] - low[c]).max(f64::MIN_POSITIVE);
-            ((1.0 - 1e-6) * CELLS as f64 / side) as f32
-        });
-        let near = |p: &Vec3| -> [f32; 3] { std::array::from_fn(|c| (p[c] - middle[c]) as f32) };
+        let middle = 0.5 * (low + high);
+        let sides = (high - low).max(Vec3::splat(f64::MIN_POSITIVE));
+        let scale = ((1.0 - 1e-6) * CELLS as f64 / sides).as_vec3();
+        let near = |p: &Vec3| (p - middle).as_vec3().to_array();
         let key = |p: &Vec3| {
             let p = near(p);
             let cell =
@@ -90,16 +85,16 @@ mod tests {
     fn every_point_is_there_once_and_cells_follow_the_curve() {
         let cell = |i: usize| f64::from(i as u32) + 0.5;
         // The corners of a cube of 16³ cells, and each cell of its diagonal, last first.
-        let mut points: Vec<Vec3> = (0..CELLS).rev().map(|i| [cell(i); 3]).collect();
+        let mut points: Vec<Vec3> = (0..CELLS).rev().map(|i| Vec3::splat(cell(i))).collect();
         points.extend([
-            [0.0; 3],
-            [16.0; 3],
-            [16.0, 0.0, 0.0],
-            [0.0, 16.0, 0.0],
-            [0.0, 0.0, 16.0],
+            Vec3::ZERO,
+            Vec3::splat(16.0),
+            16.0 * Vec3::X,
+            16.0 * Vec3::Y,
+            16.0 * Vec3::Z,
         ]);
         let (low, high) = bounds(&points[..5], &points[5..]);
-        assert_eq!((low, high), ([0.0; 3], [16.0; 3]));
+        assert_eq!((low, high), (Vec3::ZERO, Vec3::splat(16.0)));
         let ordered = Ordered::new(&points, low, high);
         let mut all = ordered.order.clone();
         all.sort();
@@ -117,7 +112,8 @@ mod tests {
 
     #[test]
     fn points_without_extent_keep_their_order() {
-        let ordered = Ordered::new(&[[3.0, -1.0, 2.0]; 5], [3.0, -1.0, 2.0], [3.0, -1.0, 2.0]);
+        let place = Vec3::new(3.0, -1.0, 2.0);
+        let ordered = Ordered::new(&[place; 5], place, place);
         assert_eq!(ordered.order, [0, 1, 2, 3, 4]);
         assert!(ordered.points.iter().all(|p| *p == [0.0; 3]));
     }

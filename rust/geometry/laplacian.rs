@@ -5,7 +5,7 @@
 //! doi:10.1080/10586458.1993.10504266). Weights are not let fall below `LEAST`: obtuse triangles
 //! make negative ones, and energies that nothing bounds.
 
-use crate::algebra::vector::{Vec3, cross, dot, norm, sub};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use std::collections::BTreeMap;
 
@@ -35,15 +35,15 @@ impl Edges {
             }
             for corner in 0..3 {
                 let [k, i, j] = std::array::from_fn(|c| triangle[(corner + c) % 3]);
-                let (a, b) = (sub(rest[i], rest[k]), sub(rest[j], rest[k]));
-                let area = norm(cross(a, b));
-                if area <= FLAT * dot(a, a).max(dot(b, b)) {
+                let (a, b) = (rest[i] - rest[k], rest[j] - rest[k]);
+                let area = a.cross(b).length();
+                if area <= FLAT * a.length_squared().max(b.length_squared()) {
                     return Err(invalid(format!(
                         "triangle {t} (vertices {triangle:?}) is flat; mend the mesh, or merge \
                         vertices that coincide"
                     )));
                 }
-                let half = 0.5 * dot(a, b) / area;
+                let half = 0.5 * a.dot(b) / area;
                 *weights.entry((i, j)).or_default() += half;
                 *weights.entry((j, i)).or_default() += half;
             }
@@ -88,10 +88,10 @@ mod tests {
     #[test]
     fn two_right_triangles_of_a_square_have_ones_on_the_sides_and_nothing_across() {
         let rest = [
-            [0.0, 0.0, 0.0],
-            [1.0, 0.0, 0.0],
-            [1.0, 1.0, 0.0],
-            [0.0, 1.0, 0.0],
+            Vec3::new(0.0, 0.0, 0.0),
+            Vec3::new(1.0, 0.0, 0.0),
+            Vec3::new(1.0, 1.0, 0.0),
+            Vec3::new(0.0, 1.0, 0.0),
         ];
         let edges = Edges::new(&rest, &[[0, 1, 2], [0, 2, 3]]).unwrap();
         let of_first: Vec<_> = edges.of(0).collect();
@@ -105,7 +105,11 @@ mod tests {
 
     #[test]
     fn flat_triangles_and_vertices_that_are_not_there_are_refused() {
-        let rest = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+        let rest = [
+            Vec3::ZERO,
+            Vec3::new(1.0, 0.0, 0.0),
+            Vec3::new(2.0, 0.0, 0.0),
+        ];
         assert!(Edges::new(&rest, &[[0, 1, 2]]).is_err());
         assert!(Edges::new(&rest, &[[0, 1, 3]]).is_err());
         assert_eq!(Edges::new(&rest, &[]).unwrap().len(), 3);

@@ -9,7 +9,7 @@
 //! than 1e-6 of the extent either may be called the nearest.
 
 use super::curve::{Ordered, bounds};
-use crate::algebra::vector::{Vec3, norm, sub};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use crate::shape::modes::wide;
 
@@ -39,7 +39,7 @@ pub fn both_ways(a: &[Vec3], b: &[Vec3]) -> Result<(Nearest, Nearest)> {
                 "the {name} set of points is empty; nearest neighbours need one or more"
             )));
         }
-        if let Some(i) = points.iter().position(|p| p.iter().any(|c| !c.is_finite())) {
+        if let Some(i) = points.iter().position(|p| !p.is_finite()) {
             return Err(invalid(format!(
                 "point {i} of the {name} set is not finite; leave out what was not seen"
             )));
@@ -64,9 +64,7 @@ impl Nearest {
 
 fn found(from: &[Vec3], to: &[Vec3], index: Vec<u32>) -> Nearest {
     let distance = from.iter().zip(&index);
-    let distance = distance
-        .map(|(p, i)| norm(sub(*p, to[*i as usize])))
-        .collect();
+    let distance = distance.map(|(p, i)| p.distance(to[*i as usize])).collect();
     Nearest { index, distance }
 }
 
@@ -300,7 +298,7 @@ mod tests {
 
     fn naive(a: &[Vec3], b: &[Vec3]) -> Nearest {
         let nearest = |p: &Vec3| {
-            let distances = b.iter().map(|q| norm(sub(*p, *q))).enumerate();
+            let distances = b.iter().map(|q| p.distance(*q)).enumerate();
             distances.min_by(|x, y| x.1.total_cmp(&y.1)).unwrap()
         };
         let (index, distance) = a.iter().map(nearest).map(|(i, d)| (i as u32, d)).unzip();
@@ -308,13 +306,14 @@ mod tests {
     }
 
     fn set(size: std::ops::Range<usize>) -> impl Strategy<Value = Vec<Vec3>> {
-        proptest::collection::vec([-60.0..60.0f64, -60.0..60.0, 0.0..110.0], size)
+        let place = [-60.0..60.0f64, -60.0..60.0, 0.0..110.0];
+        proptest::collection::vec(place.prop_map(Vec3::from), size)
     }
 
     proptest! {
         #[test]
         fn one_pass_finds_what_a_search_of_all_finds(a in set(1..40), b in set(1..700), far in 0.0..1e4f64) {
-            let moved = |s: &[Vec3]| -> Vec<Vec3> { s.iter().map(|p| [p[0] + far, p[1] - far, p[2]]).collect() };
+            let moved = |s: &[Vec3]| -> Vec<Vec3> { s.iter().map(|p| p + far * Vec3::new(1.0, -1.0, 0.0)).collect() };
             let (a, b) = (moved(&a), moved(&b));
             let (there, back) = both_ways(&a, &b).unwrap();
             for (found, wanted) in [(there, naive(&a, &b)), (back, naive(&b, &a))] {
@@ -339,15 +338,15 @@ mod tests {
         let mut tube = |turn: f64, noise: f64| {
             let (angle, z) = (turn * next(), 100.0 * next());
             let [x, y] = [8.0 * angle.cos(), 8.0 * angle.sin()];
-            [
+            Vec3::new(
                 x + 0.004 * z * z + noise * next(),
                 y + noise * next(),
                 z + noise * next(),
-            ]
+            )
         };
         let a: Vec<Vec3> = (0..549).map(|_| tube(6.3, 0.0)).collect();
         let mut b: Vec<Vec3> = (0..2990).map(|_| tube(3.1, 1.0)).collect();
-        b.extend((0..13).map(|i| [300.0, -40.0 * f64::from(i), 7.0]));
+        b.extend((0..13).map(|i| Vec3::new(300.0, -40.0 * f64::from(i), 7.0)));
         let (there, back) = both_ways(&a, &b).unwrap();
         for (found, wanted) in [(there, naive(&a, &b)), (back, naive(&b, &a))] {
             for (f, w) in found.distance.iter().zip(&wanted.distance) {
@@ -359,7 +358,7 @@ mod tests {
     #[test]
     fn a_point_that_is_in_both_sets_is_found_and_empty_sets_are_refused() {
         let a: Vec<Vec3> = (0..300)
-            .map(|i| [f64::from(i), 0.5 * f64::from(i % 7), -3.0])
+            .map(|i| Vec3::new(f64::from(i), 0.5 * f64::from(i % 7), -3.0))
             .collect();
         let (there, back) = both_ways(&a, &a).unwrap();
         assert!(
@@ -376,6 +375,6 @@ mod tests {
                 .enumerate()
                 .all(|(i, n)| i == *n as usize)
         );
-        assert!(both_ways(&[], &a).is_err() && both_ways(&a, &[[f64::NAN, 0.0, 0.0]]).is_err());
+        assert!(both_ways(&[], &a).is_err() && both_ways(&a, &[Vec3::NAN]).is_err());
     }
 }

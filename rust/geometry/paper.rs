@@ -12,7 +12,7 @@
 
 use super::arap::Arap;
 use super::nearest::both_ways;
-use crate::algebra::vector::{Vec3, norm, sub};
+use crate::algebra::Vec3;
 use crate::error::Result;
 
 /// Settled when no vertex moves by more in a round, mm.
@@ -33,11 +33,7 @@ pub fn register_as_published(
         let goals: Vec<Vec3> = nearest.index.iter().map(|j| cloud[*j as usize]).collect();
         let before = pose.places.clone();
         held.step(&mut pose, &goals);
-        let moved = pose
-            .places
-            .iter()
-            .zip(&before)
-            .map(|(p, q)| norm(sub(*p, *q)));
+        let moved = pose.places.iter().zip(&before).map(|(p, q)| p.distance(*q));
         if moved.fold(0.0, f64::max) < SETTLED {
             return Ok((pose.places, round));
         }

@@ -18,7 +18,7 @@ use super::robust::{OF_MEDIAN, median, tukey};
 use super::start::{CUT, spread};
 use super::surface::{Foot, Surface};
 use crate::algebra::sparse::{Factor, Pattern};
-use crate::algebra::vector::{Vec3, dot, sub};
+use crate::algebra::{Mat3, Vec3, outer};
 use crate::error::{Result, invalid};
 
 /// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many
@@ -140,8 +140,8 @@ impl Template {
     }
 }
 
-fn diagonal(value: f64) -> [Vec3; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { value } else { 0.0 }))
+fn diagonal(value: f64) -> [[f64; 3]; 3] {
+    Mat3::from_diagonal(Vec3::splat(value)).to_cols_array_2d()
 }
 
 /// Registers one frame after another on one thread.
@@ -186,10 +186,9 @@ impl<'a> Registrar<'a> {
             weights.clear();
             weights.extend(feet.iter().map(|foot| tukey(foot.distance, CUT * width)));
             let across = |k: usize| {
-                dot(
-                    surface.normal(feet[k].triangle),
-                    sub(feet[k].place, cloud[k]),
-                )
+                surface
+                    .normal(feet[k].triangle)
+                    .dot(feet[k].place - cloud[k])
             };
             let mut off: Vec<f64> = (0..cloud.len())
                 .filter(|k| weights[*k] > 0.0)
@@ -207,9 +206,8 @@ impl<'a> Registrar<'a> {
             self.factor.solve(&template.pattern, &mut self.right);
             let mut moved: f64 = 0.0;
             for (place, now) in pose.places.iter_mut().zip(self.right.chunks_exact(3)) {
-                let now = [now[0], now[1], now[2]];
-                let step = sub(now, *place);
-                moved += dot(step, step);
+                let now = Vec3::from_slice(now);
+                moved += now.distance_squared(*place);
                 *place = now;
             }
             surface.move_to(&pose.places);
@@ -271,19 +269,15 @@ impl<'a> Registrar<'a> {
             ..
         } = self;
         values.copy_from_slice(still);
-        arap.wanted(turns, |i, sum| {
-            right[3 * i..3 * i + 3].copy_from_slice(&sum)
-        });
+        arap.wanted(turns, |i, sum| sum.write_to_slice(&mut right[3 * i..]));
         for i in &template.base {
             (0..3).for_each(|c| right[3 * i + c] += recipe.base * template.arap.rest()[*i][c]);
         }
         let each = recipe.cloud * template.len() as f64 / cloud.len().max(1) as f64;
         for (k, foot) in feet.iter().enumerate().filter(|(k, _)| weights[*k] > 0.0) {
             let (n, m) = (surface.normal(foot.triangle), each * weights[k]);
-            let pull: [Vec3; 3] = std::array::from_fn(|a| {
-                std::array::from_fn(|b| m * (n[a] * n[b] + if a == b { ALONG } else { 0.0 }))
-            });
-            let goal: Vec3 = std::array::from_fn(|a| dot(pull[a], cloud[k]));
+            let pull = m * (outer(n, n) + Mat3::from_diagonal(Vec3::splat(ALONG)));
+            let goal = pull * cloud[k];
             let corners = surface.corners(foot.triangle);
             for (a, i) in corners.iter().enumerate() {
                 let own = foot.weights[a];
@@ -291,7 +285,7 @@ impl<'a> Registrar<'a> {
                 for (b, j) in corners.iter().enumerate().filter(|(_, j)| *j <= i) {
                     let both = own * foot.weights[b];
                     if let Some(slot) = template.pattern.slot(*i, *j) {
-                        let block = pull.map(|row| row.map(|v| both * v));
+                        let block = (both * pull).to_cols_array_2d();
                         template.pattern.add(values, *j, slot, &block);
                     }
                 }

@@ -10,7 +10,7 @@
 //! gains more. So a saddle is left at once, and as tr(RᵀA) has one maximum, its other places
 //! without slope being saddles and its minimum, every start leads there.
 
-use crate::algebra::vector::{Vec3, dot, norm};
+use crate::algebra::{Mat3, Vec3};
 use crate::shape::modes::wide;
 use faer::{Mat, Side};
 use std::ops::{Add, Mul, Sub};
@@ -91,10 +91,9 @@ where
     ]
 }
 
-/// R v, from the columns of R.
-#[inline(always)]
-pub fn turned(columns: &[Vec3; 3], v: Vec3) -> Vec3 {
-    std::array::from_fn(|i| columns[0][i] * v[0] + columns[1][i] * v[1] + columns[2][i] * v[2])
+/// The matrix of one rotation.
+pub fn rotation(q: Quaternion) -> Mat3 {
+    Mat3::from_cols_array_2d(&columns(q))
 }
 
 /// Nine numbers of each of `LANES` matrices: `a[c][i]` is row i of column c.
@@ -145,8 +144,8 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
         std::array::from_fn(|k| (mx.0[k] > 0.0) & (az.0[k] > 0.0) & (determinant.0[k] > 0.0));
     let mut axis: [Lanes; 3] = std::array::from_fn(|i| newton[i].or(v[i], definite));
     for k in (0..LANES).filter(|k| !definite[*k]) {
-        let m = [[mx, f, h], [f, my, g], [h, g, mz]].map(|row| row.map(|of| of.0[k]));
-        let uphill = off_saddle(&m, v.map(|of| of.0[k]));
+        let m = [[mx, f, h], [f, my, g], [h, g, mz]].map(|column| column.map(|of| of.0[k]));
+        let uphill = off_saddle(Mat3::from_cols_array_2d(&m), v.map(|of| of.0[k]).into());
         (0..3).for_each(|i| axis[i].0[k] = uphill[i]);
     }
     let [x, y, z] = axis;
@@ -180,19 +179,19 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
 /// eigenvalue. Rare: cells turned inside out.
 #[cold]
 #[inline(never)]
-fn off_saddle(m: &[Vec3; 3], v: Vec3) -> Vec3 {
-    let Ok(eigen) = Mat::from_fn(3, 3, |i, j| m[i][j]).self_adjoint_eigen(Side::Lower) else {
+fn off_saddle(m: Mat3, v: Vec3) -> Vec3 {
+    let Ok(eigen) = Mat::from_fn(3, 3, |i, j| m.col(j)[i]).self_adjoint_eigen(Side::Lower) else {
         return v;
     };
     let lowest = eigen.S()[0];
-    let slope = norm(v);
-    let bend = dot(v, m.map(|row| dot(row, v))) / (slope * slope);
+    let slope = v.length();
+    let bend = v.dot(m * v) / (slope * slope);
     if slope.hypot(bend) - bend > -2.0 * lowest {
         v
     } else if lowest < -FLAT * eigen.S()[2].abs() {
-        std::array::from_fn(|i| eigen.U()[(i, 0)])
+        Vec3::from(std::array::from_fn(|i| eigen.U()[(i, 0)]))
     } else {
-        [0.0; 3]
+        Vec3::ZERO
     }
 }
 
@@ -213,16 +212,15 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::algebra::vector::{det, scaled};
     use proptest::prelude::*;
 
     fn turn(axis: Vec3, angle: f64) -> Quaternion {
-        let [x, y, z] = scaled(axis, (0.5 * angle).sin() / norm(axis));
+        let Vec3 { x, y, z } = (0.5 * angle).sin() / axis.length() * axis;
         [(0.5 * angle).cos(), x, y, z]
     }
 
     /// Follow the rotation of one matrix, whose columns are `a`, from `q`.
-    fn follow_one(a: &[Vec3; 3], q: Quaternion, rounds: usize) -> Quaternion {
+    fn follow_one(a: &[[f64; 3]; 3], q: Quaternion, rounds: usize) -> Quaternion {
         let mut turns = [q; LANES];
         follow(
             &a.map(|column| column.map(|v| [v; LANES])),
@@ -234,7 +232,7 @@ mod tests {
     }
 
     /// tr(RᵀA)
-    fn likeness(a: &[Vec3; 3], q: Quaternion) -> f64 {
+    fn likeness(a: &[[f64; 3]; 3], q: Quaternion) -> f64 {
         let r = columns(q);
         (0..3)
             .map(|c| (0..3).map(|i| r[c][i] * a[c][i]).sum::<f64>())
@@ -243,26 +241,26 @@ mod tests {
 
     /// What no rotation's likeness is above: the sum of the singular values, the least of them with
     /// the sign of the determinant.
-    fn highest(a: &[Vec3; 3]) -> f64 {
+    fn highest(a: &[[f64; 3]; 3]) -> f64 {
         let values = Mat::from_fn(3, 3, |i, c| a[c][i])
             .singular_values()
             .unwrap();
-        values[0] + values[1] + values[2].copysign(det(a))
+        values[0] + values[1] + values[2].copysign(Mat3::from_cols_array_2d(a).determinant())
     }
 
-    fn numbers(within: f64) -> impl Strategy<Value = Vec3> {
+    fn numbers(within: f64) -> impl Strategy<Value = [f64; 3]> {
         [-within..within, -within..within, -within..within]
     }
 
     proptest! {
         #[test]
         fn the_rotation_of_a_stretched_one_is_found(
-            axis in numbers(1.0), angle in 0.0..2.5f64, stretch in [0.5..2.0f64, 0.5..2.0, 0.5..2.0],
+            axis in numbers(1.0).prop_map(Vec3::from), angle in 0.0..2.5f64, stretch in [0.5..2.0f64, 0.5..2.0, 0.5..2.0],
         ) {
-            prop_assume!(norm(axis) > 0.1);
+            prop_assume!(axis.length() > 0.1);
             let r = columns(turn(axis, angle));
             // A = R S with S = diag(stretch): its polar rotation is R.
-            let a: [Vec3; 3] = std::array::from_fn(|c| scaled(r[c], stretch[c]));
+            let a: [[f64; 3]; 3] = std::array::from_fn(|c| r[c].map(|v| stretch[c] * v));
             let found = columns(follow_one(&a, NO_TURN, 200));
             for c in 0..3 {
                 for i in 0..3 {
@@ -270,7 +268,7 @@ mod tests {
                 }
             }
             // From near by two rounds are enough for all of double precision.
-            let near = columns(follow_one(&a, product(turn([0.3, -0.5, 0.8], 0.01), turn(axis, angle)), 2));
+            let near = columns(follow_one(&a, product(turn(Vec3::new(0.3, -0.5, 0.8), 0.01), turn(axis, angle)), 2));
             for c in 0..3 {
                 for i in 0..3 {
                     prop_assert!((near[c][i] - r[c][i]).abs() < 1e-13);
@@ -280,9 +278,9 @@ mod tests {
 
         #[test]
         fn no_round_makes_it_worse_and_every_start_leads_to_the_maximum(
-            a in [numbers(1.0), numbers(1.0), numbers(1.0)], axis in numbers(1.0), angle in 0.0..3.1f64, flat in 0..3usize,
+            a in [numbers(1.0), numbers(1.0), numbers(1.0)], axis in numbers(1.0).prop_map(Vec3::from), angle in 0.0..3.1f64, flat in 0..3usize,
         ) {
-            prop_assume!(norm(axis) > 0.1);
+            prop_assume!(axis.length() > 0.1);
             let mut a = a;
             // Of any kind, of rank two, of rank one.
             (3 - flat..3).for_each(|c| a[c] = a[0]);
@@ -309,13 +307,13 @@ mod tests {
             [0.658837131867861, -0.7570598958487585, 0.979943001070668],
         ];
         let q = turn(
-            [0.9596464054530129, 0.6923970990015571, 0.3094135991388589],
+            Vec3::new(0.9596464054530129, 0.6923970990015571, 0.3094135991388589),
             1.8170538299717645,
         );
         assert!((likeness(&a, follow_one(&a, q, 8)) - highest(&a)).abs() < 1e-12);
         // Half a turn from the maximum nothing slopes.
         let stretched = [[3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]];
-        for axis in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+        for axis in Vec3::AXES {
             let q = turn(axis, std::f64::consts::PI);
             assert!((likeness(&stretched, follow_one(&stretched, q, 8)) - 6.0).abs() < 1e-12);
         }
@@ -324,6 +322,6 @@ mod tests {
     #[test]
     fn nothing_turns_nothing() {
         assert_eq!(follow_one(&[[0.0; 3]; 3], NO_TURN, 10), NO_TURN);
-        assert_eq!(turned(&columns(NO_TURN), [1.0, 2.0, 3.0]), [1.0, 2.0, 3.0]);
+        assert_eq!(rotation(NO_TURN), Mat3::IDENTITY);
     }
 }

@@ -9,8 +9,8 @@
 use super::nearest::both_ways;
 use super::robust::{tukey, tukey_cost};
 use super::surface::Surface;
+use crate::algebra::Vec3;
 use crate::algebra::dense;
-use crate::algebra::vector::{Vec3, dot, sub};
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
 
@@ -47,7 +47,7 @@ pub struct Start {
 pub fn places(shape: &dyn Shape, command: &[f64]) -> Vec<Vec3> {
     let mut out = vec![0.0; shape.size()];
     shape.eval(command, &mut out);
-    out.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()
+    out.chunks_exact(3).map(Vec3::from_slice).collect()
 }
 
 /// Find the start for a `cloud` among `candidates` (G, C), whose commands stay between `low` and
@@ -91,10 +91,7 @@ pub fn start(
 
 /// How far two shapes are apart, mm RMS over the vertices.
 fn apart(one: &[Vec3], other: &[Vec3]) -> f64 {
-    let squares = one.iter().zip(other).map(|(p, q)| {
-        let d = sub(*p, *q);
-        dot(d, d)
-    });
+    let squares = one.iter().zip(other).map(|(p, q)| p.distance_squared(*q));
     (squares.sum::<f64>() / one.len().max(1) as f64).sqrt()
 }
 
@@ -161,7 +158,7 @@ fn ahead(
             continue;
         }
         let normal = surface.normal(foot.triangle);
-        let off = dot(normal, sub(foot.place, *p));
+        let off = normal.dot(foot.place - p);
         for (c, rate) in rate.iter_mut().enumerate().take(channels) {
             let along = |v: usize| {
                 (0..3)
@@ -176,7 +173,7 @@ fn ahead(
                 .sum();
         }
         if scaled {
-            rate[channels] = dot(normal, foot.place);
+            rate[channels] = normal.dot(foot.place);
         }
         for a in 0..count {
             slope[a] -= weight * off * rate[a];

@@ -1,9 +1,8 @@
 //! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the
 //! vertices move. mm.
 
-use crate::algebra::vector::{Vec3, cross, dot, norm, scaled, sub};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
-use parry3d_f64::math::Vector;
 use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 
@@ -43,23 +42,19 @@ impl Surface {
                 places.len()
             )));
         }
-        if let Some(i) = places.iter().position(|p| p.iter().any(|c| !c.is_finite())) {
+        if let Some(i) = places.iter().position(|p| !p.is_finite()) {
             return Err(invalid(format!("vertex {i} is not finite; mend the mesh")));
         }
         let corners = triangles.iter().map(|t| t.map(|v| v as u32)).collect();
-        let mesh = TriMesh::new(places.iter().map(vector).collect(), corners)
+        let mesh = TriMesh::new(places.to_vec(), corners)
             .map_err(|why| invalid(format!("no surface: {why}; give one triangle or more")))?;
         Ok(Surface { mesh })
     }
 
     /// Move the vertices to `places` (N, 3).
     pub fn move_to(&mut self, places: &[Vec3]) {
-        self.mesh.update_vertices(|vertices| {
-            vertices
-                .iter_mut()
-                .zip(places)
-                .for_each(|(v, p)| *v = vector(p));
-        });
+        self.mesh
+            .update_vertices(|vertices| vertices.copy_from_slice(places));
     }
 
     /// The vertices of a triangle.
@@ -69,22 +64,20 @@ impl Surface {
 
     /// The unit normal of a triangle by the order of its corners; 0 of a flat one.
     pub fn normal(&self, triangle: usize) -> Vec3 {
-        let [a, b, c] = self
-            .corners(triangle)
-            .map(|v| point(self.mesh.vertices()[v]));
-        let normal = cross(sub(b, a), sub(c, a));
-        scaled(normal, 1.0 / norm(normal).max(f64::MIN_POSITIVE))
+        let [a, b, c] = self.corners(triangle).map(|v| self.mesh.vertices()[v]);
+        let normal = (b - a).cross(c - a);
+        1.0 / normal.length().max(f64::MIN_POSITIVE) * normal
     }
 
     /// Whether nothing of the surface stands between a place of it and an eye: `normal` points away
     /// from the body there.
     pub fn sees(&self, eye: Vec3, place: Vec3, normal: Vec3) -> bool {
-        let towards = sub(eye, place);
-        if dot(towards, normal) <= 0.0 {
+        let towards = eye - place;
+        if towards.dot(normal) <= 0.0 {
             return false;
         }
-        let from = std::array::from_fn(|c| place[c] + OFF * normal[c]);
-        let ray = Ray::new(vector(&from), vector(&sub(eye, from)));
+        let from = place + OFF * normal;
+        let ray = Ray::new(from, eye - from);
         !self.mesh.intersects_local_ray(&ray, 1.0)
     }
 
@@ -94,19 +87,17 @@ impl Surface {
     pub fn shown(&self) -> Vec<usize> {
         let looks: Vec<Vec3> = (0..AROUND)
             .flat_map(|k| ABOVE.map(|up| (k as f64 / AROUND as f64 * std::f64::consts::TAU, up)))
-            .map(|(turn, up)| [turn.cos() * up.cos(), turn.sin() * up.cos(), up.sin()])
+            .map(|(turn, up)| Vec3::new(turn.cos() * up.cos(), turn.sin() * up.cos(), up.sin()))
             .collect();
         let sees = |middle: Vec3, look: &Vec3| {
-            let from = std::array::from_fn(|c| middle[c] + OFF * look[c]);
-            let ray = Ray::new(vector(&from), vector(look));
+            let ray = Ray::new(middle + OFF * look, *look);
             !self.mesh.intersects_local_ray(&ray, f64::MAX)
         };
         let count = self.mesh.indices().len();
         let found: Vec<usize> = (0..count)
             .filter(|t| {
-                let corners = self.corners(*t).map(|v| point(self.mesh.vertices()[v]));
-                let middle =
-                    std::array::from_fn(|c| corners.iter().map(|p| p[c]).sum::<f64>() / 3.0);
+                let corners = self.corners(*t).map(|v| self.mesh.vertices()[v]);
+                let middle = corners.iter().sum::<Vec3>() / 3.0;
                 looks.iter().any(|look| sees(middle, look))
             })
             .collect();
@@ -119,25 +110,16 @@ impl Surface {
 
     /// The place nearest to a point.
     pub fn foot(&self, of: Vec3) -> Foot {
-        let (found, (triangle, location)) = self
-            .mesh
-            .project_local_point_and_get_location(vector(&of), false);
-        let place = point(found.point);
+        let (found, (triangle, location)) =
+            self.mesh.project_local_point_and_get_location(of, false);
+        let place = found.point;
         Foot {
             triangle: triangle as usize,
             weights: location.barycentric_coordinates().unwrap_or([1.0 / 3.0; 3]),
             place,
-            distance: norm(sub(of, place)),
+            distance: of.distance(place),
         }
     }
-}
-
-fn vector(p: &Vec3) -> Vector {
-    Vector::new(p[0], p[1], p[2])
-}
-
-fn point(v: Vector) -> Vec3 {
-    [v.x, v.y, v.z]
 }
 
 #[cfg(test)]
@@ -145,7 +127,12 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SQUARE: [Vec3; 4] = [[0.0; 3], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 0.0]];
+    const SQUARE: [Vec3; 4] = [
+        Vec3::ZERO,
+        Vec3::new(2.0, 0.0, 0.0),
+        Vec3::new(2.0, 2.0, 0.0),
+        Vec3::new(0.0, 2.0, 0.0),
+    ];
 
     #[test]
     fn feet_lie_on_faces_edges_and_corners_and_follow_the_surface() {
@@ -154,51 +141,56 @@ mod tests {
             ([1.5, 0.5, 3.0], [1.5, 0.5, 0.0]),
             ([1.0, -4.0, 3.0], [1.0, 0.0, 0.0]),
             ([5.0, 6.0, 0.0], [2.0, 2.0, 0.0]),
-        ] {
+        ]
+        .map(|(of, place)| (Vec3::from(of), Vec3::from(place)))
+        {
             let foot = surface.foot(of);
-            assert!(norm(sub(foot.place, place)) < 1e-12);
-            assert!((foot.distance - norm(sub(of, place))).abs() < 1e-12);
-            let mut there = [0.0; 3];
+            assert!(foot.place.distance(place) < 1e-12);
+            assert!((foot.distance - of.distance(place)).abs() < 1e-12);
+            let mut there = Vec3::ZERO;
             for (v, w) in surface.corners(foot.triangle).iter().zip(foot.weights) {
-                (0..3).for_each(|c| there[c] += w * SQUARE[*v][c]);
+                there += w * SQUARE[*v];
             }
-            assert!(norm(sub(there, place)) < 1e-12);
+            assert!(there.distance(place) < 1e-12);
         }
-        assert_eq!(surface.normal(0), [0.0, 0.0, 1.0]);
-        surface.move_to(&SQUARE.map(|p| [p[0], p[1], p[2] + 7.0]));
-        assert!((surface.foot([1.5, 0.5, 3.0]).distance - 4.0).abs() < 1e-12);
+        assert_eq!(surface.normal(0), Vec3::Z);
+        surface.move_to(&SQUARE.map(|p| p + 7.0 * Vec3::Z));
+        assert!((surface.foot(Vec3::new(1.5, 0.5, 3.0)).distance - 4.0).abs() < 1e-12);
     }
 
     proptest! {
         #[test]
         fn no_place_of_the_surface_is_nearer(p in [-3.0..5.0f64, -3.0..5.0, -2.0..2.0], w in [0.0..1.0f64, 0.0..1.0]) {
-            let bent = [[0.0; 3], [2.0, 0.0, 0.4], [2.0, 2.0, -0.3], [0.0, 2.0, 0.5]];
+            let bent = [[0.0; 3], [2.0, 0.0, 0.4], [2.0, 2.0, -0.3], [0.0, 2.0, 0.5]].map(Vec3::from);
             let surface = Surface::new(&bent, &[[0, 1, 2], [0, 2, 3]]).unwrap();
+            let p = Vec3::from(p);
             let foot = surface.foot(p);
             for t in 0..2 {
                 let [a, b, c] = surface.corners(t).map(|v| bent[v]);
                 let (s, r) = (w[0].min(1.0 - w[1]), w[1]);
-                let at = std::array::from_fn(|i| a[i] + s * (b[i] - a[i]) + r * (c[i] - a[i]));
-                prop_assert!(foot.distance <= norm(sub(p, at)) + 1e-9);
+                let at = a + s * (b - a) + r * (c - a);
+                prop_assert!(foot.distance <= p.distance(at) + 1e-9);
             }
         }
     }
 
     #[test]
     fn what_stands_in_the_way_hides_what_is_behind() {
-        let two = [SQUARE, SQUARE.map(|p| [p[0], p[1], 3.0])].concat();
+        let two = [SQUARE, SQUARE.map(|p| p + 3.0 * Vec3::Z)].concat();
         let surface = Surface::new(&two, &[[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]).unwrap();
-        let up = [0.0, 0.0, 1.0];
-        assert!(!surface.sees([1.0, 0.5, 50.0], [1.0, 0.5, 0.0], up));
-        assert!(surface.sees([1.0, 0.5, 50.0], [1.0, 0.5, 3.0], up));
-        assert!(surface.sees([50.0, 0.5, 1.0], [1.5, 0.5, 0.0], up));
-        assert!(!surface.sees([1.0, 0.5, -50.0], [1.0, 0.5, 0.0], up));
+        let sees = |eye: [f64; 3], place: [f64; 3]| surface.sees(eye.into(), place.into(), Vec3::Z);
+        assert!(!sees([1.0, 0.5, 50.0], [1.0, 0.5, 0.0]));
+        assert!(sees([1.0, 0.5, 50.0], [1.0, 0.5, 3.0]));
+        assert!(sees([50.0, 0.5, 1.0], [1.5, 0.5, 0.0]));
+        assert!(!sees([1.0, 0.5, -50.0], [1.0, 0.5, 0.0]));
     }
 
     #[test]
     fn the_walls_of_a_cavity_are_not_shown_whichever_way_they_are_turned() {
-        let corner =
-            |size: f64, k: usize| [k & 1, k >> 1 & 1, k >> 2].map(|b| size * (b as f64 - 0.5));
+        let corner = |size: f64, k: usize| {
+            let bits = [k & 1, k >> 1 & 1, k >> 2].map(|b| b as f64);
+            size * (Vec3::from(bits) - 0.5)
+        };
         let places: Vec<Vec3> = [4.0, 2.0]
             .iter()
             .flat_map(|size| (0..8).map(move |k| corner(*size, k)))
@@ -227,6 +219,6 @@ mod tests {
     fn a_surface_of_nothing_is_refused() {
         assert!(Surface::new(&SQUARE, &[]).is_err());
         assert!(Surface::new(&SQUARE, &[[0, 1, 9]]).is_err());
-        assert!(Surface::new(&[[f64::NAN; 3]; 3], &[[0, 1, 2]]).is_err());
+        assert!(Surface::new(&[Vec3::NAN; 3], &[[0, 1, 2]]).is_err());
     }
 }

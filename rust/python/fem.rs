@@ -1,9 +1,8 @@
 //! Binding of the simulator: one class that holds a solid, its reported points and its drive.
 
-use super::mesh::{Mesh, Pairs, matrix, paired, vectors};
+use super::mesh::{Mesh, Pairs, flat, matrix, paired, vectors};
 use super::watch::watched;
 use crate::error::invalid;
-use crate::fem::Vec3;
 use crate::fem::cable::Drive;
 use crate::fem::change::{self, Change};
 use crate::fem::embed::Points;
@@ -27,13 +26,13 @@ type Bends<'py> = (
 
 /// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus
 /// MPa, and whether it holds each cell, None for all.
-type Boxed = (Vec3, Vec3, Option<f64>, f64, Option<Vec<bool>>);
+type Boxed = ([f64; 3], [f64; 3], Option<f64>, f64, Option<Vec<bool>>);
 
 /// A tendon by points (n, 3) mm, or by (angle, turn, (z, radius) pairs) in rad and mm.
 #[derive(FromPyObject)]
 enum Way {
     Formula((f64, f64, Pairs)),
-    Points(Vec<Vec3>),
+    Points(Vec<[f64; 3]>),
 }
 
 /// A finger's solid; `points` (rest places of another template, mm) are reported instead of its own
@@ -64,7 +63,7 @@ impl Solid {
         drive: Vec<Vec<f64>>,
         by_tension: bool,
         pretension: f64,
-        load_at: Option<Vec3>,
+        load_at: Option<[f64; 3]>,
         points: Option<PyReadonlyArray2<f64>>,
         tolerance: f64,
         change: Vec<(String, f64)>,
@@ -76,8 +75,8 @@ impl Solid {
                 cells.len()
             ))),
             cells => Ok(Region {
-                low,
-                high,
+                low: low.into(),
+                high: high.into(),
                 side,
                 cells: cells.map(Into::into),
                 young,
@@ -89,7 +88,7 @@ impl Solid {
                 turn,
                 path: paired(path),
             },
-            Way::Points(points) => Route::Points(points),
+            Way::Points(points) => Route::Points(points.into_iter().map(Into::into).collect()),
         };
         let mut design = Design {
             mesh: mesh.mesh.clone(),
@@ -101,7 +100,7 @@ impl Solid {
             )?,
             cable_stiffness,
             pretension,
-            load_at,
+            load_at: load_at.map(Into::into),
             averaging: Averaging { ring, disc },
             routes: routes.into_iter().map(route).collect(),
             drive: if by_tension {
@@ -184,13 +183,13 @@ impl Solid {
         &self,
         py: Python<'py>,
         axes: Vec<Vec<f64>>,
-        gravity: Vec3,
-        load: Vec3,
+        gravity: [f64; 3],
+        load: [f64; 3],
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bent<'py>> {
         let total = axes.iter().map(Vec::len).product();
         let shapes = watched(py, total, progress, |p| {
-            self.simulation.sweep(&axes, gravity, load, p)
+            self.simulation.sweep(&axes, gravity.into(), load.into(), p)
         })?;
         self.bent(py, shapes)
     }
@@ -202,14 +201,14 @@ impl Solid {
         py: Python<'py>,
         commands: PyReadonlyArray2<f64>,
         gravity: PyReadonlyArray2<f64>,
-        load: Vec3,
+        load: [f64; 3],
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bent<'py>> {
         self.simulation
             .room("a path", &[commands.as_array().nrows()], 1)?; // before its rows are copied one by one
         let (commands, gravity) = (rows(&commands), vectors(&gravity, "gravity")?);
         let shapes = watched(py, commands.len(), progress, |p| {
-            self.simulation.path(&commands, &gravity, load, p)
+            self.simulation.path(&commands, &gravity, load.into(), p)
         })?;
         self.bent(py, shapes)
     }
@@ -222,14 +221,14 @@ impl Solid {
         py: Python<'py>,
         other: &Solid,
         commands: PyReadonlyArray2<f64>,
-        gravity: Vec3,
-        load: Vec3,
+        gravity: [f64; 3],
+        load: [f64; 3],
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let commands = rows(&commands);
         let shapes = watched(py, commands.len(), progress, |p| {
             self.simulation
-                .path_from(&other.simulation, &commands, gravity, load, p)
+                .path_from(&other.simulation, &commands, gravity.into(), load.into(), p)
         })?;
         Ok(self.bent(py, shapes)?.0)
     }
@@ -242,13 +241,14 @@ impl Solid {
         &self,
         py: Python<'py>,
         commands: PyReadonlyArray2<f64>,
-        gravity: Vec3,
-        load: Vec3,
+        gravity: [f64; 3],
+        load: [f64; 3],
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bends<'py>> {
         let commands = rows(&commands);
         let found = watched(py, commands.len(), progress, |p| {
-            self.simulation.bends(&commands, gravity, load, p)
+            self.simulation
+                .bends(&commands, gravity.into(), load.into(), p)
         })?;
         let (samples, points) = (found.len(), self.simulation.points.weights.len());
         let cables = self.simulation.solid.cables.len();
@@ -256,7 +256,7 @@ impl Solid {
         let pairs = causes * (causes + 1) / 2;
         let moved: Vec<f64> = found
             .iter()
-            .flat_map(|s| s.fields.iter().flatten().flatten().copied())
+            .flat_map(|s| s.fields.iter().flat_map(|field| flat(field)))
             .collect();
         let growth = found
             .iter()
@@ -281,14 +281,15 @@ impl Solid {
         &self,
         py: Python<'py>,
         commands: PyReadonlyArray2<f64>,
-        gravity: Vec3,
-        load: Vec3,
+        gravity: [f64; 3],
+        load: [f64; 3],
         design: bool,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let commands = rows(&commands);
         let found = watched(py, commands.len(), progress, |p| {
-            self.simulation.fields(&commands, gravity, load, design, p)
+            self.simulation
+                .fields(&commands, gravity.into(), load.into(), design, p)
         })?;
         let answer = PyDict::new(py);
         let (samples, points) = (found.len(), self.simulation.points.weights.len());
@@ -301,10 +302,7 @@ impl Solid {
             if found.iter().any(|s| s.fields[f].len() != points) {
                 continue;
             }
-            let moved: Vec<f64> = found
-                .iter()
-                .flat_map(|s| s.fields[f].iter().flatten().copied())
-                .collect();
+            let moved: Vec<f64> = found.iter().flat_map(|s| flat(&s.fields[f])).collect();
             answer.set_item(
                 name,
                 PyArray1::from_vec(py, moved).reshape([samples, points, 3])?,
@@ -323,10 +321,7 @@ impl Solid {
 impl Solid {
     fn bent<'py>(&self, py: Python<'py>, shapes: Vec<Configuration>) -> PyResult<Bent<'py>> {
         let (count, cables) = (shapes.len(), self.simulation.solid.cables.len());
-        let places: Vec<f64> = shapes
-            .iter()
-            .flat_map(|s| s.places.iter().flatten().copied())
-            .collect();
+        let places: Vec<f64> = shapes.iter().flat_map(|s| flat(&s.places)).collect();
         let pull: Vec<f64> = shapes.iter().flat_map(|s| s.pull.iter().copied()).collect();
         Ok((
             PyArray1::from_vec(py, places).reshape([

@@ -3,7 +3,7 @@
 use super::arrays::floats;
 use super::shape::PyShape;
 use crate::Error;
-use crate::algebra::vector::Vec3;
+use crate::algebra::Vec3;
 use crate::geometry::chamfer::Chamfer;
 use crate::geometry::paper::register_as_published;
 use crate::geometry::register::{Recipe, Registered, Registrar, Template};
@@ -23,7 +23,7 @@ type Edges<'py> = (
 /// Read points (N, 3).
 fn points(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Vec3>> {
     let found = floats(name, value, &[("N", None), ("xyz", Some(3))])?.data;
-    Ok(found.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
+    Ok(found.chunks_exact(3).map(Vec3::from_slice).collect())
 }
 
 fn weights(name: &str, value: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<f64>> {
@@ -34,6 +34,7 @@ fn weights(name: &str, value: Option<&Bound<'_, PyAny>>, count: usize) -> PyResu
 
 fn rows<'py>(py: Python<'py>, points: Vec<Vec3>) -> PyResult<Bound<'py, PyAny>> {
     let count = points.len();
+    let points: Vec<[f64; 3]> = points.into_iter().map(Into::into).collect();
     Ok(points
         .into_flattened()
         .into_pyarray(py)
@@ -120,14 +121,17 @@ impl PySurface {
     fn seen<'py>(
         &self,
         py: Python<'py>,
-        eye: Vec3,
+        eye: [f64; 3],
         places: &Bound<'_, PyAny>,
         normals: &Bound<'_, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
         let (places, normals) = (points("places", places)?, points("normals", normals)?);
         let pairs = places.par_iter().zip(&normals);
-        let seen: Vec<bool> =
-            py.detach(|| pairs.map(|(p, n)| self.inner.sees(eye, *p, *n)).collect());
+        let seen: Vec<bool> = py.detach(|| {
+            pairs
+                .map(|(p, n)| self.inner.sees(eye.into(), *p, *n))
+                .collect()
+        });
         Ok(seen.into_pyarray(py))
     }
 }
@@ -181,7 +185,7 @@ impl PyRegistration {
     ) -> PyResult<Bound<'py, PyAny>> {
         let count = self.template.len();
         let goals = floats("goals", goals, &[("N", Some(count)), ("xyz", Some(3))])?.data;
-        let goals: Vec<Vec3> = goals.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let goals: Vec<Vec3> = goals.chunks_exact(3).map(Vec3::from_slice).collect();
         let strength = weights("strength", Some(strength), count)?;
         let arap = &self.template.arap;
         let places = py.detach(|| {

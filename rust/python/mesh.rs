@@ -40,9 +40,9 @@ impl Mesh {
 
     /// The block of `size` mm in `cells` bricks.
     #[staticmethod]
-    fn block(size: Vec3, cells: [usize; 3]) -> PyResult<Mesh> {
+    fn block(size: [f64; 3], cells: [usize; 3]) -> PyResult<Mesh> {
         Ok(Mesh {
-            mesh: mesh::block(cells, size)?,
+            mesh: mesh::block(cells, size.into())?,
         })
     }
 
@@ -99,7 +99,12 @@ impl Mesh {
 }
 
 pub(super) fn matrix<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    PyArray1::from_vec(py, points.iter().flatten().copied().collect()).reshape([points.len(), 3])
+    PyArray1::from_vec(py, flat(points).collect()).reshape([points.len(), 3])
+}
+
+/// The coordinates of points, one after the other.
+pub(super) fn flat(points: &[Vec3]) -> impl Iterator<Item = f64> + '_ {
+    points.iter().flat_map(Vec3::to_array)
 }
 
 pub(super) fn paired(pairs: Pairs) -> Vec<[f64; 2]> {
@@ -117,6 +122,6 @@ pub(super) fn vectors(array: &PyReadonlyArray2<f64>, name: &str) -> Result<Vec<V
     Ok(view
         .rows()
         .into_iter()
-        .map(|r| [r[0], r[1], r[2]])
+        .map(|r| Vec3::new(r[0], r[1], r[2]))
         .collect())
 }

@@ -14,8 +14,8 @@
 //! the unloaded equilibrium, so a push of many mm is answered too far; nothing between stations
 //! touches.
 
+use crate::algebra::Vec3;
 use crate::algebra::complementarity::Problem;
-use crate::algebra::vector::{Vec3, add, dot, norm, scaled, sub};
 use crate::error::{Result, invalid};
 use crate::response::cables::Cables;
 use crate::response::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TENDON, TIP_FORCE};
@@ -106,7 +106,7 @@ impl Contact {
             }
             out
         };
-        let at = |all: &[f64], k: usize| -> Vec3 { [all[3 * k], all[3 * k + 1], all[3 * k + 2]] };
+        let at = |all: &[f64], k: usize| Vec3::from_slice(&all[3 * k..]);
         let mut places = vec![0.0; 3 * stations];
         self.places.eval(u, &mut places);
         for (f, weight) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
@@ -127,7 +127,7 @@ impl Contact {
         let pushed: Vec<Vec<f64>> = (0..stations)
             .map(|k| {
                 let mut sum = vec![0.0; 3 * stations];
-                for (axis, n) in free[k].1.into_iter().enumerate() {
+                for (axis, n) in free[k].1.to_array().into_iter().enumerate() {
                     sum.iter_mut()
                         .zip(moves(push(k) + axis))
                         .for_each(|(s, m)| *s += n * m);
@@ -154,7 +154,7 @@ impl Contact {
             }
         }
         for (k, (gap, normal)) in free.iter().enumerate() {
-            let towards = |moved: &Vec<f64>| dot(*normal, at(moved, k));
+            let towards = |moved: &Vec<f64>| normal.dot(at(moved, k));
             all.extend(pulled.iter().chain(&pushed).map(towards));
             // The gap is that of the tensions without the obstacle; the problem asks for the one
             // without any.
@@ -196,20 +196,20 @@ impl Obstacle {
     fn of(loads: &Coefficients) -> Obstacle {
         let number = |i: usize| loads[CONTACT + 1 + i];
         Obstacle {
-            foremost: [number(0), number(1), number(2)],
-            normal: [number(3), number(4), number(5)],
+            foremost: Vec3::new(number(0), number(1), number(2)),
+            normal: Vec3::new(number(3), number(4), number(5)),
             curvature: number(6),
         }
     }
 
     /// Gap of a ball at `p`, and the normal there.
     fn gap(&self, p: Vec3, radius: f64) -> (f64, Vec3) {
-        let (d, k) = (sub(p, self.foremost), self.curvature);
-        let (out, square) = (dot(self.normal, d), dot(d, d));
+        let (d, k) = (p - self.foremost, self.curvature);
+        let (out, square) = (self.normal.dot(d), d.length_squared());
         let root = (1.0 + 2.0 * k * out + k * k * square).max(0.0).sqrt();
-        let normal = add(self.normal, scaled(d, k));
+        let normal = self.normal + k * d;
         let gap = (2.0 * out + k * square) / (1.0 + root) - radius;
-        (gap, scaled(normal, 1.0 / norm(normal).max(1e-12)))
+        (gap, 1.0 / normal.length().max(1e-12) * normal)
     }
 }
 
@@ -219,19 +219,19 @@ mod tests {
 
     #[test]
     fn gaps_to_a_sphere_are_distances_to_its_centre() {
-        let normal = [0.6, 0.0, -0.8];
+        let normal = Vec3::new(0.6, 0.0, -0.8);
         for radius in [3.0, 40.0, 1e7] {
             let obstacle = Obstacle {
-                foremost: [10.0, 2.0, 50.0],
+                foremost: Vec3::new(10.0, 2.0, 50.0),
                 normal,
                 curvature: 1.0 / radius,
             };
-            let centre = sub(obstacle.foremost, scaled(normal, radius));
-            for p in [[12.0, 5.0, 40.0], [20.0, 2.0, 70.0], [8.0, 2.0, 55.0]] {
+            let centre = obstacle.foremost - radius * normal;
+            for p in [[12.0, 5.0, 40.0], [20.0, 2.0, 70.0], [8.0, 2.0, 55.0]].map(Vec3::from) {
                 let (gap, n) = obstacle.gap(p, 1.5);
-                let away = sub(p, centre);
-                assert!((gap - (norm(away) - radius - 1.5)).abs() < 1e-7 * radius.max(10.0));
-                assert!(norm(sub(n, scaled(away, 1.0 / norm(away)))) < 1e-6);
+                let away = p - centre;
+                assert!((gap - (away.length() - radius - 1.5)).abs() < 1e-7 * radius.max(10.0));
+                assert!(n.distance(1.0 / away.length() * away) < 1e-6);
             }
         }
     }

@@ -9,18 +9,7 @@
 //! Units: mm and rad. All quotients have series near the straight pose, so that nothing is lost at
 //! β = 0.
 
-use crate::algebra::vector::{Vec3, add, cross, scaled, sub};
-
-/// Rotation as rows: the axes of the base frame in the columns of the segment's.
-pub(super) type Turn = [Vec3; 3];
-
-pub(super) fn turned(turn: &Turn, v: Vec3) -> Vec3 {
-    [
-        turn[0][0] * v[0] + turn[0][1] * v[1] + turn[0][2] * v[2],
-        turn[1][0] * v[0] + turn[1][1] * v[1] + turn[1][2] * v[2],
-        turn[2][0] * v[0] + turn[2][1] * v[1] + turn[2][2] * v[2],
-    ]
-}
+use crate::algebra::{Mat3, Vec3};
 
 /// The quotients of one bending angle β and, primed, their slopes divided by β.
 struct Quotients {
@@ -61,35 +50,31 @@ impl Quotients {
 /// Where a segment of length 1 bent by `v` ends, in the frame of its start.
 fn chord(v: [f64; 2]) -> Vec3 {
     let q = Quotients::new(v[0] * v[0] + v[1] * v[1]);
-    [q.c * v[0], q.c * v[1], q.s]
+    Vec3::new(q.c * v[0], q.c * v[1], q.s)
 }
 
 /// How `chord` moves with v_x and with v_y.
 fn chord_slopes(v: [f64; 2]) -> [Vec3; 2] {
     let q = Quotients::new(v[0] * v[0] + v[1] * v[1]);
     [0, 1].map(|axis| {
-        let mut slope = [q.dc * v[axis] * v[0], q.dc * v[axis] * v[1], q.ds * v[axis]];
+        let mut slope = Vec3::new(q.dc * v[axis] * v[0], q.dc * v[axis] * v[1], q.ds * v[axis]);
         slope[axis] += q.c;
         slope
     })
 }
 
 /// exp[φ]ₓ and the turning of the end, in the frame of the start, per unit of v_x and of v_y.
-fn rotation(v: [f64; 2]) -> (Turn, [Vec3; 2]) {
+fn rotation(v: [f64; 2]) -> (Mat3, [Vec3; 2]) {
     let q = Quotients::new(v[0] * v[0] + v[1] * v[1]);
-    let axis = [-v[1], v[0], 0.0];
+    let axis = Vec3::new(-v[1], v[0], 0.0);
     let column = |unit: Vec3, first: f64, second: f64| {
-        let once = cross(axis, unit);
-        add(
-            unit,
-            add(scaled(once, first), scaled(cross(axis, once), second)),
-        )
+        let once = axis.cross(unit);
+        unit + (first * once + second * axis.cross(once))
     };
-    let [x, y, z] =
-        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|unit| column(unit, q.s, q.c));
-    let turn = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
+    let [x, y, z] = Vec3::AXES.map(|unit| column(unit, q.s, q.c));
+    let turn = Mat3::from_cols(x, y, z);
     // The left Jacobian of the rotation, applied to dφ = (−dv_y, dv_x, 0).
-    let turning = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]].map(|unit| column(unit, q.c, q.t));
+    let turning = [Vec3::Y, Vec3::NEG_X].map(|unit| column(unit, q.c, q.t));
     (turn, turning)
 }
 
@@ -106,7 +91,7 @@ pub(super) struct Chain<'a> {
     bends: &'a [f64],
     lengths: &'a [f64],
     points: Vec<Vec3>,
-    turns: Vec<Turn>,
+    turns: Vec<Mat3>,
     /// Turning of all that is beyond a joint, per unit of tilt_x, tilt_y, then of each segment's
     /// v_x, v_y.
     turnings: Vec<Vec3>,
@@ -128,13 +113,9 @@ impl<'a> Chain<'a> {
             let v = chain.bend(k);
             let (start, from) = (chain.turns[k], chain.points[k]);
             let (turn, turning) = rotation(v);
-            chain
-                .turnings
-                .extend(turning.map(|axis| turned(&start, axis)));
-            chain
-                .points
-                .push(add(from, turned(&start, scaled(chord(v), *length))));
-            chain.turns.push(product(&start, &turn));
+            chain.turnings.extend(turning.map(|axis| start * axis));
+            chain.points.push(from + start * (length * chord(v)));
+            chain.turns.push(start * turn);
         }
         chain
     }
@@ -146,49 +127,43 @@ impl<'a> Chain<'a> {
     /// The point at the share `f` of segment `k`.
     pub(super) fn point(&self, k: usize, f: f64) -> Vec3 {
         let v = self.bend(k).map(|x| x * f);
-        let local = scaled(chord(v), f * self.lengths[k]);
-        add(self.points[k], turned(&self.turns[k], local))
+        let local = f * self.lengths[k] * chord(v);
+        self.points[k] + self.turns[k] * local
     }
 
     /// Room for the slopes of a point.
     pub(super) fn room(&self) -> Slopes {
         Slopes {
-            tilt: [[0.0; 3]; 2],
-            bends: vec![[0.0; 3]; self.bends.len()],
-            lengths: vec![[0.0; 3]; self.lengths.len()],
+            tilt: [Vec3::ZERO; 2],
+            bends: vec![Vec3::ZERO; self.bends.len()],
+            lengths: vec![Vec3::ZERO; self.lengths.len()],
         }
     }
 
     /// How that point moves.
     pub(super) fn slopes(&self, k: usize, f: f64, out: &mut Slopes) {
-        out.bends.fill([0.0; 3]);
-        out.lengths.fill([0.0; 3]);
+        out.bends.fill(Vec3::ZERO);
+        out.lengths.fill(Vec3::ZERO);
         let point = self.point(k, f);
         for (axis, out) in out.tilt.iter_mut().enumerate() {
-            *out = cross(self.turnings[axis], sub(point, self.points[0]));
+            *out = self.turnings[axis].cross(point - self.points[0]);
         }
         for i in 0..=k {
             let share = if i == k { f } else { 1.0 };
-            let (turn, v) = (&self.turns[i], self.bend(i).map(|x| x * share));
-            out.lengths[i] = turned(turn, scaled(chord(v), share));
+            let (turn, v) = (self.turns[i], self.bend(i).map(|x| x * share));
+            out.lengths[i] = turn * (share * chord(v));
             let moved = chord_slopes(v);
             for axis in 0..2 {
-                let local = scaled(moved[axis], self.lengths[i] * share * share);
+                let local = self.lengths[i] * share * share * moved[axis];
                 let slope = &mut out.bends[2 * i + axis];
-                *slope = turned(turn, local);
+                *slope = turn * local;
                 if i < k {
-                    let arm = sub(point, self.points[i + 1]);
-                    *slope = add(*slope, cross(self.turnings[2 + 2 * i + axis], arm));
+                    let arm = point - self.points[i + 1];
+                    *slope += self.turnings[2 + 2 * i + axis].cross(arm);
                 }
             }
         }
     }
-}
-
-fn product(a: &Turn, b: &Turn) -> Turn {
-    let column = |k: usize| turned(a, [b[0][k], b[1][k], b[2][k]]);
-    let (x, y, z) = (column(0), column(1), column(2));
-    [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
 #[cfg(test)]
@@ -196,13 +171,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const BASE: Vec3 = [1.0, -2.0, 3.0];
+    const BASE: Vec3 = Vec3::new(1.0, -2.0, 3.0);
 
     #[test]
     fn a_quarter_circle_ends_where_a_quarter_circle_ends() {
         let radius = 200.0 / std::f64::consts::PI;
         let bends = [std::f64::consts::FRAC_PI_2, 0.0, 0.0, 0.0];
-        let chain = Chain::new([0.0; 3], [0.0; 2], &bends, &[100.0, 50.0]);
+        let chain = Chain::new(Vec3::ZERO, [0.0; 2], &bends, &[100.0, 50.0]);
         for (point, expected) in [
             (chain.point(0, 1.0), [radius, 0.0, radius]),
             (chain.point(1, 1.0), [radius + 50.0, 0.0, radius]),
@@ -211,7 +186,7 @@ mod tests {
                 [radius * (1.0 - 0.5f64.sqrt()), 0.0, radius * 0.5f64.sqrt()],
             ),
         ] {
-            for (a, b) in point.iter().zip(expected) {
+            for (a, b) in point.to_array().into_iter().zip(expected) {
                 assert!((a - b).abs() < 1e-12, "{point:?} against {expected:?}");
             }
         }

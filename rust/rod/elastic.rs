@@ -16,8 +16,8 @@
 
 use super::arc::Chain;
 use super::layout::Layout;
+use crate::algebra::Vec3;
 use crate::algebra::dense::Factor;
-use crate::algebra::vector::Vec3;
 use crate::error::Result;
 use crate::shape::Shape;
 use std::sync::Arc;
@@ -207,7 +207,7 @@ impl ElasticRod {
 
     pub(super) fn chain<'a>(&'a self, bends: &'a [f64]) -> Chain<'a> {
         let base = &self.numbers[self.layout.first.base..];
-        let (base, tilt) = ([base[0], base[1], base[2]], [base[3], base[4]]);
+        let (base, tilt) = (Vec3::from_slice(base), [base[3], base[4]]);
         Chain::new(base, tilt, bends, self.lengths())
     }
 
@@ -221,13 +221,11 @@ impl ElasticRod {
 
 /// What a marker does when θ moves by `turn` (2S,), given its `slopes` by θ.
 pub(super) fn along(slopes: &[Vec3], turn: &[f64]) -> Vec3 {
-    let mut sum = [0.0; 3];
-    for (slope, turn) in slopes.iter().zip(turn) {
-        for axis in 0..3 {
-            sum[axis] += slope[axis] * turn;
-        }
-    }
-    sum
+    slopes
+        .iter()
+        .zip(turn)
+        .map(|(slope, turn)| turn * slope)
+        .sum()
 }
 
 impl Shape for ElasticRod {
@@ -252,7 +250,7 @@ impl Shape for ElasticRod {
         let bends = self.bends(&self.equilibrium(u));
         let chain = self.chain(&bends);
         for (out, &(k, f)) in out.chunks_exact_mut(3).zip(&self.layout.markers) {
-            out.copy_from_slice(&chain.point(k, f));
+            chain.point(k, f).write_to_slice(out);
         }
     }
 

@@ -15,7 +15,6 @@
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
-use crate::algebra::vector::Vec3;
 use crate::error::{Result, invalid};
 use crate::response::loads::{ACROSS, CURVE, FIELDS, PUSH, ROUTING, STIFF, TWIST, covered, width};
 use crate::shape::Shape;
@@ -163,8 +162,7 @@ impl Shape for ElasticField {
         }
         for (out, &(k, f)) in out.chunks_exact_mut(3).zip(&self.rod.layout.markers) {
             chain.slopes(k, f, &mut slopes);
-            let shift: Vec3 = along(&slopes.bends, &turn);
-            out.copy_from_slice(&shift);
+            along(&slopes.bends, &turn).write_to_slice(out);
         }
     }
 }

@@ -7,7 +7,7 @@
 //! arcs (`arc.rs`).
 
 use super::elastic::{ElasticRod, Equilibrium, along};
-use crate::algebra::vector::Vec3;
+use crate::algebra::Vec3;
 use crate::shape::Shape;
 
 impl ElasticRod {
@@ -25,7 +25,7 @@ impl ElasticRod {
         let turns = self.turns(&equilibrium);
         let mut moves = chain.room();
         for (m, &(k, f)) in self.layout.markers.iter().enumerate() {
-            out[3 * m..3 * m + 3].copy_from_slice(&chain.point(k, f));
+            chain.point(k, f).write_to_slice(&mut out[3 * m..]);
             chain.slopes(k, f, &mut moves);
             let mut put = |at: usize, slope: Vec3| {
                 for axis in 0..3 {
@@ -45,9 +45,9 @@ impl ElasticRod {
                     put(at + i, *slope);
                 }
             }
-            put(first.base, [1.0, 0.0, 0.0]);
-            put(first.base + 1, [0.0, 1.0, 0.0]);
-            put(first.base + 2, [0.0, 0.0, 1.0]);
+            for (i, axis) in Vec3::AXES.into_iter().enumerate() {
+                put(first.base + i, axis);
+            }
         }
     }
 

@@ -11,7 +11,7 @@
 //! is one nominal number and amounts of load are only meaningful as displacement.
 
 use super::Rod;
-use crate::algebra::vector::{add, cross, dot, norm, scaled, sub};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use crate::response::loads::{FIELDS, GRAVITY, LOADS, TIP_FORCE};
 use crate::shape::Shape;
@@ -76,21 +76,20 @@ impl RodField {
     }
 
     /// Bending moment per unit load at fraction `s` of chord `k`.
-    fn moment(&self, chords: &Chords, k: usize, s: f64) -> [f64; 3] {
-        let mut force = [0.0; 3];
-        force[self.axis] = 1.0;
+    fn moment(&self, chords: &Chords, k: usize, s: f64) -> Vec3 {
+        let force = Vec3::AXES[self.axis];
         let at = chords.at(k, s);
         match self.load {
-            Load::TipForce => cross(sub(chords.points[chords.points.len() - 1], at), force),
+            Load::TipForce => (chords.points[chords.points.len() - 1] - at).cross(force),
             Load::Weight => {
                 // First moment of what hangs beyond: the rest of this chord about its middle, then
                 // whole chords.
                 let rest = chords.lengths[k] * (1.0 - s);
-                let mut arm = scaled(sub(chords.at(k, 0.5 * (1.0 + s)), at), rest);
+                let mut arm = rest * (chords.at(k, 0.5 * (1.0 + s)) - at);
                 for j in k + 1..chords.lengths.len() {
-                    arm = add(arm, scaled(sub(chords.at(j, 0.5), at), chords.lengths[j]));
+                    arm += chords.lengths[j] * (chords.at(j, 0.5) - at);
                 }
-                cross(scaled(arm, 1.0 / chords.total), force)
+                (1.0 / chords.total * arm).cross(force)
             }
         }
     }
@@ -98,14 +97,14 @@ impl RodField {
 
 /// The chords at one command.
 struct Chords {
-    points: Vec<[f64; 3]>,
+    points: Vec<Vec3>,
     lengths: Vec<f64>,
     total: f64,
 }
 
 impl Chords {
-    fn new(points: Vec<[f64; 3]>) -> Self {
-        let lengths: Vec<f64> = points.windows(2).map(|p| norm(sub(p[1], p[0]))).collect();
+    fn new(points: Vec<Vec3>) -> Self {
+        let lengths: Vec<f64> = points.windows(2).map(|p| p[1].distance(p[0])).collect();
         let total = lengths.iter().sum();
         Self {
             points,
@@ -114,11 +113,8 @@ impl Chords {
         }
     }
 
-    fn at(&self, k: usize, s: f64) -> [f64; 3] {
-        add(
-            self.points[k],
-            scaled(sub(self.points[k + 1], self.points[k]), s),
-        )
+    fn at(&self, k: usize, s: f64) -> Vec3 {
+        self.points[k] + s * (self.points[k + 1] - self.points[k])
     }
 }
 
@@ -139,24 +135,20 @@ impl Shape for RodField {
             if length == 0.0 {
                 continue;
             }
-            let tangent = scaled(sub(chords.points[k + 1], chords.points[k]), 1.0 / length);
+            let tangent = 1.0 / length * (chords.points[k + 1] - chords.points[k]);
             let nodes = [(0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)];
             let bendings = nodes.map(|(s, _)| {
                 let moment = self.moment(&chords, k, s);
-                sub(moment, scaled(tangent, dot(moment, tangent)))
+                moment - moment.dot(tangent) * tangent
             });
-            let mean = nodes
-                .iter()
-                .zip(&bendings)
-                .fold([0.0; 3], |sum, (node, bending)| {
-                    add(sum, scaled(*bending, node.1))
-                });
+            let pairs = nodes.iter().zip(&bendings);
+            let mean: Vec3 = pairs.map(|(node, bending)| node.1 * bending).sum();
             for ((s, weight), bending) in nodes.into_iter().zip(bendings) {
-                let bending = sub(bending, scaled(mean, self.lock));
-                let turn = scaled(bending, self.compliance * weight * length);
+                let bending = bending - self.lock * mean;
+                let turn = self.compliance * weight * length * bending;
                 let at = chords.at(k, s);
                 for i in k..chords.lengths.len() {
-                    let shift = cross(turn, sub(chords.points[i + 1], at));
+                    let shift = turn.cross(chords.points[i + 1] - at);
                     for axis in 0..3 {
                         out[3 * i + axis] += shift[axis];
                     }

@@ -30,7 +30,7 @@ pub use field::{Load, RodField};
 pub use layout::{Layout, Tendon};
 pub use polynomial::{Monomials, Splines, Terms};
 
-use crate::algebra::vector::{add, scaled};
+use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use crate::memory::with_few;
 use crate::shape::{Shape, Work};
@@ -60,7 +60,7 @@ pub enum Form {
 /// The regressed chord-angle rod: C commands to K markers.
 #[derive(Debug, Clone)]
 pub struct Rod {
-    base: [f64; 3],
+    base: Vec3,
     centre: Vec<f64>,
     scale: Vec<f64>,
     pulled: bool,
@@ -115,7 +115,7 @@ impl Rod {
         let chords = angles.len() / (2 * rows);
         let quadratic = Terms::Monomials(Monomials::new(2 * chords, 2)?);
         Ok(Self {
-            base,
+            base: base.into(),
             centre,
             scale,
             pulled,
@@ -163,7 +163,7 @@ impl Rod {
     }
 
     /// Hand the markers at `u` to `take`, base to tip.
-    fn markers(&self, u: &[f64], mut take: impl FnMut(usize, [f64; 3])) {
+    fn markers(&self, u: &[f64], mut take: impl FnMut(usize, Vec3)) {
         let (variables, chords) = (self.variables(), self.chords());
         with_few(variables + 3 * chords, |work| {
             let (q, work) = work.split_at_mut(variables);
@@ -175,17 +175,14 @@ impl Rod {
             for k in 0..chords {
                 let (x, y) = (v[2 * k], v[2 * k + 1]);
                 let bend = Bend::new(x, y);
-                p = add(
-                    p,
-                    scaled([bend.sinc * x, bend.sinc * y, bend.cos], lengths[k]),
-                );
+                p += lengths[k] * Vec3::new(bend.sinc * x, bend.sinc * y, bend.cos);
                 take(k, p);
             }
         });
     }
 
     /// Base point and markers at `u`: K + 1 points.
-    fn points(&self, u: &[f64]) -> Vec<[f64; 3]> {
+    fn points(&self, u: &[f64]) -> Vec<Vec3> {
         let mut points = Vec::with_capacity(1 + self.chords());
         points.push(self.base);
         self.markers(u, |_, p| points.push(p));
@@ -233,7 +230,7 @@ impl Shape for Rod {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        self.markers(u, |k, p| out[3 * k..3 * k + 3].copy_from_slice(&p));
+        self.markers(u, |k, p| p.write_to_slice(&mut out[3 * k..]));
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
@@ -265,7 +262,7 @@ impl Rod {
         self.angles.slopes(q, v, dv, inside);
         self.lengths.slopes(v, lengths, dl, inside);
         for j in 0..c {
-            let mut slope = [0.0; 3];
+            let mut slope = Vec3::ZERO;
             for (rise, dv) in rise.iter_mut().zip(dv.chunks_exact(variables)) {
                 *rise = self.over(dv, q, j) / self.scale[j];
             }
@@ -275,13 +272,13 @@ impl Rod {
                 let stretch: f64 = (0..n).map(|i| dl[k * n + i] * rise[i]).sum();
                 let bend = Bend::new(x, y);
                 let along = x * dx + y * dy;
-                let turn = [
+                let turn = Vec3::new(
                     bend.sinc * dx + bend.rise * along * x,
                     bend.sinc * dy + bend.rise * along * y,
                     -bend.sinc * along,
-                ];
-                let chord = [bend.sinc * x, bend.sinc * y, bend.cos];
-                slope = add(slope, add(scaled(turn, lengths[k]), scaled(chord, stretch)));
+                );
+                let chord = Vec3::new(bend.sinc * x, bend.sinc * y, bend.cos);
+                slope += lengths[k] * turn + stretch * chord;
                 for axis in 0..3 {
                     out[(3 * k + axis) * c + j] = slope[axis];
                 }

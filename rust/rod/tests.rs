@@ -1,7 +1,6 @@
 //! The rod against finite differences, its limits and beam theory.
 
 use super::*;
-use crate::algebra::vector::{cross, dot, sub};
 use proptest::prelude::*;
 
 const LENGTHS: [f64; 2] = [100.0, 80.0];
@@ -271,31 +270,28 @@ fn fields_of_a_bent_rod_match_a_fine_sum() {
         let pieces = 400;
         let mut dots = Vec::new();
         for k in 0..2 {
-            let d = sub(p[k + 1], p[k]);
-            let ds = dot(d, d).sqrt() / f64::from(pieces);
+            let d = p[k + 1] - p[k];
+            let ds = d.length() / f64::from(pieces);
             for i in 0..pieces {
-                dots.push((
-                    k,
-                    add(p[k], scaled(d, (f64::from(i) + 0.5) / f64::from(pieces))),
-                    ds,
-                ));
+                dots.push((k, p[k] + (f64::from(i) + 0.5) / f64::from(pieces) * d, ds));
             }
         }
         let total: f64 = dots.iter().map(|d| d.2).sum();
         let mut expected = [0.0; 6];
         for (a, &(k, at, ds)) in dots.iter().enumerate() {
-            let down = [0.0, 0.0, 1.0];
+            let down = Vec3::Z;
             let moment = match load {
-                Load::TipForce => cross(sub(p[2], at), down),
-                Load::Weight => dots[a..].iter().fold([0.0; 3], |m, d| {
-                    add(m, scaled(cross(sub(d.1, at), down), d.2 / total))
-                }),
+                Load::TipForce => (p[2] - at).cross(down),
+                Load::Weight => dots[a..]
+                    .iter()
+                    .map(|d| d.2 / total * (d.1 - at).cross(down))
+                    .sum(),
             };
-            let d = sub(p[k + 1], p[k]);
-            let tangent = scaled(d, 1.0 / dot(d, d).sqrt());
-            let bending = sub(moment, scaled(tangent, dot(moment, tangent)));
+            let d = p[k + 1] - p[k];
+            let tangent = 1.0 / d.length() * d;
+            let bending = moment - moment.dot(tangent) * tangent;
             for i in k..2 {
-                let turn = cross(scaled(bending, c * ds), sub(p[i + 1], at));
+                let turn = (c * ds * bending).cross(p[i + 1] - at);
                 for axis in 0..3 {
                     expected[3 * i + axis] += turn[axis];
                 }
