@@ -7,11 +7,12 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
 from softmap_edge.commands.output import to_stderr, with_files
@@ -20,6 +21,7 @@ from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
 from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.figures import WIDEST
@@ -28,6 +30,9 @@ from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
 from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.terminal import EMERGENCY
+
+Floats = NDArray[np.float64]
+Ticks = NDArray[np.float64] | NDArray[np.int64]
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
@@ -121,6 +126,7 @@ def move(args: MoveOptions) -> int:
                 )
                 jog.by(servo, args.by, hand)
             else:
+                assert isinstance(hand, Keys)  # a program holds only where --by is given
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
@@ -145,7 +151,7 @@ def move(args: MoveOptions) -> int:
     return _reported(args, short, stood)
 
 
-def _turns(rig: Rig, args: MoveOptions) -> Any:
+def _turns(rig: Rig, args: MoveOptions) -> Floats:
     """Return how far (ticks) each servo is asked to turn."""
     return np.array([args.by if servo.id == args.servo else 0.0 for servo in rig.servos], float)
 
@@ -174,7 +180,7 @@ def _numbered(rig: Rig, id: int) -> int:
     return ids.index(id)
 
 
-def _by_keys(jog: Jog, hand: Any) -> None:
+def _by_keys(jog: Jog, hand: Keys) -> None:
     """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held,
     then on.
     """
@@ -274,7 +280,7 @@ def _reported(args: MoveOptions, short: str, stood: str) -> int:
     return CAME_SHORT if short or stood else 0
 
 
-def _cut(u: Any, done: Any) -> str:
+def _cut(u: Floats, done: Floats) -> str:
     """Return a line on a command `u` outside the window, of which `done` is the nearest; "" if it
     is inside.
     """
@@ -286,7 +292,7 @@ def _cut(u: Any, done: Any) -> str:
     )
 
 
-def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
+def _stood(rig: Rig, begin: Floats, end: Floats, target: Ticks) -> str:
     """Take away the mark of home from servos that did not turn where they had to; return a line on
     them, or "".
     """
@@ -301,7 +307,7 @@ def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
     )
 
 
-def _short(robot: Controller, done: Any) -> str:
+def _short(robot: Controller, done: Floats) -> str:
     """Return a line on servos that are short of the command `done`, by the limits of the pull test;
     else "".
     """
@@ -312,7 +318,7 @@ def _short(robot: Controller, done: Any) -> str:
     )
 
 
-def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
+def _jog_short(jog: Jog, servo: int, begin: Floats, by: float) -> str:
     """Return a line on a jogged servo that is short of where it was asked to go; "" if it is
     not.
     """
@@ -332,7 +338,13 @@ def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
     return _far(jog.rig, target, jog.position, away, [most] * len(target))
 
 
-def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
+def _far(
+    rig: Rig,
+    target: Ticks,
+    position: Floats,
+    away: Floats,
+    most: Sequence[float | None],
+) -> str:
     """Return a line on servos that are farther from their targets than a move by `away` ticks
     allows; else "".
     """
@@ -348,7 +360,7 @@ def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
     return "; ".join([*said, HELD]) if said else ""
 
 
-def _off(robot: Controller, command: Any, what: str) -> float:
+def _off(robot: Controller, command: Floats, what: str) -> float:
     """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞
     where it says none.
     """
@@ -361,5 +373,5 @@ def _off(robot: Controller, command: Any, what: str) -> float:
     )
 
 
-def _mm(numbers: Any) -> str:
+def _mm(numbers: Floats) -> str:
     return ", ".join(f"{one:.2f}" for one in numbers)

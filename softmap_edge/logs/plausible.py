@@ -11,12 +11,12 @@ by tests/logs/test_import_doubts.py.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity
+from softmap_edge.run.fields import RunFields
 from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
     return [f'{name}: at most {peak:.4g} with unit = "{unit}" looks like {guess}: {remedy}']
 
 
-def doubts_of_both(fields: dict[str, Any]) -> list[str]:
+def doubts_of_both(fields: RunFields) -> list[str]:
     """Say whether commands and encoders are in two units: their ranges are 57.3 or 1000 times
     apart.
     """
@@ -111,7 +111,7 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
     return []
 
 
-def doubts_of_frozen(t: Array, fields: dict[str, Any]) -> list[str]:
+def doubts_of_frozen(t: Array, fields: RunFields) -> list[str]:
     """Name readings of drives that repeat to the last digit while a command crosses much of its
     range.
 
@@ -190,7 +190,7 @@ def _length(number: float, what: str) -> str | None:
 
 
 # --- the frame -----------------------------------------------------------------------------
-def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> list[str]:
+def doubts_of_rest(t: Array, t_seen: Array, fields: RunFields, mapping: Mapping) -> list[str]:
     """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
     markers = fields["markers"]
     rest = at_rest(t, t_seen, fields.get("command"), markers)

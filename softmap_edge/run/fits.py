@@ -5,7 +5,6 @@ conditions.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ def check_fit(runs: Sequence[Run]) -> None:
             _check_all(name, number, run, runs)
 
 
-def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
+def _facts(one: Run, other: Run) -> Iterator[tuple[str, object, object]]:
     """Yield the properties that must agree, as (name, value of the first run, value of the
     other).
     """
