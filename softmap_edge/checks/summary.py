@@ -8,9 +8,10 @@ commands of a usual grid never mixed).
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.alignment.clouds import with_depth
 from softmap_edge.checks.advice import Advice, advice, home_unknown
@@ -28,6 +29,8 @@ from softmap_edge.run.conditions import HOME, conditions, orientations
 from softmap_edge.run.contents import command_ranges, rounded
 from softmap_edge.run.rollover import roll_overs_of
 from softmap_edge.run.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
+
+Floats = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -186,7 +189,7 @@ def _has_base(run: Run) -> bool:
     return BASE_MARKERS in run.extra and run.extra[BASE_MARKERS].ndim == 3
 
 
-def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
+def _rate(t: Floats) -> float | None:
     if len(t) < 2:
         return None
     step = np.diff(t)
@@ -195,7 +198,7 @@ def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
     return rounded(1.0 / usual.mean())
 
 
-def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[float]] | None:
+def _extent(seen: Floats | None) -> list[list[float]] | None:
     """Where the points were: lowest and highest x, y, z in mm."""
     if seen is None or not seen.size or seen.shape[-1] != 3:
         return None
@@ -204,7 +207,7 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
     return [[rounded(c.min()), rounded(c.max())] for c in flat.T] if len(flat) else None
 
 
-def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
+def _shown(run: Run, seen: Floats | None) -> Floats | None:
     """Return the points with NaN for those that are not visible."""
     return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
 

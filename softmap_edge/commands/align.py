@@ -9,9 +9,10 @@ import argparse
 import dataclasses
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.base_in_clouds import align_clouds
@@ -22,6 +23,11 @@ from softmap_edge.errors import AlignError
 from softmap_edge.geometry.rigid import RigidPose
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+
+Floats = NDArray[np.float64]
 
 _HOW = (
     "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base "
@@ -113,7 +119,7 @@ def align(args: AlignOptions) -> int:
     return 0
 
 
-def _bundle(args: AlignOptions) -> Any:
+def _bundle(args: AlignOptions) -> Model:
     load_own(args)
     return open_model(args.bundle)
 
@@ -156,11 +162,11 @@ def _like(args: AlignOptions, like: str, run: Run) -> int:
     return 0
 
 
-def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Any]:
+def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Floats]:
     """Return the base-frame place of each point that --base names."""
     if base == ["clamped"]:
         return clamped_places(run, _bundle(args))
-    places: dict[int, Any] = {}
+    places: dict[int, Floats] = {}
     for word in " ".join(base).replace(", ", ",").split():
         for part in [word] if ":" in word else word.split(","):
             number, _, place = part.partition(":")
@@ -183,7 +189,7 @@ def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Any]:
     return places
 
 
-def _rest(run: Run, index: int) -> Any:
+def _rest(run: Run, index: int) -> Floats:
     if run.marker_rest is None:
         raise AlignError(
             f"--base {index}: the run has no `marker_rest`, so its place is not known; give "
@@ -191,14 +197,14 @@ def _rest(run: Run, index: int) -> Any:
         )
     if not 0 <= index < len(run.marker_rest):
         raise AlignError(f"--base {index}: the run has markers 0 to {len(run.marker_rest) - 1}")
-    return run.marker_rest[index]
+    return np.asarray(run.marker_rest[index])
 
 
 def _markers(run: Run) -> int:
     return int(run.seen_points.shape[1])
 
 
-def _mean(run: Run, index: int) -> Any:
+def _mean(run: Run, index: int) -> Floats:
     """Return where a base marker is seen in the middle: then only its motion is taken out."""
     base = base_markers(run)
     if not 0 <= index < base.shape[1]:
@@ -216,14 +222,15 @@ def without(run: Run, names: list[int]) -> Run:
     keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)
     if not len(keep):
         raise AlignError("--drop-base: no marker is left; the run needs markers on the robot too")
-    change: dict[str, Any] = {"markers": run.markers[:, keep]}
-    for name in ("visible", "sigma"):
-        value = getattr(run, name)
-        if value is not None and value.ndim:
-            change[name] = value[:, keep]
-    labels = run.extra.get("marker_labels")
+    visible, sigma, rest, extra = run.visible, run.sigma, run.marker_rest, run.extra
+    labels = extra.get("marker_labels")
     if labels is not None and labels.shape == (run.markers.shape[1],):
-        change["extra"] = run.extra | {"marker_labels": labels[keep]}
-    if run.marker_rest is not None:
-        change["marker_rest"] = run.marker_rest[keep]
-    return dataclasses.replace(run, **change)
+        extra = extra | {"marker_labels": labels[keep]}
+    return dataclasses.replace(
+        run,
+        markers=run.markers[:, keep],
+        visible=visible if visible is None or not visible.ndim else visible[:, keep],
+        sigma=sigma if sigma is None or not sigma.ndim else sigma[:, keep],
+        extra=extra,
+        marker_rest=None if rest is None else rest[keep],
+    )

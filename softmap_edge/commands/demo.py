@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.commands.output import next_command
 from softmap_edge.commands.progress import Ticker
@@ -22,6 +21,7 @@ from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import fall
 from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.model.model import Model
@@ -69,7 +69,7 @@ class Trial:
         """Share of the removable error that is gone: (before − after) / (before − floor)."""
         return fall(self.before_mm, self.after_mm, self.floor_mm)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.demo/1."""
         share = self.fall if self.truth.hidden else None
         return {
@@ -268,7 +268,7 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
     return lines
 
 
-def _values(effect: dict[str, Any]) -> str:
+def _values(effect: Document) -> str:
     """Return what was found of an effect, in the library's own form of its law."""
     rows = {label.split(".", 1)[1]: row for label, row in effect["params"].items()}
     units = {name: "" if row["unit"] == "1" else f" {row['unit']}" for name, row in rows.items()}

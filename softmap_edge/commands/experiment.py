@@ -10,7 +10,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -23,7 +23,12 @@ from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
 
 if TYPE_CHECKING:
+    from softmap_edge.experiment.choose import Experiment
+    from softmap_edge.fem.finger import Finger
+    from softmap_edge.files.npz import Arrays
     from softmap_edge.model.model import Model
+    from softmap_edge.run.protocol import Limits, Protocol
+    from softmap_edge.run.run import Run
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
@@ -172,7 +177,7 @@ def next(args: NextOptions) -> int:
     return 0
 
 
-def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]:
+def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experiment], list[str]]:
     """Return commands without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.run.protocol import standard_protocol
@@ -207,7 +212,9 @@ def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]
     )
 
 
-def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any], list[str], int]:
+def _answered(
+    args: NextOptions, file: str, model: Model
+) -> tuple[Protocol | None, list[Experiment], list[str], int]:
     """Return the commands for what a diagnosis left open.
 
     Also the blocks weighed, what is open, and how often to play.
@@ -261,7 +268,7 @@ def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
     ]
 
 
-def _limits(args: NextOptions, model: Any) -> Any:
+def _limits(args: NextOptions, model: Model) -> Limits:
     from softmap_edge.run.protocol import Limits
 
     return Limits.of(model.command_range, model.command_unit, args.fastest)
@@ -456,7 +463,7 @@ def record(args: RecordOptions) -> int:
     return 0
 
 
-def _ahead(made: Any, hidden: bool) -> str:
+def _ahead(made: Protocol, hidden: bool) -> str:
     """Print how long the recording would be, and what is simulated; the bar shows progress."""
     first = "finding how strong the hidden effects are, then " if hidden else ""
     return (
@@ -466,8 +473,8 @@ def _ahead(made: Any, hidden: bool) -> str:
 
 
 def _measured(
-    args: RecordOptions, made: Any, finger: Any, names: list[str], seed: int
-) -> tuple[Any, Any]:
+    args: RecordOptions, made: Protocol, finger: Finger, names: list[str], seed: int
+) -> tuple[Run, Arrays]:
     """Return the run of a protocol, and of the virtual finger what is true."""
     from softmap_edge.synthetic.finger import hide
     from softmap_edge.synthetic.virtual_finger import virtual_finger

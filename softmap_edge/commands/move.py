@@ -7,11 +7,12 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
 from softmap_edge.commands.output import to_stderr, with_files
@@ -20,6 +21,7 @@ from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
 from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.figures import WIDEST
@@ -28,6 +30,9 @@ from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
 from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.terminal import EMERGENCY
+
+Floats = NDArray[np.float64]
+Ticks = NDArray[np.float64] | NDArray[np.int64]
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
@@ -121,6 +126,7 @@ def move(args: MoveOptions) -> int:
                 )
                 jog.by(servo, args.by, hand)
             else:
+                assert isinstance(hand, Keys)  # a program holds only where --by is given
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
@@ -145,7 +151,7 @@ def move(args: MoveOptions) -> int:
     return _reported(args, short, stood)
 
 
-def _turns(rig: Rig, args: MoveOptions) -> Any:
+def _turns(rig: Rig, args: MoveOptions) -> Floats:
     """Return how far (ticks) each servo is asked to turn."""
     return np.array([args.by if servo.id == args.servo else 0.0 for servo in rig.servos], float)
 
@@ -174,7 +180,7 @@ def _numbered(rig: Rig, id: int) -> int:
     return ids.index(id)
 
 
-def _by_keys(jog: Jog, hand: Any) -> None:
+def _by_keys(jog: Jog, hand: Keys) -> None:
     """Let keys jog until one stops: a step at a press, then on.
 
     The servo is kept under torque while the key may yet be held.
@@ -275,7 +281,7 @@ def _reported(args: MoveOptions, short: str, stood: str) -> int:
     return CAME_SHORT if short or stood else 0
 
 
-def _cut(u: Any, done: Any) -> str:
+def _cut(u: Floats, done: Floats) -> str:
     """Return a line on a command `u` outside the window; "" if it is inside.
 
     `done` is the nearest command inside.
@@ -288,7 +294,7 @@ def _cut(u: Any, done: Any) -> str:
     )
 
 
-def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
+def _stood(rig: Rig, begin: Floats, end: Floats, target: Ticks) -> str:
     """Clear the mark of home of servos that did not turn; return a line on them, or "".
 
     They should have turned.
@@ -304,7 +310,7 @@ def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
     )
 
 
-def _short(robot: Controller, done: Any) -> str:
+def _short(robot: Controller, done: Floats) -> str:
     """Return a line on servos short of the command `done`; else "".
 
     They are so by the limits of the pull test.
@@ -316,7 +322,7 @@ def _short(robot: Controller, done: Any) -> str:
     )
 
 
-def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
+def _jog_short(jog: Jog, servo: int, begin: Floats, by: float) -> str:
     """Return a line on a jogged servo short of its target; "" if it is not."""
     target, asked = jog.goal.copy(), begin[servo] + by
     if abs(target[servo] - asked) > max(LEAST_SHORT, SHORT * abs(by)):
@@ -334,7 +340,13 @@ def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
     return _far(jog.rig, target, jog.position, away, [most] * len(target))
 
 
-def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
+def _far(
+    rig: Rig,
+    target: Ticks,
+    position: Floats,
+    away: Floats,
+    most: Sequence[float | None],
+) -> str:
     """Return a line on servos too far from their targets; else "".
 
     They are farther than a move by `away` ticks allows.
@@ -351,7 +363,7 @@ def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
     return "; ".join([*said, HELD]) if said else ""
 
 
-def _off(robot: Controller, command: Any, what: str) -> float:
+def _off(robot: Controller, command: Floats, what: str) -> float:
     """Return the distance (ticks) of the newest report's `goal` or `position` from a command.
 
     ∞ if it has none.
@@ -365,5 +377,5 @@ def _off(robot: Controller, command: Any, what: str) -> float:
     )
 
 
-def _mm(numbers: Any) -> str:
+def _mm(numbers: Floats) -> str:
     return ", ".join(f"{one:.2f}" for one in numbers)

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.commands.output import (
     check_bundle,
@@ -29,6 +29,7 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import announce_edited_limits, emulated, own_map
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.errors import RecordingWarning, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.control.controller import Controller
@@ -168,7 +169,7 @@ def _commands(args: RecordOptions, model: Model) -> Protocol:
     return made
 
 
-def _document(args: RecordOptions, run: Run, made: Protocol) -> dict[str, Any]:
+def _document(args: RecordOptions, run: Run, made: Protocol) -> Document:
     return {
         "schema": "softmap.record/1",
         "out": args.out,
@@ -323,7 +324,7 @@ def _ahead(args: RecordOptions, paced: Pace) -> str:
     )
 
 
-def _said(args: RecordOptions, run: object, summary: dict[str, Any]) -> str:
+def _said(args: RecordOptions, run: object, summary: Document) -> str:
     lines = [
         f"{run}",
         f"{summary['frames']} of {summary['wanted']} frames in {summary['minutes']:.1f} minutes, "

@@ -7,9 +7,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.checks.advice_text import effect_lines
@@ -17,7 +17,7 @@ from softmap_edge.checks.summary import SCHEMA, sentences, summary
 from softmap_edge.commands.output import check_file, check_kept, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
-from softmap_edge.files.atomic import write_atomically
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.npz import read_npz
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
@@ -29,6 +29,8 @@ from softmap_edge.run.run import Run
 from softmap_edge.sweep.summary import read_summary
 from softmap_edge.sweep.summary import sentences as sweep_sentences
 from softmap_edge.sweep.sweep_file import LIMIT, is_shape_sweep
+
+Floats = NDArray[np.float64]
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"
@@ -169,8 +171,8 @@ def check(args: CheckOptions) -> int:
     path = _existing(args.path)
     load_own(args)
     kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
-    document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
-    found: dict[str, Any] = {}
+    document: Document = {"schema": SCHEMA, "path": str(path), "kind": kind}
+    found: Document = {}
     try:
         if kind == "bundle":
             found = _bundle(path) | _compared_networks(path)
@@ -283,7 +285,7 @@ def _existing(path: str) -> Path:
     return Path(path)
 
 
-def _run(path: Path, bundle: str | None) -> dict[str, Any]:
+def _run(path: Path, bundle: str | None) -> Document:
     model = None if bundle is None else open_model(bundle)
     run, fault = open_incomplete(path, model)
     document = summary(run, model) | {"fault": fault}
@@ -294,7 +296,7 @@ def _run(path: Path, bundle: str | None) -> dict[str, Any]:
     return document
 
 
-def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
+def _bundle(path: Path, asking: bool = True) -> Document:
     """Return manifest and chain; the chain as written with code that is not loaded.
 
     This is so if not `asking`.
@@ -312,7 +314,7 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
     return {"manifest": manifest, **chain, **calibration, **tables}
 
 
-def _compared_networks(path: Path) -> dict[str, Any]:
+def _compared_networks(path: Path) -> Document:
     """Compare a bundle's networks that the core runs with onnxruntime; nothing without any."""
     manifest = load_manifest(path)
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
@@ -328,7 +330,7 @@ def _compared_networks(path: Path) -> dict[str, Any]:
     return {"differs_from_onnxruntime_mm": apart} if apart else {}
 
 
-def _bundle_lines(document: dict[str, Any]) -> list[str]:
+def _bundle_lines(document: Document) -> list[str]:
     manifest = document["manifest"]
     shown = {k: v for k, v in manifest.items() if k != "sha256"} | {
         "effects": document["effects"] or "none"
@@ -361,7 +363,7 @@ def _plain(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def _field(name: str, array: np.ndarray[Any, Any]) -> dict[str, Any]:
+def _field(name: str, array: NDArray[np.generic]) -> Document:
     finite = array[np.isfinite(array)] if array.dtype.kind == "f" else array
     numbers = array.dtype.kind in "biuf" and finite.size > 0
     return {
@@ -374,7 +376,7 @@ def _field(name: str, array: np.ndarray[Any, Any]) -> dict[str, Any]:
     }
 
 
-def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]:
+def _traces(run: Run) -> list[tuple[str, Floats]]:
     rows = run.command if run.command is not None else run.ticks
     traces = (
         []
@@ -394,7 +396,7 @@ def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]
     return traces
 
 
-def _trace(values: np.ndarray[Any, np.dtype[np.float64]]) -> str:
+def _trace(values: Floats) -> str:
     """A line of bars: the mean of each part of the record, scaled to its range.
 
     A blank where nothing was seen.

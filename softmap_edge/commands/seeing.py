@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, Protocol
+from typing import Protocol
 
 from softmap_edge.errors import SoftmapError
 from softmap_edge.robot.drive.observations import LATEST
@@ -56,13 +56,11 @@ def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
     Raises:
         SoftmapError: an argument is not usable, or the address is not to be had.
     """
-    frame: Any = None
-    if args.like is not None:
-        frame = open_run(args.like).frame
-        if frame is None:
-            raise SoftmapError(
-                f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base"
-            )
+    frame = None if args.like is None else open_run(args.like).frame
+    if args.like is not None and frame is None:
+        raise SoftmapError(
+            f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base"
+        )
     key = None if args.key is None else read_key(args.key)
     if args.camera is None:
         raise SoftmapError("no camera is given; give --camera udp://:PORT (docs/do/camera.md)")

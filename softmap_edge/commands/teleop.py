@@ -10,19 +10,20 @@ import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
 from softmap_edge.errors import RecordingBroken, TeleopError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.link.session import dropped_words, new_key, read_key
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo.clock import BUSY
 from softmap_edge.robot.servo.terminal import terminal
 from softmap_edge.robot.teleop.busy import LONG
-from softmap_edge.robot.teleop.drive import Drive
+from softmap_edge.robot.teleop.drive import Drive, DriveState
 from softmap_edge.robot.teleop.frames import UdpAddress, source
 from softmap_edge.robot.teleop.gesture import Rule
 from softmap_edge.robot.teleop.hand import HandMap, View
@@ -202,7 +203,7 @@ def _drive(args: TeleopOptions) -> int:
             )
         )
         robot.at_terminal = True
-        show: Callable[[Any], None] | None = None
+        show: Callable[[DriveState], None] | None = None
         if page is not None:
             about = {"source": "hand" if by_hand else "knob"}
             shown = PageState(model, aim, eyes, ShapePreview(model, bench.calibration), about)
@@ -314,11 +315,11 @@ def _flips(text: str) -> tuple[bool, bool]:
     return "x" in named, "y" in named
 
 
-def _print(args: TeleopOptions, summary: dict[str, Any], text: str) -> None:
+def _print(args: TeleopOptions, summary: Document, text: str) -> None:
     print(json.dumps({"schema": "softmap.teleop/1", **summary}) if args.json else text)
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Document) -> str:
     lines = [
         f"driven for {summary['driving_s']:.1f} s in {summary['presses']} presses; ended: "
         f"{summary['ended']}"

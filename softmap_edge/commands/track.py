@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.commands.output import check_picture, next_command
 from softmap_edge.commands.own import load_own, open_model
@@ -26,7 +25,7 @@ from softmap_edge.commands.robot import (
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import RecordingBroken, SoftmapError
-from softmap_edge.files.atomic import write_atomically
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.drive.observations import Keeper, keeping, seen_file
 from softmap_edge.robot.drive.track import Course, Tracked, course, spread
@@ -271,7 +270,7 @@ def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked |
 
 def _document(
     args: TrackOptions, kinematics: Kinematics, planned: Course, tracked: Tracked | None
-) -> dict[str, Any]:
+) -> Document:
     plan, counts = planned.plan, planned.counts
     seen = tracked is not None and len(tracked.error) > 0
     return {
@@ -303,7 +302,7 @@ def _document(
     }
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Document) -> str:
     def numbers(name: str) -> str:
         return "{mean:.2f} ± {sd:.2f} mm, at most {max:.2f} mm, {n} times".format(**summary[name])
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
-from softmap_edge.files.atomic import write_atomically
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.model.model import Model
 from softmap_edge.robot.motion.figures import WIDEST
 from softmap_edge.robot.motion.kinematics import AXES, Kinematics
@@ -65,7 +65,7 @@ def workspace(args: TrackOptions, kinematics: Kinematics) -> int:
     places = kinematics.reach.samples[0]
     solved = None if target is None else kinematics.solve(target[None])
     unit = kinematics.model.command_unit
-    document: dict[str, Any] = {
+    document: Document = {
         "schema": "softmap.workspace/1",
         "axes": kinematics.axes,
         "command_unit": unit,
@@ -94,7 +94,7 @@ def workspace(args: TrackOptions, kinematics: Kinematics) -> int:
     return 0
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Document) -> str:
     def point(numbers: list[float]) -> str:
         return "(" + ", ".join(f"{v:.2f}" for v in numbers) + ")"
 

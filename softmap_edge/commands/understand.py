@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.commands.output import (
     JsonOption,
@@ -22,12 +22,14 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.files.atomic import write_atomically
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.document import Diagnosis
+    from softmap_edge.model.model import Model
+    from softmap_edge.run.run import Run
 
 RESIDUAL = "residual"
 NUMBERS = {
@@ -396,7 +398,7 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
 # --- what the commands share --------------------------------------------------------------------
 
 
-def warn_outside(verb: str, model: Any, run: Any) -> None:
+def warn_outside(verb: str, model: Model, run: Run) -> None:
     """Warn on stderr where a run leaves the commands or the frame of the model.
 
     It comes in addition to any document.
@@ -410,7 +412,7 @@ def warn_outside(verb: str, model: Any, run: Any) -> None:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 
-def _doubt(verb: str, model: Any, run: Any) -> None:
+def _doubt(verb: str, model: Model, run: Run) -> None:
     """Warn on stderr of data that a diagnosis would set aside or refuse.
 
     A comparison takes the run as it is.
@@ -440,26 +442,30 @@ def _names(text: str) -> list[str]:
 
 
 def write_page(
-    path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str, ways: Any = None
+    path: str,
+    run: Run,
+    before: Model,
+    after: Model | None,
+    diagnosis: Diagnosis | None,
+    kind: str,
+    ways: tuple[Mapping[str, float | None], str] | None = None,
 ) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.comparison.comparison import compare as measure
     from softmap_edge.comparison.series import series
     from softmap_edge.report.html import write_html
 
-    two = after is not None and after is not before
-    found = [measure(model, run) for model in ((before, after) if two else (before,))]
-    write_html(path, found, diagnosis, series(run, before, after if two else None, kind), ways=ways)
+    other = None if after is before else after
+    found = [measure(model, run) for model in (before, other) if model is not None]
+    write_html(path, found, diagnosis, series(run, before, other, kind), ways=ways)
 
 
-def _dropped(model: Any) -> dict[str, Any]:
+def _dropped(model: Model) -> Document:
     """Return that a model's residual goes with its effects, for the report of a change of these."""
     return {} if model.residual is None else {"residual": "dropped"}
 
 
-def _write(
-    args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: dict[str, Any]
-) -> int:
+def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report: Document) -> int:
     from softmap_edge.model.bundle import save_bundle
 
     folder = save_bundle(model, args.out)
@@ -505,5 +511,5 @@ def teller(args: JsonOption) -> Callable[[str], None] | None:
     return lambda line: print(line, file=sys.stderr)
 
 
-def _write_json(path: str, document: dict[str, Any]) -> None:
+def _write_json(path: str, document: Document) -> None:
     write_atomically(path, json.dumps(document, indent=1) + "\n")

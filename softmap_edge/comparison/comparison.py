@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ class Comparison:
         }
 
     @classmethod
-    def from_dict(cls, document: Any) -> Comparison:
+    def from_dict(cls, document: object) -> Comparison:
         """Read a document softmap.comparison/1.
 
         Args:
@@ -117,7 +117,7 @@ class Comparison:
             ComparisonError: another schema, or a missing or malformed entry.
         """
         schema = document.get("schema") if isinstance(document, dict) else None
-        if schema != SCHEMA:
+        if not isinstance(document, dict) or schema != SCHEMA:
             raise ComparisonError(
                 f"this is no comparison: schema {schema!r}, expected {SCHEMA!r}; make one with "
                 "`softmap compare --json`"
@@ -350,12 +350,12 @@ def _made_from(kind: str, model: Model, run: Run) -> Document:
     return made | ({"timeless": True} if run.timeless else {})
 
 
-def _length(value: Any) -> float:
+def _length(value: float | None) -> float:
     """Read a length; null is one that is not known, as the tip's where the tip is never seen."""
     return math.nan if value is None else float(value)
 
 
-def _memoryless(entry: Any) -> MemorylessFloor | None:
+def _memoryless(entry: Document | None) -> MemorylessFloor | None:
     """Read the floor of models without memory; earlier documents have none."""
     if entry is None:
         return None
@@ -364,7 +364,7 @@ def _memoryless(entry: Any) -> MemorylessFloor | None:
     )
 
 
-def _bin(row: Any) -> Bin:
+def _bin(row: Document) -> Bin:
     low, high = row["low"], row["high"]
     return Bin(
         str(row["label"]),

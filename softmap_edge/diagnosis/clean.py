@@ -23,9 +23,9 @@ tests/run/test_bad_runs.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -434,7 +434,9 @@ def _points(
         )
 
 
-def _clipped(seen: Floats, visible: Mask, axis: int, extreme: Any) -> Mask | None:
+def _clipped(
+    seen: Floats, visible: Mask, axis: int, extreme: Callable[[Floats], np.floating]
+) -> Mask | None:
     """Return the points (K, N) whose coordinate stands at its extreme as at a border, or None."""
     place = np.where(visible, seen[..., axis], np.nan)
     at = visible & (place == extreme(place))

@@ -420,10 +420,9 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
 
 def _outside(record: Record) -> str:
     """Report how much of a run lies beyond the model's commands, where it extrapolates."""
-    reach = getattr(record.model, "command_range", None)
-    if reach is None or not len(record):
+    if not len(record):
         return ""
-    low, high = np.asarray(reach, float).T
+    low, high = np.asarray(record.model.command_range, float).T
     slack = BEYOND * (high - low)
     beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
     if beyond < UNSAID:

@@ -7,7 +7,8 @@ unit, and every error what it was measured on.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.family_text import LEARNED, family_lines, learned_line
@@ -15,6 +16,8 @@ from softmap_edge.diagnosis.findings import Certificate, read
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 from softmap_edge.run.in_unit import PLACES, in_unit, output_of, unit_of
+
+Row = TypeVar("Row")
 
 
 def diagnosis_text(document: Document) -> str:
@@ -206,7 +209,7 @@ def _noise_lines(made_from: Document, unit: str) -> list[str]:
     )
 
 
-def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
+def _list_lines(title: str, rows: Sequence[Row] | None, text: Callable[[Row], str]) -> list[str]:
     if not rows:
         return []
     lines = ["", title]

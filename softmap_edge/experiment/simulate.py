@@ -10,10 +10,10 @@ whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,7 +210,7 @@ class Outcomes:
         return self._kept[key]
 
     @cached_property
-    def _kept(self) -> dict[Any, float]:
+    def _kept(self) -> dict[Hashable, float]:
         return {}
 
     @cached_property

@@ -71,9 +71,9 @@ def check_count(field: str, value: object, low: int, high: int, usual: str) -> N
         )
 
 
-def check_number(field: str, value: Any, low: float, high: float, remedy: str) -> None:
+def check_number(field: str, value: object, low: float, high: float, remedy: str) -> None:
     """Check a number. Raises FingerError."""
-    if not finite(value) or not low <= value <= high:
+    if not isinstance(value, int | float) or not finite(value) or not low <= value <= high:
         raise FingerError(f"{field}: {shown(value)}; allowed is {low:g} to {high:g}; {remedy}")
 
 
@@ -114,12 +114,12 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def names(items: Iterable[Any]) -> str:
+def names(items: Iterable[str]) -> str:
     """Return names in order, quoted."""
     return ", ".join(map(shown, sorted(items)))
 
 
-def listed(values: Iterable[Any]) -> str:
+def listed(values: Iterable[float | tuple[float, ...] | list[float]]) -> str:
     """Return numbers, or rows of numbers, as TOML writes them."""
     return (
         "["

@@ -231,6 +231,14 @@ def _broadcasts(shape: tuple[int, ...], to: tuple[int, ...]) -> bool:
         return False
 
 
+def fields_of(array: NDArray[np.generic]) -> Arrays:
+    """Return the fields of a structured array by name; none of any other array."""
+    names, fields = array.dtype.names, array.dtype.fields
+    if names is None or fields is None:
+        return {}
+    return {name: array.getfield(*fields[name][:2]) for name in names}
+
+
 def array_of(arrays: Mapping[str, NDArray[np.generic]], name: str) -> NDArray[np.generic]:
     """Return the array of that name; raise SoftmapError if there is none."""
     if name not in arrays:

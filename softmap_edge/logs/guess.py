@@ -10,15 +10,15 @@ a part of the answer. Pinned by tests/logs/test_guess.py.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
@@ -64,7 +64,7 @@ class Guess:
     def __str__(self) -> str:
         return self.text
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.guess/1."""
         found = {
             "assumed": list(self.assumed),
@@ -147,7 +147,7 @@ def _nothing_found(sheets: list[Sheet]) -> RunError:
         f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets
     )
     seen = seen if len(seen) <= 600 else f"{seen[:600].rpartition(', ')[0] or seen[:600]} …"
-    hint = next((hint for sheet in sheets if (hint := header_hint(sheet))), "")
+    hint = next((hint for sheet in sheets if (hint := header_hint(sheet.head_line))), "")
     return RunError(
         f"no column looks like a command or a marker by its name ({seen}){hint}; write the "
         "mapping by hand: docs/reference/mapping.md lists its keys, examples/trunk.toml shows "
@@ -206,7 +206,7 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     ]
 
 
-def _range_of(sheet: Sheet) -> Any:
+def _range_of(sheet: Sheet) -> Callable[[str], str]:
     def described(name: str) -> str:
         values = sheet.column(name)
         values = values[np.isfinite(values)]
@@ -404,7 +404,7 @@ def _home_in_ticks(rows: Array) -> str:
 
 def _alike(one: str, other: str) -> bool:
     """Whether two units are of one kind."""
-    kinds: tuple[Any, ...] = (LENGTH, ANGLE, ("ticks",))
+    kinds: tuple[Container[str], ...] = (LENGTH, ANGLE, ("ticks",))
     return any(one in kind and other in kind for kind in kinds)
 
 

@@ -260,7 +260,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         episode=episode,
         clocks=clocks,
         below=below,
-        head_line=getattr(columns, "head_line", None),
+        head_line=columns.head_line,
         rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
     )
 

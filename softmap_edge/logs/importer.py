@@ -16,7 +16,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +39,7 @@ from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
 from softmap_edge.logs.unwrap import counted_on
-from softmap_edge.run.fields import ROW_S
+from softmap_edge.run.fields import ROW_S, RunFields
 from softmap_edge.run.plane import AXES, PLANE
 from softmap_edge.run.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 
@@ -87,7 +86,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     for one, table in zip(logs, tables):
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
         doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
-    fields: dict[str, Any] = _timeless(mapping, notes)
+    fields: RunFields = _timeless(mapping, notes)
     if fields:
         doubts += [
             f"{one.label}: {doubt}"
@@ -163,7 +162,7 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
     return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
 
 
-def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[np.generic]]:
+def _looked_for(mapping: Mapping, fields: RunFields) -> dict[str, NDArray[np.generic]]:
     """Return the field on the search for places that stand for "not seen": done, or off."""
     if "markers" not in fields:
         return {}
@@ -175,7 +174,7 @@ def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[n
     return {NOT_SEEN: np.array("keep" if kept else "checked")}
 
 
-def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
+def _timeless(mapping: Mapping, notes: list[str]) -> RunFields:
     """Return the field of a run whose log has no time.
 
     Raise RunError where times would have to be joined.
@@ -233,7 +232,7 @@ def _sha256(path: Path) -> str:
 def _command_rows(
     tables: list[LogTable],
     mapping: Mapping,
-    fields: dict[str, Any],
+    fields: RunFields,
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
@@ -342,8 +341,8 @@ def _interpolate(t: Array, own: Array, values: Array) -> Array:
 
 
 def _resample_commands(
-    t: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]
-) -> tuple[Array, dict[str, Any]]:
+    t: Array, fields: RunFields, mapping: Mapping, notes: list[str]
+) -> tuple[Array, RunFields]:
     if mapping.command_rate_hz is None or len(t) < 2:
         return t, fields
     count = (t[-1] - t[0]) * mapping.command_rate_hz
@@ -379,7 +378,7 @@ def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -
     return moved
 
 
-def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
+def _rest(t_seen: Array, fields: RunFields, mapping: Mapping, notes: list[str]) -> None:
     """Take the markers' rest places from a stretch of the log when the robot is straight."""
     if mapping.marker_rest_s is None:
         return
@@ -405,9 +404,7 @@ def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[s
     )
 
 
-def _constants(
-    files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]
-) -> None:
+def _constants(files: list[Path], mapping: Mapping, fields: RunFields, notes: list[str]) -> None:
     fields |= {"robot": mapping.robot, "command_unit": mapping.command_unit}
     fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
     if mapping.marker_rest_mm is not None:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
@@ -139,7 +139,7 @@ def explained(document: object) -> str | None:
     )
 
 
-def _motor(name: str, motor: dict[str, Any]) -> str:
+def _motor(name: str, motor: Document) -> str:
     return (
         f"{name[:20]} (id {_short(motor['id'])}, {_short(motor['range_min'])} to "
         f"{_short(motor['range_max'])})"
@@ -150,7 +150,7 @@ def _short(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) and abs(value) < 1e9 else "?"
 
 
-def _line(motor: dict[str, Any]) -> str:
+def _line(motor: Document) -> str:
     """Return scale and offset of the ticks of one motor, as a mapping writes them."""
     low, high = motor["range_min"], motor["range_max"]
     if not all(isinstance(x, int | float) and abs(x) < 1e9 for x in (low, high)):

@@ -11,12 +11,12 @@ import re
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import (
     Column,
@@ -123,7 +123,7 @@ class Mapping:
     to_s: float | None
     block_count: int | None
     block_seconds: float | None
-    constants: dict[str, Any] = field(default_factory=dict)
+    constants: Document = field(default_factory=dict)
     marker_rest_mm: Array | None = None
     marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()

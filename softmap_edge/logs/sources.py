@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ class Part:
     file: Path
     kind: str
     notes: tuple[str, ...] = ()
-    keep: Any = None
+    keep: object = None
 
     @property
     def of_folder(self) -> bool:
@@ -167,7 +166,7 @@ def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) ->
         if missing:
             raise RunError(
                 f"{path}: {len(opened)} of the given files fit one log, but {name} has no column "
-                f"{missing[0][:40]}{header_hint(columns)}; give exactly one, or change `file` in "
+                f"{missing[0][:40]}{header_hint(columns.head_line)}; give exactly one, or change `file` in "
                 "the mapping"
             )
     units = [{name: columns.units.get(name) for name in known} for _, columns in opened]

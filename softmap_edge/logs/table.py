@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,19 +250,18 @@ def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: st
         and (other := find_delimiter(names[0])) in names[0]
     ):
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
-    hint += header_hint(columns)
+    hint += header_hint(columns.head_line)
     raise RunError(
         f"{path}: no column {absent}; there are {_listed(names)}{hint}; change the mapping"
     )
 
 
-def header_hint(columns: object) -> str:
+def header_hint(line: int | None) -> str:
     """Return the line of the names and the remedies if it is wrong; "" of other formats.
 
     Args:
         columns: the log, or what else has its `head_line`.
     """
-    line = getattr(columns, "head_line", None)
     if line is None:
         return ""
     return (
@@ -339,7 +337,7 @@ def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clo
     """
     if clock.column is None:
         return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
-    texts: dict[int, Any] = getattr(columns, "clocks", {})
+    texts = columns.clocks
     t = np.full(len(cells.numbers), clock.offset_s)
     dated = False
     for column, seconds in [(clock.column, clock.seconds), *clock.more]:

@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.errors import BundleError, brief
 from softmap_edge.files.atomic import Document
@@ -122,12 +121,12 @@ def finite_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def _interval(value: Any) -> bool:
-    return _floats(value, 2) and bool(value[0] < value[1])
+def _interval(value: object) -> bool:
+    return isinstance(value, list) and _floats(value, 2) and bool(value[0] < value[1])
 
 
-def _error(value: Any) -> bool:
-    return finite_number(value) and bool(value >= 0)
+def _error(value: object) -> bool:
+    return isinstance(value, int | float) and finite_number(value) and value >= 0
 
 
 def _file_hashes(value: object) -> bool:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -229,7 +229,7 @@ class Calibration:
         }
 
     @classmethod
-    def from_dict(cls, document: Any) -> Calibration:
+    def from_dict(cls, document: object) -> Calibration:
         """Read a document softmap.calibration/1.
 
         Raises:
@@ -237,7 +237,7 @@ class Calibration:
                 to be.
         """
         schema = document.get("schema") if isinstance(document, dict) else None
-        if schema != SCHEMA:
+        if not isinstance(document, dict) or schema != SCHEMA:
             raise CalibrationError(
                 f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap "
                 "model calibrate`"

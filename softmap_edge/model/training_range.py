@@ -8,7 +8,7 @@ effective commands are compared with it. A learned rod keeps the leverage of its
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +147,7 @@ def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
 
     None where its file has none.
     """
-    part: Any = model.made_from.get(key)
+    part: object = model.made_from.get(key)
     try:
         found = np.asarray(part.get("command_range") if isinstance(part, Mapping) else None, float)
     except (TypeError, ValueError):

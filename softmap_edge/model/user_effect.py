@@ -26,7 +26,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -317,7 +316,11 @@ def _parameter(where: str, given: object) -> Document:
 
 
 def _keys(
-    where: str, what: str, given: dict[Any, Any], required: tuple[str, ...], known: tuple[str, ...]
+    where: str,
+    what: str,
+    given: Mapping[object, object],
+    required: tuple[str, ...],
+    known: tuple[str, ...],
 ) -> None:
     missing = [key for key in required if key not in given]
     if missing:
@@ -344,7 +347,7 @@ def _text(where: str, key: str, value: object) -> str:
     return value
 
 
-def _pair(where: str, value: object) -> tuple[Any, float]:
+def _pair(where: str, value: object) -> tuple[object, float]:
     if isinstance(value, list | tuple) and len(value) == 2:
         block, minutes = value
         if isinstance(minutes, int | float) and 0 < minutes < 1e4:

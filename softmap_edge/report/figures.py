@@ -217,7 +217,7 @@ def body(series: Series) -> bytes:
 
 
 def where_maps(
-    before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence[Any]] | None
+    before: Mapping[str, Sequence[Document]], after: Mapping[str, Sequence[Document]] | None
 ) -> bytes:
     """Draw the error in every class of every condition, before and after, on one scale (SVG).
 
@@ -305,7 +305,9 @@ def _tip_height(path: Floats, panels: int) -> float:
     return float(np.clip((WIDE / panels - 0.9) * tall / max(float(wide), 1e-9) + 0.9, 2.6, 6.0))
 
 
-def _bars(axes: Axes, before: Sequence[Any], after: Sequence[Any] | None, top: float) -> None:
+def _bars(
+    axes: Axes, before: Sequence[Document], after: Sequence[Document] | None, top: float
+) -> None:
     """One condition: a bar per class, the after-bar inside the before-bar."""
     partner = {str(row["label"]): row["rms_mm"] for row in after or []}
     names = [str(row["label"]) for row in before]
@@ -376,7 +378,7 @@ def _surface_figure(
     return figure
 
 
-def _colour_bar(figure: Figure, panels: Any, scale: Normalize) -> None:
+def _colour_bar(figure: Figure, panels: NDArray[np.object_], scale: Normalize) -> None:
     mappable = matplotlib.cm.ScalarMappable(scale, ERROR_MAP)
     bar = figure.colorbar(
         mappable, ax=panels, shrink=0.85, aspect=22, pad=0.01, label="RMS error of a point, mm"

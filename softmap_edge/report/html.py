@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from softmap_edge.comparison.comparison import Comparison
 from softmap_edge.comparison.in_unit import comparison_in_unit, series_in_unit
@@ -78,7 +77,7 @@ class Story:
 def write_html(
     path: str | Path,
     comparison: Comparison | Sequence[Comparison] | None = None,
-    diagnosis: Any = None,
+    diagnosis: Diagnosis | Document | None = None,
     series: Series | None = None,
     floor: tuple[float, str] | None = None,
     ways: tuple[Mapping[str, float | None], str] | None = None,
@@ -113,8 +112,8 @@ def write_html(
     if len(given) == 2:
         check_pair(*given)
     if diagnosis is not None:
-        diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
-        diagnosis = Diagnosis.from_dict(diagnosis).to_dict()
+        given_document = diagnosis.to_dict() if isinstance(diagnosis, Diagnosis) else diagnosis
+        diagnosis = Diagnosis.from_dict(given_document).to_dict()
     unit = unit_of(given[0].made_from if given else (diagnosis or {}).get("made_from") or {})
     shown = [comparison_in_unit(one) for one in given]
     measured, on = (None, "") if ways is None else ways
@@ -151,10 +150,10 @@ class ShownEffect:
     stage: str
     parameters: list[ShownParameter]
     lines: list[str]
-    probability: Any
-    share: Any
-    fitted: Any
-    held_out: Any
+    probability: float | None
+    share: float | None
+    fitted: float | None
+    held_out: float | None
 
 
 @dataclass(frozen=True)
@@ -162,9 +161,9 @@ class ShownFamily:
     """A family of effects as the page shows it."""
 
     line: str
-    share: Any
-    law_share: Any
-    moved: Any
+    share: float | None
+    law_share: float | None
+    moved: float | None
     alternatives: list[str]
 
 
@@ -328,8 +327,8 @@ def _sentence(story: Story) -> str:
 def _cards(story: Story) -> list[Card]:
     """Return the figures at the top."""
     error = (story.diagnosis or {}).get("error") or {}
-    old: Any
-    new: Any
+    old: float | None
+    new: float | None
     if story.before is not None:
         old, new = (
             story.before.error["rms_mm"],
@@ -363,16 +362,17 @@ def _cards(story: Story) -> list[Card]:
             "before",
         )
     ]
-    if number(new) is not None and number(old) is not None:
+    before, after = number(old), number(new)
+    if before is not None and after is not None:
         share = fall(
-            old, new, floor if floor is not None and (story.floor or new > floor) else None
+            before, after, floor if floor is not None and (story.floor or after > floor) else None
         )
         rows.append(Card("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
         rows.append(
             Card(
                 "of the removable error gone",
                 percent(share),
-                f"{percent(fall(old, new))} of the raw error; {data}",
+                f"{percent(fall(before, after))} of the raw error; {data}",
                 "after",
             )
         )
@@ -479,8 +479,8 @@ def _ladder(story: Story, figures: ModuleType) -> Picture | None:
 
 def _where(story: Story, figures: ModuleType) -> Picture | None:
     if story.before is not None:
-        old: Any = story.before.to_dict()["where"]
-        new: Any = story.after.to_dict()["where"] if story.after else None
+        old = story.before.to_dict()["where"]
+        new = story.after.to_dict()["where"] if story.after else None
         kind = _short(story)
     else:
         document = story.diagnosis or {}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -72,7 +71,7 @@ def _environment(*folders: Path) -> Environment:
     return environment
 
 
-def _shown(value: object) -> Any:
+def _shown(value: object) -> str:
     """Return what is shown of a value: markup as it is, all else as printable text."""
     return value if isinstance(value, Markup) else printable(str(value))
 

@@ -8,8 +8,6 @@ points. A dot of the command plane is a frame. Lengths in mm. Needs matplotlib.
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -166,7 +164,7 @@ def _draw_surface(
 
 
 def _draw_markers(
-    axes: Axes, pose: ExamplePose, values: Any, right: Floats, up: Floats, scale: Normalize
+    axes: Axes, pose: ExamplePose, values: Floats, right: Floats, up: Floats, scale: Normalize
 ) -> None:
     """The markers of one pose, joined in their order."""
     x, y = pose.points @ right, pose.points @ up

@@ -8,14 +8,14 @@ Needs matplotlib; imported by `softmap track --picture` only.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, svg
 from softmap_edge.robot.motion.kinematics import AXES
@@ -119,7 +119,7 @@ def _commands(axes: Axes, plan: Plan, unit: str) -> None:
     axes.set_ylabel(f"command, {unit}")
 
 
-def _closer(axes: Axes, paths: list[Any]) -> None:
+def _closer(axes: Axes, paths: list[ArrayLike]) -> None:
     """Show paths and some of what is around them.
 
     An edge of reach that is farther off has no place in the legend.

@@ -6,8 +6,7 @@ it, since a gap, a turn or a change of temperature lies between.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +55,9 @@ def borders(run: Run) -> NDArray[np.bool_]:
     return found
 
 
-def _changes(values: Floats, apart: Any) -> NDArray[np.bool_]:
+def _changes(
+    values: Floats, apart: Callable[[Floats, Floats], NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
     """Return where values (K, …) have moved away from those at the last change."""
     found, begin = np.zeros(len(values), bool), 0
     while begin < len(values):

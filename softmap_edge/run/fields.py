@@ -7,7 +7,7 @@ vector, ticks for mm) fall outside.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in
 # all, S = K + 1; A cameras; a digit is itself.
+RunFields = dict[str, Any]  # fields of a run by name, as `Run` takes them
+
 AXES: dict[str, tuple[str, str]] = {
     "t": ("T", "real"),
     "t_seen": ("K", "real"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -38,7 +37,7 @@ def check_fit(runs: Sequence[Run]) -> None:
             _check_all(name, number, run, runs)
 
 
-def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
+def _facts(one: Run, other: Run) -> Iterator[tuple[str, object, object]]:
     """Yield the properties that must agree, as (name, value of the first run, of the other)."""
     if one.robot is not None and other.robot is not None:
         yield "as its robot", one.robot, other.robot

@@ -95,6 +95,6 @@ def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:
     return _value(value, output) if key.endswith("_mm") else value
 
 
-def _value(value: Any, output: Output) -> Any:
-    known = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return output.value(value) if known else value
+def _value(value: object, output: Output) -> object:
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return output.value(value) if isinstance(value, int | float) and known else value

@@ -41,7 +41,7 @@ def unmeasured(run: Run) -> int | None:
     Raises:
         RunError: the field `plane` is not x, y or z.
     """
-    field = getattr(run, "extra", {}).get(PLANE)
+    field = run.extra.get(PLANE)
     if field is None or run.markers is None or field.dtype.kind != "U" or field.size != 1:
         return None  # an array of this name is a field of another program
     axis = str(field.reshape(-1)[0])

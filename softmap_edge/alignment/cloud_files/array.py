@@ -12,14 +12,14 @@ import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.cloud_files.columns import choose
 from softmap_edge.errors import RegistrationError, brief
-from softmap_edge.files.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory
+from softmap_edge.files.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory, fields_of
 
 Floats = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def _can_be_places(array: NDArray[np.generic]) -> bool:
     )
 
 
-def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_one(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """Refuse an archive of several clouds."""
     seen = arrays["t_seen"].size if "t_seen" in arrays else 1
     clouds = max(seen, arrays["start"].size - 1 if "start" in arrays else 1)
@@ -90,7 +90,7 @@ def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         )
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
     try:
         check_directory(path, RegistrationError)
         with zipfile.ZipFile(path) as archive:
@@ -114,7 +114,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         ) from None
 
 
-def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
+def _array(stream: IO[bytes], size: int) -> NDArray[np.generic]:
     """Return the array of a stream of `size` bytes."""
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes, at most {MOST_BYTES} are read")
@@ -135,19 +135,17 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     return array.reshape(head.shape, order="F" if head.fortran else "C")
 
 
-def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Floats:
+def _points(array: NDArray[np.generic], path: Path, what: str, notes: list[str]) -> Floats:
     """Return an array as points: its fields x, y, z, rows, pixel rows, or columns."""
     if array.dtype.names:
-        fields = {name.lower(): name for name in array.dtype.names}
+        fields = {name.lower(): column for name, column in fields_of(array).items()}
         if not {"x", "y", "z"} <= set(fields) or any(
-            array[fields[a]].dtype.kind not in "fiu" for a in "xyz"
+            fields[a].dtype.kind not in "fiu" for a in "xyz"
         ):
             raise RegistrationError(
                 f"{path}: {what} has fields {', '.join(fields)[:80]}, expected x, y, z of numbers"
             )
-        return np.stack(
-            [np.asarray(array[fields[axis]], np.float64).ravel() for axis in "xyz"], axis=1
-        )
+        return np.stack([np.asarray(fields[a], np.float64).ravel() for a in "xyz"], axis=1)
     if array.dtype.kind not in "fiu" or array.ndim not in (2, 3) or not array.size:
         raise RegistrationError(
             f"{path}: {what} is {array.dtype} of shape {array.shape}, expected numbers (M, 3) in mm"

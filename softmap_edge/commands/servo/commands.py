@@ -11,7 +11,7 @@ import shlex
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from softmap_edge.commands.output import (
     check_file,
@@ -33,6 +33,7 @@ from softmap_edge.commands.servo.limits import LimitsOptions, limits, limits_arg
 from softmap_edge.commands.servo.pull import PullOptions, pull_arguments, pull_test
 from softmap_edge.commands.servo.reboot import RebootOptions, reboot, reboot_arguments
 from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
 from softmap_edge.robot.control.recording import read_recording
@@ -115,7 +116,7 @@ def _scan(args: ScanOptions) -> int:
     return 0 if found and not remarks else OTHERWISE
 
 
-def _told(servo: setup.ServoState) -> dict[str, Any]:
+def _told(servo: setup.ServoState) -> Document:
     name = servo.model["name"] if servo.model else None
     return dict(
         port=servo.port,

@@ -14,13 +14,13 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.commands.output import check_bundle, check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.emulated.finger import (
@@ -285,7 +285,7 @@ def _bare(args: EmulateOptions, count: int) -> int:
                 Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)),
                 args.rig,
             )
-        document: dict[str, Any] = {
+        document: Document = {
             "schema": "softmap.emulated/1",
             "port": bus.path,
             "baud": args.baud,

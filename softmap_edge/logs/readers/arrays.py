@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
+
+if TYPE_CHECKING:
+    from softmap_edge.logs.time_text import TimeText
 
 MOST_COLUMNS = 4096  # of one array, and of all of a file
 _SHOWN = 6  # arrays that a note names
@@ -36,6 +40,15 @@ class ArrayColumns:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     where: str = "row"
+
+    @property
+    def clocks(self) -> dict[int, TimeText]:
+        """Its columns of dates or times as text: none."""
+        return {}
+
+    @property
+    def head_line(self) -> None:
+        """The number of the line that names the columns: there is none."""
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns of one length.

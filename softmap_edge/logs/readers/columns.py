@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from softmap_edge.logs.time_text import TimeText
 
 Array = NDArray[np.float64]
 
@@ -49,6 +52,14 @@ class Columns(Protocol):
     def where(self) -> str:
         """What a row is called in this file: line, frame or message."""
 
+    @property
+    def clocks(self) -> dict[int, TimeText]:
+        """The columns of dates or times as text, by position."""
+
+    @property
+    def head_line(self) -> int | None:
+        """The number of the line that names the columns; None where no line does."""
+
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns by their positions; `rows` ends the reading early."""
 
@@ -79,6 +90,15 @@ class HeldColumns:
     texts: dict[int, list[str]] = field(default_factory=dict)
     where: str = "frame"
     notes: tuple[str, ...] = ()
+
+    @property
+    def clocks(self) -> dict[int, TimeText]:
+        """Its columns of dates or times as text: none."""
+        return {}
+
+    @property
+    def head_line(self) -> None:
+        """The number of the line that names the columns: there is none."""
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, ChildLate, ChildMemory, in_child
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ class Answer:
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
-    document: dict[str, Any] = field(default_factory=dict)
+    document: Document = field(default_factory=dict)
 
 
 def read_in_child(path: Path, what: str, parse: Callable[..., Answer], **arguments: Any) -> Answer:
@@ -73,6 +74,6 @@ def read_in_child(path: Path, what: str, parse: Callable[..., Answer], **argumen
 
 def _parts(
     parse: Callable[..., Answer], path: Path, **arguments: Any
-) -> tuple[dict[str, Array], dict[str, Any]]:
+) -> tuple[dict[str, Array], Document]:
     answer = parse(path, **arguments)
     return answer.arrays, answer.document

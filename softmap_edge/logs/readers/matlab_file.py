@@ -14,6 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -169,7 +170,7 @@ def _class_of(value: Any, kind: str) -> str:
     return "".join(c for c in text if c.isprintable())[:40]
 
 
-def _take_struct(name: str, value: NDArray[Any], found: _Found, depth: int) -> None:
+def _take_struct(name: str, value: NDArray[np.void], found: _Found, depth: int) -> None:
     """Take the fields of a struct, or of each of an array of structs."""
     if value.size > _STRUCTS:
         found.leave(name, f"{value.size} structs")
@@ -219,7 +220,9 @@ def read_hdf5(path: Path) -> Answer:
     return found.answer()
 
 
-def _take_group(h5py: Any, name: str, group: Any, found: _Found, depth: int, matlab: bool) -> None:
+def _take_group(
+    h5py: ModuleType, name: str, group: Any, found: _Found, depth: int, matlab: bool
+) -> None:
     """Take what a group links to, without links out of it."""
     for key in group:
         here = f"{name}.{key}" if name else key
@@ -236,7 +239,7 @@ def _take_group(h5py: Any, name: str, group: Any, found: _Found, depth: int, mat
             _take_dataset(h5py, here, entry, found, matlab)
 
 
-def _take_dataset(h5py: Any, name: str, entry: Any, found: _Found, matlab: bool) -> None:
+def _take_dataset(h5py: ModuleType, name: str, entry: Any, found: _Found, matlab: bool) -> None:
     kind = entry.attrs.get("MATLAB_class", b"") if matlab else b""
     kind = kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
     if entry.is_virtual or entry.external:

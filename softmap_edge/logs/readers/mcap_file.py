@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.files.mcap_records import MAGIC
@@ -20,6 +20,9 @@ from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, rea
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_messages import Messages
 from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Schema
 
 __all__ = ["MAGIC", "Topic", "open_mcap", "topics"]
 
@@ -107,7 +110,7 @@ def open_mcap(
     return rows.columns(tuple(notes))
 
 
-def _definition(path: Path, channel: Any, schema: Any) -> tuple[str, Types]:
+def _definition(path: Path, channel: Channel, schema: Schema | None) -> tuple[str, Types]:
     if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
         how = (
             f"{channel.message_encoding or 'no encoding'}, "

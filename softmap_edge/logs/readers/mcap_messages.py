@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.mcap_records import (
@@ -35,6 +35,8 @@ from softmap_edge.logs.readers.packed import ZSTD_WINDOW
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Message, Schema
+
+    Item = tuple[Channel, Schema | None, Message | None]  # no message: a channel that is new
 
 _LARGEST = 2**28  # bytes of one chunk when unpacked; writers use 1 to 16 MB
 
@@ -60,7 +62,7 @@ class Messages:
         self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # of the summary
         self.account = Account(self._shown, 0, None)
 
-    def __iter__(self) -> Iterator[tuple[Any, Any, Any]]:
+    def __iter__(self) -> Iterator[Item]:
         try:
             import mcap.records  # noqa: F401 - asked for here, once
         except ImportError:
@@ -74,7 +76,7 @@ class Messages:
                 f"{self._path}: cannot be read ({cause.strerror or cause}); give the path of a log"
             ) from cause
 
-    def _read(self) -> Iterator[tuple[Any, Any, Any]]:
+    def _read(self) -> Iterator[Item]:
         with self._path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RunError(
@@ -94,7 +96,7 @@ class Messages:
             account.odd = walk.odd
             account.settle()
 
-    def _record(self, record: Record) -> Iterator[tuple[Any, Any, Any]]:
+    def _record(self, record: Record) -> Iterator[Item]:
         account = self.account
         if record.kind == CHUNK:
             account.settle()
@@ -117,7 +119,7 @@ class Messages:
         """Whether the checksum of all data matches; None where the file has none."""
         return None if self.account.closing is None else self.account.closing.data
 
-    def _chunk(self, record: Record) -> Iterator[tuple[Any, Any, Any]]:
+    def _chunk(self, record: Record) -> Iterator[Item]:
         account = self.account
         account.chunks += 1
         chunk = read_chunk(record.body)
@@ -141,7 +143,7 @@ class Messages:
         for kind, body in items:
             yield from self._item(kind, body)
 
-    def _item(self, kind: int, body: bytes) -> Iterator[tuple[Any, Any, Any]]:
+    def _item(self, kind: int, body: bytes) -> Iterator[Item]:
         if kind == MESSAGE:
             message = self._message(body)
             channel = self._channels.get(message.channel_id) or self._spare[0].get(

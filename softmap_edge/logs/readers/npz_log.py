@@ -10,13 +10,13 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.npz import MOST_ARRAYS, array_header
+from softmap_edge.files.npz import MOST_ARRAYS, array_header, fields_of
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.in_child import MOST
 
@@ -30,7 +30,7 @@ def open_npz(path: Path) -> ArrayColumns:
         RunError: the file is damaged or too large, is a run, or no array in it holds columns of
             numbers.
     """
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[np.generic]] = {}
     texts: dict[str, list[str]] = {}
     left_out: list[str] = []
     try:
@@ -51,7 +51,7 @@ def open_npz(path: Path) -> ArrayColumns:
     return columns_of_arrays(path, arrays, texts, left_out=left_out)
 
 
-def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[np.generic]]]:
     """Every array of a file that holds no Python objects, by its name."""
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
@@ -85,7 +85,7 @@ def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]
                 yield name, array
 
 
-def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
+def _array(stream: IO[bytes], size: int) -> NDArray[np.generic] | None:
     """Return one array; None where it holds Python objects."""
     head = array_header(stream)
     if head.dtype.hasobject:
@@ -107,8 +107,8 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
 
 def _sort(
     name: str,
-    array: NDArray[Any],
-    arrays: dict[str, NDArray[Any]],
+    array: NDArray[np.generic],
+    arrays: dict[str, NDArray[np.generic]],
     texts: dict[str, list[str]],
     left_out: list[str],
 ) -> None:
@@ -116,8 +116,8 @@ def _sort(
     if name in arrays or name in texts:
         raise ValueError(f"two arrays are called '{name[:60]}'")
     if array.dtype.names is not None:
-        for key in array.dtype.names[:MOST_COLUMNS]:
-            _sort(f"{name}.{key}", array[key], arrays, texts, left_out)
+        for key, column in list(fields_of(array).items())[:MOST_COLUMNS]:
+            _sort(f"{name}.{key}", column, arrays, texts, left_out)
     elif array.dtype.kind in "biuf":
         arrays[name] = array
     elif array.dtype.kind in "mM":

@@ -8,13 +8,16 @@ and structs are left out and named.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.logs.lerobot import Info, info_near
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.columns import as_floats
@@ -52,7 +55,7 @@ def open_parquet(path: Path, episode: int | None = None, first: bool = False) ->
     )
 
 
-def _left_out(document: dict[str, Any], info: Info | None) -> list[str]:
+def _left_out(document: Document, info: Info | None) -> list[str]:
     absent = [str(entry) for entry in document["left_out"]]
     return (
         absent
@@ -61,7 +64,7 @@ def _left_out(document: dict[str, Any], info: Info | None) -> list[str]:
     )
 
 
-def _videos(document: dict[str, Any], info: Info) -> list[str]:
+def _videos(document: Document, info: Info) -> list[str]:
     return [
         name
         for name in info.names
@@ -143,7 +146,7 @@ class _Gathered:
         self.ragged: set[str] = set()
         self.numbers = 0
 
-    def of_episode(self, table: dict[str, Any]) -> NDArray[np.bool_] | None:
+    def of_episode(self, table: Mapping[str, Any]) -> NDArray[np.bool_] | None:
         """Return which rows of a batch belong to the episode; None where there are no episodes."""
         if EPISODE not in table:
             return None
@@ -212,7 +215,7 @@ def _ask(path: Path, rows: int) -> None:
     )
 
 
-def _is_read(pyarrow: Any, kind: Any) -> bool:
+def _is_read(pyarrow: ModuleType, kind: Any) -> bool:
     """Whether a column holds numbers, lists of numbers, times or texts."""
     types = pyarrow.types
     if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
@@ -229,7 +232,7 @@ def _is_read(pyarrow: Any, kind: Any) -> bool:
     return bool(numbers or times or types.is_string(kind) or types.is_large_string(kind))
 
 
-def _values(pyarrow: Any, column: Any) -> NDArray[np.generic] | None:
+def _values(pyarrow: ModuleType, column: Any) -> NDArray[np.generic] | None:
     """Return a column as an array: (rows,), or (rows, elements) of lists.
 
     None of lists of different lengths.

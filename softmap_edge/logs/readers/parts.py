@@ -72,9 +72,12 @@ class JoinedColumns:
         """The columns of dates or times."""
         names, found = self.names, dict[int, TimeText]()
         for _, columns in reversed(self.parts):
-            own: dict[int, TimeText] = getattr(columns, "clocks", {})
-            found |= {names.index(columns.names[k]): clock for k, clock in own.items()}
+            found |= {names.index(columns.names[k]): clock for k, clock in columns.clocks.items()}
         return found
+
+    @property
+    def head_line(self) -> None:
+        """The number of the line that names the columns: each file has its own."""
 
     @property
     def where(self) -> str:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
@@ -53,7 +52,7 @@ def main() -> int:
     return 0
 
 
-def _report(pipe: int, **entries: Any) -> None:
+def _report(pipe: int, **entries: object) -> None:
     os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | entries) + "\n").encode())
 
 

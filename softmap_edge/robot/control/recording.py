@@ -268,12 +268,14 @@ def read_recording(path: str | Path) -> Recording:
         ) from None
 
 
-def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, Any]], str | None]:
+def _documents(
+    messages: list[tuple[str, int, bytes]],
+) -> tuple[list[tuple[str, Document]], str | None]:
     """Return topic and document of each message before the first bad one.
 
     Also what is wrong with that one.
     """
-    found: list[tuple[str, Any]] = []
+    found: list[tuple[str, Document]] = []
     servos = None
     for topic, _, message in messages:
         try:

@@ -26,9 +26,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, Self, SupportsFloat
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, RunError
 from softmap_edge.files.atomic import Document
@@ -294,11 +295,11 @@ def _document(
     }
 
 
-def _plain(number: Any) -> float:
+def _plain(number: SupportsFloat) -> float:
     return _number(float(number))
 
 
-def _add(kept: Kept, one: Any) -> None:
+def _add(kept: Kept, one: Document) -> None:
     kept.camera.add([_frame(stamp, arrived, NONE) for stamp, arrived in _list(one["came"])])
     kept.clock += [(_number(host), _number(at)) for host, at in _list(one["clock"])]
     kept.taken += [
@@ -321,7 +322,7 @@ def _checked(line: bytes) -> tuple[bytes, bool]:
     return document, zlib.crc32(document) == int(found[1], 16)
 
 
-def _head(head: Any) -> Kept:
+def _head(head: Document) -> Kept:
     """Return what the first line says, of which nothing is kept yet."""
     late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
     if head["schema"] not in (SCHEMA, ENDLESS, UNCHECKED):
@@ -343,13 +344,14 @@ def _list(found: object) -> list[Any]:
     return found
 
 
-def _number(found: Any) -> float:
-    if type(found) not in (int, float) or not math.isfinite(found):
+def _number(found: object) -> float:
+    # a bool is an int, but none of a record's numbers
+    if not isinstance(found, int | float) or isinstance(found, bool) or not math.isfinite(found):
         raise ValueError(f"'{found!s:.20}' is no finite number")
     return float(found)
 
 
-def _frame(stamp: Any, arrived: Any, points: Any) -> Frame:
+def _frame(stamp: object, arrived: object, points: NDArray[np.float64]) -> Frame:
     return Frame(_number(stamp), _number(arrived), points)
 
 
@@ -360,5 +362,5 @@ def _text(points: object) -> str:
     return base64.b64encode(array.tobytes()).decode("ascii")
 
 
-def _points(text: str) -> Any:
+def _points(text: str) -> NDArray[np.float64]:
     return np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, 3)

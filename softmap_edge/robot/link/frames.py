@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class Frame:
 
     stamp: float
     arrived: float
-    points: NDArray[np.floating[Any]]
+    points: NDArray[np.floating]
 
 
 Seen = Callable[[], list[Frame]]  # the frames that have arrived, oldest first

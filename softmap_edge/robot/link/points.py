@@ -18,14 +18,22 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import LinkError
 from softmap_edge.robot.link.frames import Frame
-from softmap_edge.robot.link.session import TAG, Listener, Sender, body_of, dropped_words, signed
+from softmap_edge.robot.link.session import (
+    TAG,
+    Address,
+    Listener,
+    Sender,
+    body_of,
+    dropped_words,
+    signed,
+)
 
 MARK, OFFER_MARK = b"SMP1", b"SMQ1"
 _HEAD = struct.Struct("<4sHH16sQd")
@@ -200,7 +208,7 @@ class PointReceiver(Listener):
                 continue
             self._take(datagram, address, time.monotonic())
 
-    def _take(self, datagram: bytes, address: object, now: float) -> None:
+    def _take(self, datagram: bytes, address: Address, now: float) -> None:
         got = unpacked(datagram, self._key)
         if isinstance(got, str):
             self.refused[got] += 1
@@ -224,7 +232,7 @@ class PointReceiver(Listener):
         stamp = got.stamp + self._shift
         self._quickest = min(self._quickest, now - stamp)
         self._last = (got, now)
-        points: NDArray[Any] = got.points
+        points: NDArray[np.floating] = got.points
         if self._frame is not None:
             points = (points @ self._frame[:, :3].T + self._frame[:, 3]).astype(np.float32)
         self.taken += 1

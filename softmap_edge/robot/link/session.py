@@ -28,9 +28,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from softmap_edge.errors import LinkError
+
+# of IPv4, of IPv6, and of a computer without IPv6, as Python gives them
+Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
 
 TAG = 32  # bytes of HMAC-SHA256
 SESSION = 16  # bytes that name a session
@@ -222,7 +225,7 @@ class Listener(_Link):
         # the last that counted: its number, and s at which it came
         self._sequence, self._heard = 0, -math.inf
 
-    def _counts(self, session: bytes, sequence: int, address: Any, now: float) -> bool:
+    def _counts(self, session: bytes, sequence: int, address: Address, now: float) -> bool:
         """Return whether a rightly signed datagram from `address` at `now` s counts.
 
         Else note why not.
@@ -247,7 +250,7 @@ class Listener(_Link):
         self._from, self._sequence, self._heard = address, sequence, now
         return True
 
-    def _offer(self, address: Any, now: float) -> None:
+    def _offer(self, address: Address, now: float) -> None:
         """Offer our session to a sender with the right key but another session."""
         if now - self._offered[1] >= OFFER_LASTS:
             self._offered = (secrets.token_bytes(SESSION), now)
@@ -280,7 +283,7 @@ def udp_address(text: str) -> tuple[str, int]:
 
 
 def _open(
-    host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str
+    host: str, port: int, use: Callable[[socket.socket, Address], None], what: str, mend: str
 ) -> socket.socket:
     """Return a non-blocking socket, connected or bound (`use`) to an address.
 

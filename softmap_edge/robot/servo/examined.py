@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
@@ -33,6 +33,7 @@ from softmap_edge.robot.servo.models import numbered, servo_model
 from softmap_edge.robot.servo.presence import muted, shared, shares, why_silent
 
 if TYPE_CHECKING:
+    from softmap_edge.robot.servo.loop_types import LoopLimits
     from softmap_edge.robot.servo.rig import Rig
 
 
@@ -92,7 +93,7 @@ def members(rig: Rig) -> list[Member]:
 
 
 def members_of(
-    servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]
+    servos: Sequence[Sequence[int]], limits: LoopLimits, gains: Sequence[Sequence[int]]
 ) -> list[Member]:
     """Return the servos (id, model number) of a loop with guard limits `limits`.
 
@@ -108,13 +109,17 @@ def members_of(
             else usual(model).current_mA
         )
         window = float(one["low"]), float(one["high"])
-        sensed = {
-            "hot": one["hot"],
-            "voltage": tuple(one["voltage"]),
-            "window": window,
-            "home": one["home"],
-        }
-        found.append(Member(id, number, Asked(float(most), float(one["slew"]), own, **sensed)))
+        low, high = one["voltage"]
+        asked = Asked(
+            float(most),
+            float(one["slew"]),
+            own,
+            hot=one["hot"],
+            voltage=(low, high),
+            window=window,
+            home=one["home"],
+        )
+        found.append(Member(id, number, asked))
     return found
 
 

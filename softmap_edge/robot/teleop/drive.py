@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ class DriveSummary:
         }
 
 
-def _round(number: Any) -> float:
+def _round(number: SupportsFloat) -> float:
     return round(float(number), 2)
 
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -278,7 +278,7 @@ def _opened(index: int) -> Any:
     return device
 
 
-def _cv2() -> Any:
+def _cv2() -> ModuleType:
     try:
         return importlib.import_module("cv2")
     except ImportError as cause:

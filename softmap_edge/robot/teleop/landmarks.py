@@ -21,7 +21,7 @@ import numpy as np
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.robot.link import session as signed_udp
-from softmap_edge.robot.link.session import SESSION, TAG, Listener, body_of, signed
+from softmap_edge.robot.link.session import SESSION, TAG, Address, Listener, body_of, signed
 from softmap_edge.robot.teleop.hand import LANDMARKS, Hand
 
 MARK, OFFER_MARK = b"SMH1", b"SMO1"
@@ -131,7 +131,7 @@ class Receiver(Listener):
         message, lateness = self._last
         return Received(message, self._sequence, time.monotonic() - self._heard + lateness)
 
-    def _take(self, datagram: bytes, address: object, now: float) -> None:
+    def _take(self, datagram: bytes, address: Address, now: float) -> None:
         got = unpacked(datagram, self._key)
         if isinstance(got, str):
             self.refused[got] += 1

@@ -27,7 +27,7 @@ from collections import deque
 from collections.abc import Callable
 from importlib.resources import files
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -36,6 +36,10 @@ from numpy.typing import NDArray
 from softmap_edge.errors import TeleopError
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.teleop.keys import GRAVEST, Controls, HeldKey, Source, Wish
+
+if TYPE_CHECKING:
+    from websockets.http11 import Request, Response
+    from websockets.sync.server import ServerConnection
 
 Floats = NDArray[np.float64]
 View = Callable[[], tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]]
@@ -160,7 +164,7 @@ class Page:
 
     # --- requests -----------------------------------------------------------------------
 
-    def _request(self, connection: Any, request: Any) -> Any:
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Serve a file, refuse, or (None) go on to the connection that drives."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or not _ours(host[0], self.port):
@@ -188,7 +192,7 @@ class Page:
             return _answer(connection, 503, b"too many pages are open; close one\n")
         return None
 
-    def _serve(self, connection: Any) -> None:
+    def _serve(self, connection: ServerConnection) -> None:
         """Read what a page says; what it is sent goes by a thread of its own."""
         with self._lock:
             room = len(self._pages) < MOST_PAGES  # several may have been let in at once
@@ -225,13 +229,13 @@ class Page:
         self._source, self._knob = said["source"], said["knob"]
         self._key.say(said["held"], now - age)
 
-    def _sit(self, connection: object) -> None:
+    def _sit(self, connection: ServerConnection) -> None:
         """Give it the driver's seat, if that is free."""
         with self._lock:
             if self._driver is None:
                 self._driver, self._key = connection, HeldKey()
 
-    def _stand(self, connection: object) -> None:
+    def _stand(self, connection: ServerConnection) -> None:
         with self._lock:
             self._pages.discard(connection)
             if self._driver is connection:
@@ -239,7 +243,7 @@ class Page:
 
     # --- what pages are sent ------------------------------------------------------------
 
-    def _write(self, connection: Any, link: _Link) -> None:
+    def _write(self, connection: ServerConnection, link: _Link) -> None:
         closed = importlib.import_module("websockets.exceptions").ConnectionClosed
         with contextlib.suppress(closed, OSError):
             connection.send(json.dumps({"hello": self._hello}))
@@ -360,8 +364,12 @@ def _ours(host: str, port: int) -> bool:
 
 
 def _answer(
-    connection: Any, status: int, body: bytes, kind: str = "text/plain", host: str = ""
-) -> Any:
+    connection: ServerConnection,
+    status: int,
+    body: bytes,
+    kind: str = "text/plain",
+    host: str = "",
+) -> Response:
     response = connection.respond(status, "")
     response.body = body
     for name in ("Content-Type", "Content-Length"):
