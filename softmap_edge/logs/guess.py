@@ -306,6 +306,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
             found.label or ""
         }
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
+    for sheet, role in roles:
+        if role.kind != "load":
+            sheet.drop_fills(role.columns)
     commands, presents, no_drives = drives_of(roles)
     found.left += no_drives
     found.unknown += [no_role(_called(sheet), one) for sheet, one in no_drives]

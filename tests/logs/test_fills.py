@@ -7,6 +7,7 @@ import pytest
 from bench_rows import NAMES, rows, write
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.fills import marked_missing
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
@@ -61,3 +62,36 @@ def test_other_huge_numbers_stay_an_error(tmp_path, cells):
 def test_commands_that_are_missing_are_left_out(tmp_path):
     done = read(log(tmp_path, ["3.4028e38"] * 4, columns=(1, 2)))
     assert len(done.run.t) == 56 and any("stand for missing values" in note for note in done.notes)
+
+
+SENTINELS = ["-999", "9999", "9999.99", "65535", "-32768", "2147483647", "-2147483648", "1e9"]
+
+
+def drive_lines(path):
+    found = guess_mapping([path])
+    return [line for line in (*found.assumed, *found.unknown) if "commands" in line]
+
+
+@pytest.mark.parametrize("cell", SENTINELS)
+def test_missing_commands_stay_out_of_the_guess_and_of_the_run(tmp_path, cell):
+    plain = log(tmp_path, [])
+    expected, run = drive_lines(plain), read(plain).run
+    path = log(tmp_path, [cell] * 4, columns=(1, 2))
+    assert drive_lines(path) == expected
+    done = read(path)
+    assert len(done.run.t) == len(run.t) - 4
+    assert np.abs(done.run.command).max() <= np.abs(run.command).max()
+    assert any("stand for missing values" in note and "in 4 of 60" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("cell", ["-999", "65535"])
+def test_one_channel_may_miss_a_command(tmp_path, cell):
+    path = log(tmp_path, [cell] * 3, columns=(2,))
+    assert drive_lines(path) == drive_lines(log(tmp_path, []))
+
+
+def test_a_number_that_the_drive_nearly_reaches_is_kept():
+    column = np.array([0.0, 500.0, 999.0, -200.0])
+    assert not marked_missing(column).any()
+    assert not marked_missing(np.array([0.0, 0.0, 999.0, 999.0])).any()  # a step from home
+    assert marked_missing(np.array([1.0, np.nan, 999.0, -999.0])).tolist() == [0, 0, 1, 1]
