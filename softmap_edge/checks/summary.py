@@ -68,9 +68,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
-        "points_mm": None
-        if run.output is not None
-        else _extent(_shown(run, seen) if lost else seen),
+        "points_mm": None if run.output is not None else _extent(_shown(run, seen)),
         "output": _outputs(run),
         "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
@@ -205,8 +203,10 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
 
 
 def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
-    """Return the points with NaN for those that are not visible."""
-    return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
+    """Return the points with NaN for those that are not visible; clouds as they are."""
+    if seen is None or seen.ndim != 3:
+        return seen
+    return np.where(known(run, seen)[..., None], seen, np.nan)
 
 
 def _outputs(run: Run) -> Document | None:
