@@ -6,7 +6,8 @@ does another number beyond `LARGEST` that a column holds several times to the la
 
 In columns of a drive, where no place can be compared with its neighbours, the numbers of `MARKS`
 (-999, 9999, the largest integers) stand for a missing value if they exceed every other number of
-the column `FAR` times. Pinned by tests/logs/test_fills.py.
+the column `FAR` times. Ticks of exactly 0 or -1 far from all others are only reported.
+Pinned by tests/logs/test_fills.py.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.files.printable import listed
+from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.readers.columns import Array, Cells
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
@@ -28,6 +30,7 @@ MARKS = tuple(
     + [2.0**k - one for k in (15, 16, 31, 32, 53, 63, 64) for one in (0.0, 1.0)]
 )
 FAR = 10.0  # times the largest other number of the column: no command reaches farther by mistake
+_UNREAD = (0.0, -1.0)  # ticks of a servo that did not answer
 _MAXIMA = (float(np.finfo(np.float32).max), float(np.finfo(np.float64).max))
 _DIGITS = 1e-3  # relative: programs write three digits or more
 _AGAIN = 3  # times that a number is there
@@ -72,6 +75,18 @@ def marked_missing(column: Array) -> NDArray[np.bool_]:
     others = size[np.isfinite(size) & ~marks & (size <= LARGEST)]
     largest = float(others.max(initial=0.0))
     return np.asarray(marks & (size > FAR * largest) & (largest > 0.0), np.bool_)
+
+
+def unread_ticks(rows: Array) -> NDArray[np.bool_]:
+    """Return which ticks (rows, C) are 0 or -1 although all others are far away, reached by jumps.
+
+    Drivers write these numbers for a servo that did not answer. They are reported and kept, since a
+    servo may be sent there.
+    """
+    fillers = np.isin(rows, _UNREAD)
+    if not fillers.any() or fillers.all():
+        return np.zeros(rows.shape, np.bool_)
+    return np.asarray(fillers & not_seen(rows[:, :, None]).mask, np.bool_)
 
 
 def _stand_for_missing(column: Array, wild: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ import pytest
 from bench_rows import NAMES, rows, write
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.fills import marked_missing
+from softmap_edge.logs.fills import marked_missing, unread_ticks
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
@@ -95,3 +95,26 @@ def test_a_number_that_the_drive_nearly_reaches_is_kept():
     assert not marked_missing(column).any()
     assert not marked_missing(np.array([0.0, 0.0, 999.0, 999.0])).any()  # a step from home
     assert marked_missing(np.array([1.0, np.nan, 999.0, -999.0])).tolist() == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("filler", [0, -1])
+def test_ticks_of_a_servo_that_did_not_answer_are_reported(tmp_path, filler):
+    lines = [line.split(",") for line in rows(60)]
+    for line in lines:
+        line[1:3] = [str(round(2048 + 60 * float(x))) for x in line[1:3]]
+    head = ",".join(NAMES)
+    plain = write(tmp_path / "a.csv", head, [",".join(line) for line in lines])
+    home = [line for line in guess_mapping([plain]).unknown if "home" in line]
+    assert not read(plain).doubts
+    for k in (10, 11, 40):
+        lines[k][1:3] = [str(filler)] * 2
+    path = write(tmp_path / "b.csv", head, [",".join(line) for line in lines])
+    assert home and [line for line in guess_mapping([path]).unknown if "home" in line] == home
+    doubts = [doubt for doubt in read(path).doubts if "did not answer" in doubt]
+    assert len(doubts) == 2 and f"is exactly {filler} in 3 of 60 rows" in doubts[0]
+
+
+def test_ticks_that_pass_zero_are_no_doubt():
+    swing = np.round(500 * np.sin(np.arange(200) / 9))[:, None]
+    swing[[0, 90, 91]] = 0
+    assert not unread_ticks(swing).any()
