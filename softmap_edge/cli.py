@@ -149,10 +149,11 @@ def _run(command: Command, argv: list[str]) -> int:
         namespace = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
+    name = " ".join(filter(None, (command.name, vars(namespace).get("what"))))  # `servo scan`
     options = vars(module).get(command.options)  # none where actions have their own
     args = namespace if options is None else options(**vars(namespace))
     try:
-        with printing_warnings(command.name) as incomplete:
+        with printing_warnings(name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by the parent process
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
@@ -161,16 +162,16 @@ def _run(command: Command, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
-        print(one_line(f"softmap {command.name}: {with_files(str(error), args)}"), file=sys.stderr)
+        print(one_line(f"softmap {name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
         print(
-            f"softmap {command.name}: more memory is needed than is free; take something smaller",
+            f"softmap {name}: more memory is needed than is free; take something smaller",
             file=sys.stderr,
         )
         return WRONG_USE
     except OSError as error:
-        print(one_line(f"softmap {command.name}: {_of_the_system(error)}"), file=sys.stderr)
+        print(one_line(f"softmap {name}: {_of_the_system(error)}"), file=sys.stderr)
         return WRONG_USE
 
 

@@ -71,9 +71,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
-        "points_mm": None
-        if run.output is not None
-        else _extent(_shown(run, seen) if lost else seen),
+        "points_mm": None if run.output is not None else _extent(_shown(run, seen)),
         "output": _outputs(run),
         "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
@@ -208,8 +206,10 @@ def _extent(seen: Floats | None) -> list[list[float]] | None:
 
 
 def _shown(run: Run, seen: Floats | None) -> Floats | None:
-    """Return the points with NaN for those that are not visible."""
-    return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
+    """Return the points with NaN for those that are not visible; clouds as they are."""
+    if seen is None or seen.ndim != 3:
+        return seen
+    return np.where(known(run, seen)[..., None], seen, np.nan)
 
 
 def _outputs(run: Run) -> Document | None:

@@ -2,21 +2,35 @@
 
 The largest number of a type stands for "not seen": 3.4028e38 of float32, 1.7977e308 of float64. So
 does another number beyond `LARGEST` that a column holds several times to the last digit, such as
-1e30 or 9.96921e36. A number beyond `LARGEST` that occurs once is a fault of the file. Pinned by
-tests/logs/test_fills.py.
+1e30 or 9.96921e36. A number beyond `LARGEST` that occurs once is a fault of the file.
+
+In columns of a drive, where no place can be compared with its neighbours, the numbers of `MARKS`
+(-999, 9999, the largest integers) stand for a missing value if they exceed every other number of
+the column `FAR` times. Ticks of exactly 0 or -1 far from all others are only reported.
+Pinned by tests/logs/test_fills.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.files.printable import listed
+from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.readers.columns import Array, Cells
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
+# sizes of numbers that programs write into a column of commands for a missing value
+MARKS = tuple(
+    [10.0**k - 1.0 for k in range(3, 10)]
+    + [999.9, 999.99, 9999.9, 9999.99, 1e9, 1e10, 1e12]
+    + [2.0**k - one for k in (15, 16, 31, 32, 53, 63, 64) for one in (0.0, 1.0)]
+)
+FAR = 10.0  # times the largest other number of the column: no command reaches farther by mistake
+_UNREAD = (0.0, -1.0)  # ticks of a servo that did not answer
 _MAXIMA = (float(np.finfo(np.float32).max), float(np.finfo(np.float64).max))
 _DIGITS = 1e-3  # relative: programs write three digits or more
 _AGAIN = 3  # times that a number is there
@@ -24,19 +38,22 @@ _KINDS = 2  # different numbers of one column that stand for missing values
 _NAMED = 6  # columns that are named
 
 
-def without_fills(cells: Cells, names: list[str]) -> Cells:
+def without_fills(cells: Cells, names: list[str], drives: Collection[int] = ()) -> Cells:
     """Return cells in which numbers that stand for missing values are NaN, with a note on them.
 
     Args:
         cells: the columns that were asked for.
         names: of the columns.
+        drives: which of the columns hold commands or what a drive reports.
     """
     wild = np.abs(cells.numbers) > LARGEST  # NaN is an absent cell
-    if not wild.any():
+    marks = {j: mask for j in drives if (mask := marked_missing(cells.numbers[:, j])).any()}
+    if not marks and not wild.any():
         return cells
     numbers, found = cells.numbers.copy(), []
-    for j in np.flatnonzero(wild.any(axis=0)):
+    for j in range(numbers.shape[1]):
         filled = wild[:, j] & _stand_for_missing(numbers[:, j], wild[:, j])
+        filled |= marks.get(j, False)
         if filled.any():
             found.append(
                 f"{names[j]} {numbers[filled, j][0]:.6g} in {int(filled.sum())} of {len(numbers)} "
@@ -47,6 +64,29 @@ def without_fills(cells: Cells, names: list[str]) -> Cells:
         return cells
     note = f"numbers that stand for missing values are taken as missing: {listed(found, _NAMED)}"
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
+
+
+def marked_missing(column: Array) -> NDArray[np.bool_]:
+    """Return which numbers (rows,) of a drive are `MARKS`, far beyond every other number."""
+    size = np.abs(column)
+    marks = np.isin(size, MARKS)
+    if not marks.any():
+        return np.asarray(marks, np.bool_)
+    others = size[np.isfinite(size) & ~marks & (size <= LARGEST)]
+    largest = float(others.max(initial=0.0))
+    return np.asarray(marks & (size > FAR * largest) & (largest > 0.0), np.bool_)
+
+
+def unread_ticks(rows: Array) -> NDArray[np.bool_]:
+    """Return which ticks (rows, C) are 0 or -1 although all others are far away, reached by jumps.
+
+    Drivers write these numbers for a servo that did not answer. They are reported and kept, since a
+    servo may be sent there.
+    """
+    fillers = np.isin(rows, _UNREAD)
+    if not fillers.any() or fillers.all():
+        return np.zeros(rows.shape, np.bool_)
+    return np.asarray(fillers & not_seen(rows[:, :, None]).mask, np.bool_)
 
 
 def _stand_for_missing(column: Array, wild: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.logs.drive_roles import drives_of
+from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     Sheet,
@@ -306,6 +307,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
             found.label or ""
         }
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
+    for sheet, role in roles:
+        if role.kind != "load":
+            sheet.drop_fills(role.columns)
     commands, presents, no_drives = drives_of(roles)
     found.left += no_drives
     found.unknown += [no_role(_called(sheet), one) for sheet, one in no_drives]
@@ -393,6 +397,7 @@ def _drive_units(found: Found) -> None:
 
 def _home_in_ticks(rows: Array) -> str:
     """Return the remark that no log contains home, and how to declare it."""
+    rows = np.where(unread_ticks(rows), np.nan, rows)
     low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
     return (

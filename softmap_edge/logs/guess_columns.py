@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.fills import LARGEST
+from softmap_edge.logs.fills import LARGEST, marked_missing
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
@@ -130,6 +130,12 @@ class Sheet:
     def rows_of(self, names: list[str]) -> Array:
         """Return (rows, len(names))."""
         return np.stack([self.column(name) for name in names], axis=1)
+
+    def drop_fills(self, names: list[str]) -> None:
+        """Make numbers of a drive's columns that stand for missing values NaN, in place."""
+        for name in names:
+            j = self.names.index(name)
+            self.numbers[marked_missing(self.numbers[:, j]), j] = np.nan
 
 
 @dataclass

@@ -34,6 +34,7 @@ from softmap_edge.logs.plausible import (
     doubts_of_frozen,
     doubts_of_rows,
     doubts_of_time,
+    doubts_of_unread,
 )
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
@@ -268,6 +269,7 @@ def _command_rows(
                 name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
             )
             doubts += doubts_of_rows(name, values, quantity)
+            doubts += doubts_of_unread(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":
                 values, held = unhold(own, values)

@@ -15,6 +15,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity
 from softmap_edge.run.fields import RunFields
 from softmap_edge.run.rest_command import rest_command
@@ -94,6 +95,21 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
         return []
     remedy = f'set unit = "{guess}" if so' if " " not in guess else "name their unit"
     return [f'{name}: at most {peak:.4g} with unit = "{unit}" looks like {guess}: {remedy}']
+
+
+def doubts_of_unread(name: str, raw: Array, quantity: Quantity) -> list[str]:
+    """Report ticks (T, C) that look like those of a servo that did not answer."""
+    unread = unread_ticks(raw) if quantity.unit == "ticks" else np.zeros((0, 0), bool)
+    doubts = []
+    for c in np.flatnonzero(unread.any(axis=0)):
+        others = raw[~unread[:, c] & np.isfinite(raw[:, c]), c]
+        doubts.append(
+            f"{name}: column {c + 1} is exactly {raw[unread[:, c], c][0]:g} in "
+            f"{int(unread[:, c].sum())} of {len(raw)} rows, and {others.min():g} to "
+            f"{others.max():g} ticks in the others: a servo that did not answer looks like this; "
+            "if so, leave these cells empty"
+        )
+    return doubts
 
 
 def _spool_in_metres(turned: float, quantity: Quantity) -> str | None:

@@ -145,8 +145,14 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     if isinstance(columns, TextColumns):
         for clock in clocks:
             columns.refuse_words(clock)
+    drives = {
+        places.index(place(path, names, column))
+        for name, quantity in log.rows.items()
+        if name != "load"
+        for column in quantity.columns
+    }
     cells = without_fills(
-        _finite(_cut(path, cells, log), places, names), [names[k] for k in places]
+        _finite(_cut(path, cells, log), places, names), [names[k] for k in places], drives
     )
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])

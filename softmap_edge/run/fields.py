@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
+from softmap_edge.run.masked import mask_of, unmasked
 from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ AXES: dict[str, tuple[str, str]] = {
     "frame_sigma": ("6", "real"),
     "cameras": ("A34", "real"),
 }
+PLACES = ("vertices", "markers")  # of which some may not be seen
 # s for each row of a log without time: the rate at which a model is learned, so that no row is left
 # out
 ROW_S = 0.05
@@ -88,6 +90,16 @@ def convert(name: str, value: object) -> NDArray[np.generic]:
         RunError: it cannot be read as that type.
     """
     kind = AXES[name][1]
+    hidden = mask_of(value)
+    if hidden is not None and name not in PLACES:
+        at = [int(i) for i in np.argwhere(hidden)[0]]
+        remedy = "give false there" if kind == "boolean" else "remove or interpolate these rows"
+        raise RunError(
+            f"{name}: {int(hidden.sum())} values of {hidden.size} are masked, the first at {at}; "
+            f"{remedy}"
+        )
+    if hidden is not None:
+        value = unmasked(value)  # type: ignore[arg-type]
     try:
         array = np.asarray(value)
     except (ValueError, TypeError) as cause:
@@ -274,6 +286,7 @@ def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
             )
     if name in RANGES and value.size:
         low, high, unit, remedy = RANGES[name]
+        value = shown_only(name, value, run)
         finite = value[np.isfinite(value)] if value.dtype.kind == "f" else value
         if finite.size and (finite.min() < low or finite.max() > high):
             worst = finite.min() if finite.min() < low else finite.max()
@@ -281,6 +294,14 @@ def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
                 f"{name}: {worst:g}{unit and ' ' + unit}, expected {low:g} to "
                 f"{high:g}{unit and ' ' + unit}; {remedy}"
             )
+
+
+def shown_only(name: str, value: NDArray[Any], run: Run) -> NDArray[Any]:
+    """Return a field of the run, NaN for points that `visible` marks as not seen."""
+    shown = run.visible
+    if name not in PLACES or shown is None or shown.shape != value.shape[:2] or shown.all():
+        return value
+    return np.where(shown[..., None], value, np.nan)
 
 
 def _times(name: str, t: NDArray[np.float64]) -> None:
@@ -407,6 +428,7 @@ def _units(run: Run) -> None:
         value = getattr(run, name)
         if value is None or value.size < 6 or (value.ndim == 3 and value.shape[1] < 2):
             continue
+        value = shown_only(name, value, run)
         sample = value.reshape(-1, 3)[:: max(1, value.size // _SAMPLE)]
         sample = sample[np.isfinite(sample).all(axis=1)]
         extent = float(np.ptp(sample, axis=0).max()) if len(sample) > 1 else _SMALLEST

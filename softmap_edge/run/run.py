@@ -25,6 +25,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
+from softmap_edge.run.masked import mask_of, unmasked
 from softmap_edge.run.output import Output, output_of
 from softmap_edge.run.plane import PLANE
 
@@ -221,19 +222,20 @@ class Run:
         Raises:
             RunError: no output moves, or a field is wrong.
         """
-        rows = np.asarray(values, float)
+        rows = unmasked(values)
         output = output_of(rows, unit, tuple(names))
         shown = np.isfinite(rows)
         if not shown.all():
             recorded = {"visible": shown} | recorded
         return cls(
             markers=output.markers(rows),
-            t_seen=np.asarray(t_seen, float),
+            t_seen=unmasked(t_seen),
             output=output,
             **recorded,
         )
 
     def __post_init__(self) -> None:
+        self._hide_masked()
         for name in fields.AXES:
             value = getattr(self, name)
             if value is not None:
@@ -245,6 +247,16 @@ class Run:
         if self.command is None and self.ticks is None and self.t.ndim == 1:
             object.__setattr__(self, "command", fields.frozen(np.zeros((len(self.t), 0))))
         self.validate()
+
+    def _hide_masked(self) -> None:
+        """Mark points with a masked coordinate as not seen in `visible`."""
+        for name in fields.PLACES:
+            hidden = mask_of(getattr(self, name))
+            if hidden is not None and hidden.ndim == 3:
+                shown = ~hidden.any(axis=2)
+                if self.visible is not None and np.shape(self.visible) == shown.shape:
+                    shown &= fields.convert("visible", self.visible).astype(bool)
+                object.__setattr__(self, "visible", shown)
 
     def validate(self) -> None:
         """Check every field: shape, finiteness, order of time, plausible units.

@@ -240,7 +240,7 @@ def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
         Rig("p", BAUD, (RigServo(1, "X"),))
     for more in ([], ["--servos", "2"]):
         assert main(["servo", "emulate", "--model", "X", *more]) == 2
-        assert re.match(f"softmap servo: {said}", capsys.readouterr().err)
+        assert re.match(f"softmap servo emulate: {said}", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import kept_torque, opened
 from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.robot.servo.rig import Rig
+from softmap_edge.run.masked import unmasked
 
 LOOK = 0.1  # s between two looks for reports
 
@@ -40,7 +41,7 @@ def numbers(command: ArrayLike) -> NDArray[np.float64] | None:
     """Return a command as an array of real numbers, None if it is none."""
     try:
         found = np.asarray(command)
-        return None if np.iscomplexobj(found) else found.astype(float)
+        return None if np.iscomplexobj(found) else unmasked(command)
     except (TypeError, ValueError):
         return None
 

@@ -25,6 +25,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.chain_labels import valued
 from softmap_edge.model.model import Model
 from softmap_edge.model.predictors import tip
+from softmap_edge.run.masked import unmasked
 from softmap_edge.run.rest_command import home_command
 
 Floats = NDArray[np.float64]
@@ -298,7 +299,7 @@ def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
 
 
 def _points(targets: ArrayLike) -> Floats:
-    points = np.asarray(targets, float)
+    points = unmasked(targets)
     if points.ndim != 2 or points.shape[1:] != (3,):
         raise SoftmapError(
             f"targets of shape {points.shape}, expected (T, 3): x, y, z in mm, base frame"
