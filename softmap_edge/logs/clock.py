@@ -16,6 +16,7 @@ Pinned by tests/logs/test_clock.py.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +26,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.logs.rising import longest_rise
 from softmap_edge.logs.set_clock import Jump, both, returns, set_back, set_forward, usual_step
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
@@ -414,3 +414,27 @@ def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
         f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s "
         f"after {where} {cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
     ]
+
+
+def longest_rise(t: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which rows (rows,) form the longest series of rising times.
+
+    It is what is left when stray times are taken out; O(n log n).
+
+    Args:
+        t: (rows,) s, finite.
+    """
+    ends: list[float] = []  # the least last time of a rising series of each length
+    rows: list[int] = []  # its row
+    before = np.full(len(t), -1, np.intp)
+    for row, time in enumerate(t.tolist()):
+        k = bisect_left(ends, time)
+        before[row] = rows[k - 1] if k else -1
+        ends[k : k + 1] = [time]
+        rows[k : k + 1] = [row]
+    kept = np.zeros(len(t), bool)
+    row = rows[-1] if rows else -1
+    while row >= 0:
+        kept[row] = True
+        row = int(before[row])
+    return kept

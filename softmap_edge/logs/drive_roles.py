@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.goals import is_goal
 from softmap_edge.logs.guess_columns import Role, Sheet
-from softmap_edge.logs.quaternion import is_unit_quaternion
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 Pair = tuple[Sheet, Role]
+_UNIT = 1e-2  # of the length of a quaternion: how far it may be from 1
 _AXIS = re.compile(r"[xyz]")
 
 
@@ -85,3 +85,15 @@ def _quaternion(rows: Array) -> bool:
     return is_unit_quaternion(rows) and bool(
         np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any()
     )
+
+
+def is_unit_quaternion(rows: NDArray[np.float64]) -> bool:
+    """Return whether columns are unit quaternions in all rows in which they are known.
+
+    Args:
+        rows: (T, C) numbers; NaN where a cell is missing. Only C = 4 can be quaternions.
+    """
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if rows.shape[1] != 4 or len(known) < 2:
+        return False
+    return bool((np.abs(np.linalg.norm(known, axis=1) - 1.0) < _UNIT).all())

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.drive_roles import is_unit_quaternion
 from softmap_edge.logs.guess_columns import Sheet
-from softmap_edge.logs.quaternion import is_unit_quaternion
 
 Array = NDArray[np.float64]
 _SMOOTH = 0.35  # of the spread of a column: the usual step between rows

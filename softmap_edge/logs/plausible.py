@@ -234,8 +234,8 @@ def overlong_stroke(points: Array, command: Array) -> str | None:
     if not 0.0 < STROKE * body < stroke:
         return None
     return (
-        f"the robot measures {body:.3g} mm, less than the {stroke:.3g} mm over which its tendons are "
-        "pulled: the places look like cm, or the commands are in another unit than mm"
+        f"the robot measures {body:.3g} mm, less than the {stroke:.3g} mm over which its tendons "
+        "are pulled: the places look like cm, or the commands are in another unit than mm"
     )
 
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from bench_rows import NAMES, STEP, rows, write
 
-from softmap_edge.logs.clock import find_jump, increasing
+from softmap_edge.logs.clock import find_jump, increasing, longest_rise
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
-from softmap_edge.logs.rising import longest_rise
 from softmap_edge.logs.time_keys import Clock
 
 COUNT = 300

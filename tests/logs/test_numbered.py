@@ -5,8 +5,8 @@ alone.
 import numpy as np
 import pytest
 
+from softmap_edge.logs.drive_roles import is_unit_quaternion
 from softmap_edge.logs.numbered import numbers_in, without_numbers
-from softmap_edge.logs.quaternion import is_unit_quaternion
 
 
 @pytest.mark.parametrize(
