@@ -138,7 +138,6 @@ def from_sweep(
     table = compressed(sweep.axes, sweep.vertices.reshape(len(sweep.command), -1), modes)
     prior = PriorArrays(table, pull=Stored.in_steps(sweep.pull, PULL_STEP, np.int16))
     tensions = prior.tensions()
-    assert tensions is not None  # the prior is a table with pull
     many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
     steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
     field_axes = [_axis(axis[0], axis[-1], steps, len(axis) < EVEN_STEPS) for axis in sweep.axes]
@@ -146,7 +145,7 @@ def from_sweep(
     grid = tensor_grid(field_axes)
     # A tension given in N stays what it is under a load.
     stiffness = finger.cable_stiffness_n_mm if finger.command_unit == "mm" else 0.0
-    pull = tensions.evaluate(grid) if finger.tendons else np.zeros((len(grid), 0))
+    pull = np.zeros((len(grid), 0)) if tensions is None else tensions.evaluate(grid)
     fields = field_arrays(simulator.fields(grid, design=True), field_axes, pull, stiffness)
     if finger.tendons and stiffness:
         fields = replace(fields, stiffness=np.full(len(finger.tendons), stiffness))

@@ -210,8 +210,10 @@ class PriorArrays:
         return over if isinstance(over, Grid) else None
 
     def tensions(self) -> _core.Table | None:
-        """Return the tensions (n, T) N of the tendons over commands; None if they are not known."""
-        return None if self.pull is None or self.grid is None else self.grid.table(self.pull.values)
+        """Return the tensions (n, T) N over commands; None without tendons or their pull."""
+        if self.grid is None or self.pull is None or self.pull.array.size == 0:
+            return None
+        return self.grid.table(self.pull.values)
 
     @property
     def in_steps(self) -> bool:

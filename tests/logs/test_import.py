@@ -116,7 +116,6 @@ def test_signs_offsets_and_ticks(tmp_path):
     [
         ('column = "t", unit = "ms"', lambda t: t / 1000),
         ('column = "t", offset_s = 2', lambda t: t + 2),
-        ('column = "t", rate_hz = 4', lambda t: t / 4),
         ("rate_hz = 50", lambda t: np.arange(len(t)) / 50),
     ],
 )
@@ -124,6 +123,15 @@ def test_clocks(tmp_path, clock, expected):
     text, table = made_log()
     run = imported(tmp_path, text, ONE_LOG.replace('column = "t"', clock)).run
     assert run.t == pytest.approx(expected(table[:, 0]))
+
+
+def test_a_counter_of_whole_numbers_becomes_seconds(tmp_path):
+    text, table = made_log()
+    log = text.replace("t,", "t,n,", 1).splitlines()
+    rows = [line.replace(",", f",{7 + 2 * k},", 1) for k, line in enumerate(log[1:])]
+    mapping = ONE_LOG.replace('column = "t"', 'column = "n", rate_hz = 4')
+    run = imported(tmp_path, "\n".join([log[0], *rows, ""]), mapping).run
+    assert run.t == pytest.approx((7 + 2 * np.arange(len(table))) / 4)
 
 
 def test_axes_and_origin_turn_the_log_into_the_base_frame(tmp_path):
