@@ -147,15 +147,15 @@ def _single(sheet: Sheet) -> str | None:
 
 
 def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
-    """Return which values of a column called as a counter is are no whole numbers.
+    """Return which values of a column that is named as a counter are no whole numbers.
 
     A column that is whole in fewer than half of its rows counts nothing: it is left to its values,
     but for one of frames.
     """
     known = _known(sheet, name)
-    broken = fractions(known)
-    if not sheet.header or not _called_so(sheet, name, _COUNTERS):
+    if not (len(known) and sheet.header and _called_so(sheet, name, _COUNTERS)):
         return np.zeros(len(known), bool)
+    broken = fractions(known)
     frames = _called_so(sheet, name, _FRAMES)
     return broken if frames or broken.mean() < 0.5 else np.zeros(len(known), bool)
 

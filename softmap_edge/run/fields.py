@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
-from softmap_edge.run.masked import mask_of, unmasked
 from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
@@ -456,3 +455,21 @@ def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None
             f"rest, at most {_STRETCH:g} times (or 1/{_STRETCH:g}) is plausible; give both in mm, "
             "in the same order"
         )
+
+
+def unmasked(values: ArrayLike) -> NDArray[np.float64]:
+    """Return real numbers, NaN where a numpy masked array masks one.
+
+    `np.asarray` drops the mask, so that a filler such as 99999 would count as a value.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        return np.where(np.ma.getmaskarray(values), np.nan, np.ma.getdata(values)).astype(float)
+    return np.asarray(values, np.float64)
+
+
+def mask_of(values: object) -> NDArray[np.bool_] | None:
+    """Return which values a numpy masked array masks; None if there is none."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return None
+    mask = np.asarray(np.ma.getmaskarray(values), np.bool_)
+    return mask if mask.any() else None

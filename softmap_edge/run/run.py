@@ -25,7 +25,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
-from softmap_edge.run.masked import mask_of, unmasked
+from softmap_edge.run.fields import mask_of, unmasked
 from softmap_edge.run.output import Output, output_of
 from softmap_edge.run.plane import PLANE
 

@@ -23,7 +23,7 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import kept_torque, opened
 from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.robot.servo.rig import Rig
-from softmap_edge.run.masked import unmasked
+from softmap_edge.run.fields import unmasked
 
 LOOK = 0.1  # s between two looks for reports
 

@@ -25,7 +25,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.chain_labels import valued
 from softmap_edge.model.model import Model
 from softmap_edge.model.predictors import tip
-from softmap_edge.run.masked import unmasked
+from softmap_edge.run.fields import unmasked
 from softmap_edge.run.rest_command import home_command
 
 Floats = NDArray[np.float64]
