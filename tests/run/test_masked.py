@@ -9,7 +9,7 @@ from softmap_edge.checks.summary import summary
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.robot.control.supervisor import numbers
 from softmap_edge.robot.motion.kinematics import Kinematics
-from softmap_edge.run.masked import unmasked
+from softmap_edge.run.fields import unmasked
 from softmap_edge.run.run import Run, known
 
 
