@@ -16,6 +16,7 @@ use faer::sparse::linalg::cholesky::{
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use std::collections::BTreeSet;
+use std::ops::Index;
 
 /// Lower triangle of a symmetric matrix of B×B blocks, in compressed columns.
 pub struct Pattern<const B: usize = 3> {
@@ -89,7 +90,13 @@ impl<const B: usize> Pattern<B> {
     }
 
     /// Add a block to the values; of a diagonal block only the lower triangle counts.
-    pub fn add(&self, values: &mut [f64], column: usize, slot: usize, block: &[[f64; B]; B]) {
+    pub fn add<Row: Index<usize, Output = f64>>(
+        &self,
+        values: &mut [f64],
+        column: usize,
+        slot: usize,
+        block: &[Row; B],
+    ) {
         let starts = self.symbolic.col_ptr();
         for c in 0..B {
             let start = starts[B * column + c];

@@ -65,8 +65,8 @@ impl SensingEffect for Lens {
         }
         for (p, place) in points.chunks_exact_mut(3).zip(positions) {
             if *place {
-                let shift = seen_beside(params[0], Vec3::from_slice(p), cameras);
-                p.iter_mut().zip(shift.to_array()).for_each(|(p, shift)| *p += shift);
+                let at = Vec3::from_slice(p);
+                (at + seen_beside(params[0], at, cameras)).write_to_slice(p);
             }
         }
     }

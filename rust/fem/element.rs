@@ -189,6 +189,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         weight * 0.5 * mu * (first / j.cbrt().powi(2) - 3.0)
     }
 
+    #[inline(always)]
     fn deformation(&self, x: &[Vec3; N], q: usize) -> Mat3 {
         let mut f = Mat3::ZERO;
         for a in 0..N {

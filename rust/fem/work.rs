@@ -120,15 +120,16 @@ impl<'a> Work<'a> {
             let fa = solid.free[nodes[a]];
             for b in 0..=a {
                 let fb = solid.free[nodes[b]];
-                let (slot, m) = (slots[pair] as usize, k[pair].map(<[f64; 3]>::from));
+                let (slot, m) = (slots[pair] as usize, &k[pair]);
                 pair += 1;
                 if fa == HELD || fb == HELD {
                     continue;
                 }
                 if fa >= fb {
-                    solid.pattern.add(&mut self.values, fb, slot, &m);
+                    solid.pattern.add(&mut self.values, fb, slot, m);
                 } else {
-                    let turned = std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]));
+                    let turned: [[f64; 3]; 3] =
+                        std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]));
                     solid.pattern.add(&mut self.values, fa, slot, &turned);
                 }
             }
@@ -151,9 +152,7 @@ impl<'a> Work<'a> {
                 && fb != HELD
                 && let Some(slot) = solid.pattern.slot(fa, fb)
             {
-                solid
-                    .pattern
-                    .add(&mut self.values, fb, slot, &block.map(Into::into));
+                solid.pattern.add(&mut self.values, fb, slot, &block);
             }
         });
     }

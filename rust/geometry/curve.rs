@@ -20,20 +20,25 @@ const APART: [u16; CELLS] = {
 /// The box about both sets.
 #[inline(always)]
 pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
-    // Four points at once: as many numbers as fill wide vectors.
-    let (mut low, mut high) = ([Vec3::INFINITY; 4], [Vec3::NEG_INFINITY; 4]);
+    // Four points at once, as numbers: as many as fill wide vectors.
+    let (mut low, mut high) = ([f64::INFINITY; 12], [f64::NEG_INFINITY; 12]);
     for points in [a, b] {
-        let mut fours = points.chunks_exact(4);
-        for four in &mut fours {
-            for k in 0..4 {
-                (low[k], high[k]) = (low[k].min(four[k]), high[k].max(four[k]));
+        let (fours, rest) = points.as_chunks::<4>();
+        for four in fours {
+            let four = four.map(|p| p.to_array());
+            for (k, v) in four.as_flattened().iter().enumerate() {
+                low[k] = if *v < low[k] { *v } else { low[k] };
+                high[k] = if *v > high[k] { *v } else { high[k] };
             }
         }
-        for (k, p) in fours.remainder().iter().enumerate() {
-            (low[k], high[k]) = (low[k].min(*p), high[k].max(*p));
+        for (k, v) in rest.iter().flat_map(Vec3::to_array).enumerate() {
+            (low[k], high[k]) = (low[k].min(v), high[k].max(v));
         }
     }
-    let of = |all: [Vec3; 4], worse: fn(Vec3, Vec3) -> Vec3| all.into_iter().fold(all[0], worse);
+    let of = |all: [f64; 12], worse: fn(Vec3, Vec3) -> Vec3| {
+        let lanes = all.chunks_exact(3).map(Vec3::from_slice);
+        lanes.fold(Vec3::from_slice(&all), worse)
+    };
     (of(low, Vec3::min), of(high, Vec3::max))
 }
 
