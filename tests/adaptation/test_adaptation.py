@@ -156,7 +156,7 @@ def test_what_registration_filled_in_teaches_a_residual_but_judges_nothing(adapt
     ] == pytest.approx(report["before_rms_mm"])
 
 
-def test_markers_get_their_physics_and_are_told_why_no_residual():
+def test_markers_get_their_physics_and_are_reported_why_no_residual():
     truth, protocol = hide(["backlash"], 4), thinned(standard_protocol(2), 3)
     seen, some = truth.measure(protocol), np.arange(0, len(MODEL.rest), 60)
     markers = replace(

@@ -79,7 +79,7 @@ def adapted(loaded):
 # --- learned, predicted, carried ----------------------------------------------------------------
 
 
-def test_commands_beyond_those_that_taught_it_are_told(loaded, tmp_path, capsys):
+def test_commands_beyond_those_that_taught_it_are_reported(loaded, tmp_path, capsys):
     u = loaded.command_at(loaded.t_seen)
     near, _ = learn_residual(MODEL, loaded.at((np.abs(u) < 6.0).all(axis=1)))
     save_bundle(near, tmp_path / "near")
@@ -280,7 +280,7 @@ def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     assert found.model is model
 
 
-def test_a_residual_of_another_run_is_told(adapted):
+def test_a_residual_of_another_run_is_reported(adapted):
     found = diagnose(adapted[0], hanging(finger_run()))
     assert (
         found.verdict == "nothing" and "it does not lower the error of this run" in found.sentence

@@ -168,7 +168,7 @@ def test_what_no_cloud_has_seen_teaches_nothing(taught):
 def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_overlooked(taught):
     run, _, lesson = taught
     hiding, _ = train_residual(MODEL, lesson)
-    # In its own run nothing was seen twice, and noise is only guessed: there it is told as what may
+    # In its own run nothing was seen twice, and noise is only guessed: there it is reported as what may
     # hide.
     said = diagnose(hiding, register(MODEL, run).run(run)).to_dict()
     hidden = {h["name"] for h in said["not_testable"] if "residual" in h["why"]}

@@ -87,9 +87,9 @@ def test_places_measured_with_a_ruler_are_as_uncertain_as_the_ruler(count):
     """
     scores = []
     for seed in range(24):
-        told = BASE[:count] + 0.5 * np.random.default_rng(seed).normal(size=(count, 3))
+        reported = BASE[:count] + 0.5 * np.random.default_rng(seed).normal(size=(count, 3))
         found = align_base(
-            marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(told))
+            marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(reported))
         )
         scores.append(off(found) / found.sigma)
     assert np.mean(np.abs(scores) < 2.0) >= 0.88
@@ -285,7 +285,7 @@ def test_a_base_that_moves_is_reported_and_held_still(rigid):
     assert held < 0.5 * fixed
 
 
-def test_home_that_wanders_is_told_and_blamed_on_nobody():
+def test_home_that_wanders_is_reported_and_blamed_on_nobody():
     found = align_home(marked(7, noise=0.05, play=0.0, turns=drift), builtin_model())
     assert found.moved.what == "home" and "did not come home" in str(found)
 

@@ -214,7 +214,7 @@ def test_a_header_of_other_columns_or_units_is_refused(header, says, tmp_path):
         read_clouds([tmp_path / "c.csv"])
 
 
-def test_points_that_are_left_out_are_told(tmp_path, capsys):
+def test_points_that_are_left_out_are_reported(tmp_path, capsys):
     cloud = builtin_model().prior.evaluate(np.array([[4.0, -2.0]])).reshape(-1, 3)
     cloud[:30] = np.nan
     files = [str(tmp_path / f"{k}.csv") for k in range(7)]

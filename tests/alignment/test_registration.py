@@ -163,7 +163,7 @@ def test_the_side_that_is_turned_away_has_no_support(shapes):
     assert found.visible[0, away].mean() < 0.1 < 0.9 < found.visible[0, towards].mean()
 
 
-def test_scale_is_told_and_what_is_no_finger_is_refused(shapes):
+def test_scale_is_reported_and_what_is_no_finger_is_refused(shapes):
     (cloud,) = clouds(shapes[:1], TWO)
     for factor, word in ((1.05, "larger"), (0.94, "smaller")):
         (row,) = register(MODEL, [factor * cloud]).frames

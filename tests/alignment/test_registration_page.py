@@ -113,11 +113,11 @@ def test_a_base_that_stands_off_does_not_bend_the_map(reader):
     pose = RigidPose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))
     off = in_frame(run, pose, np.zeros(6))
     found, alone = calibrate(model, off), _calibrated(model, off, None, None, True)
-    told, bent = (
+    reported, bent = (
         np.abs(one.calibration.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope)
         for one in (found, alone)
     )
-    assert told.max() < 0.008 < 0.03 < bent.max(), (told, bent)
+    assert reported.max() < 0.008 < 0.03 < bent.max(), (reported, bent)
     assert (
         "the base is not at the origin" in found.warnings[0] and found.calibration.run == off.hash()
     )

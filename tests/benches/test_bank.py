@@ -181,11 +181,11 @@ def test_what_is_hidden_moves_the_finger_as_far_as_the_level_says(level, kind, n
     mine, protocol = case("development", "A", level, kind, number), standard_protocol(2)
     low, high = LEVELS[level].moves_mm
     plain = seen(mine.body, (), protocol, False, every=4)
-    for law, told in zip(mine.laws, mine.moved_mm):
+    for law, reported in zip(mine.laws, mine.moved_mm):
         moved = rms(
             sections(seen(mine.body, (law,), protocol, False, every=4) - plain, mine.body.place)
         )
-        assert 0.7 * low < moved < 1.3 * high and moved == pytest.approx(told, rel=0.25)
+        assert 0.7 * low < moved < 1.3 * high and moved == pytest.approx(reported, rel=0.25)
     small = rms(
         sections(seen(mine.body, mine.small, protocol, False, every=4) - plain, mine.body.place)
     )
@@ -389,7 +389,7 @@ def test_the_model_of_the_rod_is_as_good_as_it_says():
     at = np.stack([np.interp(protocol.t_seen, protocol.t, c) for c in protocol.command.T], axis=1)
     gravity = protocol.gravity[np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1]
     clean = body.points((), np.concatenate([at, -at], axis=1), gravity, False)
-    told = model.predict(
+    reported = model.predict(
         Run(
             t=protocol.t,
             command=protocol.command,
@@ -399,8 +399,8 @@ def test_the_model_of_the_rod_is_as_good_as_it_says():
         )
     )
     hangs = gravity[:, 2] > 0.99
-    assert rms((told - clean)[hangs]) < 2.0 * model.vertex_error_mm < 0.3
-    assert rms((told - clean)[~hangs]) < 2.0 * model.vertex_error_mm + model.error_per_g_mm
+    assert rms((reported - clean)[hangs]) < 2.0 * model.vertex_error_mm < 0.3
+    assert rms((reported - clean)[~hangs]) < 2.0 * model.vertex_error_mm + model.error_per_g_mm
     assert model.structure.stiffness_known and set(model.fields) >= set(_core.FIELDS[:6])
 
 
@@ -521,17 +521,17 @@ def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
             )
         )
     assert main(["--table", "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     rows = {
         (r["kind"], r["number"]): r
         for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))
     }
-    assert all(rows["pair", number]["exact"] for number in PAIRS), told
-    assert not [r for r in rows.values() if "failed" in r], told
-    assert not rows["null", 0]["named"] and not rows["null", 3]["named"], told
+    assert all(rows["pair", number]["exact"] for number in PAIRS), reported
+    assert not [r for r in rows.values() if "failed" in r], reported
+    assert not rows["null", 0]["named"] and not rows["null", 3]["named"], reported
     for key in (("single", 0), ("single", 8)):
         assert rows[key]["first"] and rows[key]["fall"] > 0.8, rows[key]
     assert rows["removed", 8]["in_library"] and "backlash" not in rows["removed", 8]["named"]
     assert rows["untestable", 0]["cannot"], rows["untestable", 0]
     assert rows["rivals", 0]["at_first"]["cannot"] and rows["rivals", 0]["first"], rows["rivals", 0]
-    assert "alone in first place" in told and "backlash" in told
+    assert "alone in first place" in reported and "backlash" in reported

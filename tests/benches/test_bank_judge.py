@@ -56,59 +56,64 @@ def said(*effects, verdict="identified", families=None, faults=(), p=0.9):
     )
 
 
-def told(hidden, document):
+def reported(hidden, document):
     about = truth(*hidden)
     return by_family(document, about, names_alike(ALIKE, about))
 
 
 def test_the_first_family_has_to_be_that_of_the_law():
-    assert told(["backlash"], said("backlash", families=["memory", "time"]))["family_right"]
-    assert not told(["backlash"], said("backlash", families=["time", "memory"]))["family_right"]
-    assert told(["backlash"], said("backlash"))["family_right"] is False  # none are reported today
-    assert told([], said(verdict="nothing", families=[]))["family_right"] is None
+    assert reported(["backlash"], said("backlash", families=["memory", "time"]))["family_right"]
+    assert not reported(["backlash"], said("backlash", families=["time", "memory"]))["family_right"]
+    assert (
+        reported(["backlash"], said("backlash"))["family_right"] is False
+    )  # none are reported today
+    assert reported([], said(verdict="nothing", families=[]))["family_right"] is None
     pair = ["backlash", "gain"]
-    assert told(pair, said(*pair, families=["static_map", "memory"]))["family_right"]
-    assert not told(pair, said(*pair, families=["memory", "memory"]))["family_right"]
+    assert reported(pair, said(*pair, families=["static_map", "memory"]))["family_right"]
+    assert not reported(pair, said(*pair, families=["memory", "memory"]))["family_right"]
     assert fits_family("Static_Map", {"families": ["static map"]})
 
 
 def test_a_claim_on_nothing_is_a_name_or_an_open_map_above_the_background():
-    assert not told([], said(verdict="nothing"))["claimed"] and told([], said("gain"))["claimed"]
-    assert not told([], said("gain", verdict="ambiguous", p=0.3))["claimed"]  # a candidate
-    assert told([], said(verdict="measurement_fault", faults=["mount"]))["claimed"]
+    assert (
+        not reported([], said(verdict="nothing"))["claimed"]
+        and reported([], said("gain"))["claimed"]
+    )
+    assert not reported([], said("gain", verdict="ambiguous", p=0.3))["claimed"]  # a candidate
+    assert reported([], said(verdict="measurement_fault", faults=["mount"]))["claimed"]
     open_map = said(verdict="ambiguous", families=["static map"])
-    assert told([], open_map)["claimed"]
+    assert reported([], open_map)["claimed"]
     for size, claimed in ((0.1, False), (0.3, True)):
         document = open_map | {"families": [{"name": "static map", "moved_mm": size}]}
-        assert told([], document)["claimed"] is claimed
-    assert not told([], said(verdict="nothing", families=["memory"]))["claimed"]
+        assert reported([], document)["claimed"] is claimed
+    assert not reported([], said(verdict="nothing", families=["memory"]))["claimed"]
 
 
 def test_an_identified_map_is_false_and_an_open_one_is_right():
-    pulley = told(["smooth_map"], said("eccentric_pulley"))
+    pulley = reported(["smooth_map"], said("eccentric_pulley"))
     assert pulley["false_identified"] and not pulley["answered"]
-    left = told(
+    left = reported(
         ["smooth_map"],
         said("eccentric_pulley", verdict="ambiguous", families=["static map"], p=0.4),
     )
     assert not left["false_identified"] and left["answered"] and left["family_right"]
-    assert not told(["gain"], said("tendon_stretch"))["false_identified"]  # declared alike
-    assert told(["backlash"], said("backlash", "gain"))["false_identified"]
-    assert not told(["smooth_map"], said(verdict="nothing"))["answered"]
+    assert not reported(["gain"], said("tendon_stretch"))["false_identified"]  # declared alike
+    assert reported(["backlash"], said("backlash", "gain"))["false_identified"]
+    assert not reported(["smooth_map"], said(verdict="nothing"))["answered"]
 
 
 def test_a_known_law_beside_an_unknown_one_is_named_and_the_rest_left_open():
     both = ["backlash", "smooth_map"]
-    assert told(both, said("backlash", verdict="partly_explained"))["beside"]
+    assert reported(both, said("backlash", verdict="partly_explained"))["beside"]
     assert (
-        not told(both, said("backlash"))["beside"]
-        and not told(both, said("gain", verdict="ambiguous"))["beside"]
+        not reported(both, said("backlash"))["beside"]
+        and not reported(both, said("gain", verdict="ambiguous"))["beside"]
     )
-    assert not told(both, said("backlash", "gain", verdict="partly_explained"))["beside"]
+    assert not reported(both, said("backlash", "gain", verdict="partly_explained"))["beside"]
     candidate = said("backlash", "gain", verdict="partly_explained")
     candidate["effects"][1]["probability"] = 0.3
-    assert told(both, candidate)["beside"]
-    assert told(["backlash"], said("backlash"))["beside"] is None
+    assert reported(both, candidate)["beside"]
+    assert reported(["backlash"], said("backlash"))["beside"] is None
 
 
 def test_names_may_be_patterns():

@@ -54,16 +54,16 @@ def test_forces_are_the_slope_of_the_energy_and_the_tangent_is_theirs():
         rise = (energy_of(design, loads, *ends[0]) - energy_of(design, loads, *ends[1])) / 2
         assert rise == pytest.approx(np.sum(force * way, axis=(1, 2)), rel=1e-5)
         change = (assembled(design, loads, *ends[0])[0] - assembled(design, loads, *ends[1])[0]) / 2
-        told = np.einsum("bnij,bnj->bni", diagonal, way)
-        told[:, 1:] += np.einsum("bnij,bnj->bni", below, way[:, :-1])
-        told[:, :-1] += np.einsum("bnij,bnj->bni", above, way[:, 1:])
-        told += np.einsum(
+        reported = np.einsum("bnij,bnj->bni", diagonal, way)
+        reported[:, 1:] += np.einsum("bnij,bnj->bni", below, way[:, :-1])
+        reported[:, :-1] += np.einsum("bnij,bnj->bni", above, way[:, 1:])
+        reported += np.einsum(
             "bnkc,bc->bnk",
             cables,
             (pull > 0) * design.cable * np.einsum("bnkc,bnk->bc", cables, way),
         )
         # What is left out of the tangent is of the order of one element's turn, here 0.1.
-        assert np.linalg.norm(change - told) < 3e-3 * np.linalg.norm(told)
+        assert np.linalg.norm(change - reported) < 3e-3 * np.linalg.norm(reported)
 
 
 def test_a_cantilever_follows_the_elastica_at_second_order():
@@ -173,6 +173,6 @@ def test_it_bends_like_the_finite_elements_of_the_same_finger():
     )
 
 
-def test_a_pull_that_no_rod_holds_is_told():
+def test_a_pull_that_no_rod_holds_is_reported():
     with pytest.raises(ArithmeticError, match="do not settle"):
         settle(finger(1), pulled([[500.0, 0.0]]), straight(finger(1), 1), parts=100)

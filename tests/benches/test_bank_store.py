@@ -68,7 +68,7 @@ def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(
         run = Run(t=np.arange(3.0), command=np.zeros((3, 1)))
         return keep(task, root, {"hidden": [], "truth_seconds": 0.0}, {"first": run})
 
-    def told(case):
+    def reported(case):
         return {
             "case": case.folder.name,
             "hidden": [],
@@ -96,7 +96,7 @@ def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(
 
     monkeypatch.setattr("benches.bank.__main__.ProcessPoolExecutor", Alone)
     monkeypatch.setattr("benches.bank.make.made", one)
-    monkeypatch.setattr("benches.bank.work.judge_case", told)
+    monkeypatch.setattr("benches.bank.work.judge_case", reported)
     monkeypatch.setattr("benches.bank.judge.text", lambda rows: f"{len(rows)} rows")
     some = [
         "--parts",

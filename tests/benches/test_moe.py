@@ -87,9 +87,9 @@ def test_the_refined_mesh_bends_within_four_tenths_of_a_millimetre(finger, simul
     """Over five commands together; the largest bend alone is farther off, and the page says so."""
     error = moe.beside_refined(finger, simulator)
     assert 0.02 < np.sqrt((error**2).mean()) <= 0.4 and error.max() < 0.6
-    told = re.search(r"([\d.]+) \(([\d.]+) to ([\d.]+), the largest", PAGE)
+    reported = re.search(r"([\d.]+) \(([\d.]+) to ([\d.]+), the largest", PAGE)
     wanted = [np.sqrt((error**2).mean()), error.min(), error.max()]
-    assert [float(number) for number in told.groups()] == pytest.approx(wanted, abs=0.02)
+    assert [float(number) for number in reported.groups()] == pytest.approx(wanted, abs=0.02)
 
 
 @pytest.mark.prove

@@ -163,7 +163,7 @@ def test_sindy_finds_a_recurrence_that_is_in_its_library():
     assert error(case, held, _sindy(case, fit.outputs)["held"]) < 0.15
 
 
-def test_a_law_of_the_library_is_told_from_the_others():
+def test_a_law_of_the_library_is_distinguished_from_the_others():
     t = np.arange(900) / 20.0
     u = 8.0 * np.sin(t) * (0.5 + 0.5 * np.sin(0.21 * t))
     run = Run.of_outputs((2.0 * play(u, 4.0))[:, None], "N", t=t, t_seen=t, command=u[:, None])

@@ -35,7 +35,7 @@ def shapes(u, seed=0, noise=0.5):
     return Run(t=t, command=u, t_seen=t, vertices=seen, visible=visible, sigma=np.array(noise))
 
 
-def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_hangs_slack_is_not_told():
+def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_hangs_slack_is_not_reported():
     u = np.random.default_rng(0).uniform(-13.0, 13.0, (80, 2))
     run = shapes(u)
     fine, grid = match(MODEL, run), match(MODEL, run, refine=False)
@@ -103,7 +103,7 @@ def test_a_command_that_is_seen_often_counts_once():
     np.testing.assert_allclose(many.sigma_b, one.sigma_b, rtol=0.4)  # not by a factor of 2.4
 
 
-def test_an_eccentric_pulley_is_told_with_its_period_and_its_size():
+def test_an_eccentric_pulley_is_reported_with_its_period_and_its_size():
     hold = scattered(3, 50)
     found = calibrate(
         MODEL, record(hold, 3, off=0.05, law=lambda r: r + 250.0 * np.sin(r * np.pi / 2048.0 + 0.5))
@@ -113,14 +113,14 @@ def test_an_eccentric_pulley_is_told_with_its_period_and_its_size():
     assert calibrate(MODEL, record(hold, 3, off=0.05)).affine
 
 
-def test_play_is_told_as_memory_and_as_large_as_it_is():
+def test_play_is_reported_as_memory_and_as_large_as_it_is():
     found = calibrate(MODEL, record(scattered(4, 50), 4, off=0.05, play=0.8))
     assert [one.kind for one in found.departures] == ["memory"]
     apart = float(found.departures[0].sentence.split("act ")[1].split(" mm apart")[0])
     assert apart == pytest.approx(0.8, abs=0.1)
 
 
-def test_a_kink_at_home_is_told_where_it_is():
+def test_a_kink_at_home_is_reported_where_it_is():
     found = calibrate(
         MODEL,
         record(scattered(5, 50), 5, off=0.05, law=lambda r: r * (1.0 + 0.3 * (r > 0))),
@@ -131,7 +131,7 @@ def test_a_kink_at_home_is_told_where_it_is():
     )
 
 
-def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
+def test_a_turn_about_the_axis_is_reported_beside_the_map_and_does_not_bend_it():
     """Tendons that are turned ask for commands across, which hang slack: matched commands jump over
     all of it.
     """
@@ -139,9 +139,9 @@ def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
     run = record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play)
     run = replace(run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, turned])).T)
     found = calibrate(MODEL, run, home=HOME)
-    told = {one.kind: one for one in found.departures}
-    assert set(told) == {"turn", "memory"} and "deg about the axis" in told["turn"].sentence
-    assert told["turn"].size == pytest.approx(5.0, abs=0.1) and told["turn"].better > 0.3
+    reported = {one.kind: one for one in found.departures}
+    assert set(reported) == {"turn", "memory"} and "deg about the axis" in reported["turn"].sentence
+    assert reported["turn"].size == pytest.approx(5.0, abs=0.1) and reported["turn"].better > 0.3
     off = (found.calibration.A - A) / found.calibration.sigma_A
     assert np.abs(off).max() < 4.0 and np.abs(found.calibration.A - A).max() < 3e-5
     as_published = calibrate(MODEL, run, home=HOME, refine=False)
@@ -152,7 +152,7 @@ def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
     assert [one.kind for one in straight.departures] == ["memory"]
 
 
-def test_a_turn_of_two_degrees_is_told_and_none_where_there_is_none():
+def test_a_turn_of_two_degrees_is_reported_and_none_where_there_is_none():
     for seed in range(100, 104):
         run = record(scattered(seed), seed)
         turned = replace(
@@ -173,14 +173,16 @@ def test_shapes_that_the_model_makes_at_no_command_are_counted():
     run = record(scattered(1), 1)
     pushed = run.vertices.copy()
     pushed[4:7, :, 0] += 15.0 * np.sin(2.0 * np.pi * MODEL.rest[:, 2] / np.ptp(MODEL.rest[:, 2]))
-    told = [
+    reported = [
         note
         for note in calibrate(MODEL, replace(run, vertices=pushed)).warnings
         if "like none" in note
     ]
     assert (
-        len(told) == 1 and told[0].startswith("3 of 30 shapes (10 %)") and "contact" in told[0]
-    ), told
+        len(reported) == 1
+        and reported[0].startswith("3 of 30 shapes (10 %)")
+        and "contact" in reported[0]
+    ), reported
     assert not [note for note in calibrate(MODEL, run).warnings if "like none" in note]
 
 
@@ -264,8 +266,8 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     assert picture.read_text().startswith("<?xml") and picture.stat().st_size > 10_000
     assert main(words) == 2  # the bundle stands there
     assert main([*words, "--force"]) == 0
-    told = capsys.readouterr().out
-    assert "held out:" in told and "±" in told and "condition of A" in told
+    reported = capsys.readouterr().out
+    assert "held out:" in reported and "±" in reported and "condition of A" in reported
     assert main(["check", str(out)]) == 0 and '"condition": 1.1' in capsys.readouterr().out
 
 
@@ -283,7 +285,7 @@ def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsy
 
 
 def test_a_lean_that_is_declared_is_in_the_shapes_that_are_matched():
-    """Without it a robot that leans seems to have been told other commands."""
+    """Without it a robot that leans seems to have got other commands."""
     model, t = builtin_model(), np.arange(12.0)
     commands = np.random.default_rng(5).uniform(-9.0, 9.0, (12, 2))
     lean = np.array([np.sin(0.35), 0.0, np.cos(0.35)])

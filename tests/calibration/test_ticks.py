@@ -61,19 +61,28 @@ def test_a_command_beyond_the_window_becomes_what_its_held_servos_do():
 
 
 def test_a_window_holds_a_range_and_not_a_tick_less():
-    told, reach = published(), [[-1.0, 2.0], [-3.0, 1.0]]
-    low, high = told.holding(reach)
-    corners = told.ticks([[a, b] for a in reach[0] for b in reach[1]]) - told.home
+    reported, reach = published(), [[-1.0, 2.0], [-3.0, 1.0]]
+    low, high = reported.holding(reach)
+    corners = reported.ticks([[a, b] for a in reach[0] for b in reach[1]]) - reported.home
     assert corners.min() == low < 0 < high == corners.max()
 
 
 def test_a_map_that_is_stated_claims_nothing_of_a_run():
-    told = Calibration.stated(A, B, HOME, "made up", (-5.0, 5.0), "ticks")
+    reported = Calibration.stated(A, B, HOME, "made up", (-5.0, 5.0), "ticks")
     np.testing.assert_array_equal(
-        told.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None]
+        reported.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None]
     )
-    assert not told.sigma_A.any() and not told.sigma_b.any() and not any(told.held_out.values())
-    assert (told.run, told.frames, told.held, told.unit) == ("made up", 0, 0, "ticks")
+    assert (
+        not reported.sigma_A.any()
+        and not reported.sigma_b.any()
+        and not any(reported.held_out.values())
+    )
+    assert (reported.run, reported.frames, reported.held, reported.unit) == (
+        "made up",
+        0,
+        0,
+        "ticks",
+    )
     with pytest.raises(CalibrationError, match="expected"):
         Calibration.stated(A, B[:1], HOME, "made up")
 

@@ -257,7 +257,7 @@ def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
     assert sentences(document)[-1] in text
 
 
-def test_points_far_from_the_base_are_told_to_be_aligned():
+def test_points_far_from_the_base_are_reported_to_be_aligned():
     run = full()
     assert not any("align" in note for note in summary(run)["warnings"])
     camera = full(markers=run.markers + [0, 0, 900.0])
@@ -353,8 +353,8 @@ def test_a_calibrated_bundle_says_what_the_ticks_are(bundle, tmp_path, capsys):
     calibration = Calibration(
         0.005 * one, b, home, one, b, dict.fromkeys(ERRORS, 0.0), "none", 1, 1
     )
-    told = replace(run, command=None, ticks=np.rint(run.command / 0.005 + home).astype(int))
-    told.save(tmp_path / "ticks.npz")
+    reported = replace(run, command=None, ticks=np.rint(run.command / 0.005 + home).astype(int))
+    reported.save(tmp_path / "ticks.npz")
     own = str(save_bundle(replace(builtin_model(), calibration=calibration), tmp_path / "own"))
     assert main(["check", str(tmp_path / "ticks.npz"), "--bundle", own]) == 0
     text = capsys.readouterr().out
@@ -363,10 +363,10 @@ def test_a_calibrated_bundle_says_what_the_ticks_are(bundle, tmp_path, capsys):
         and "ticks, as commands by the calibration of the bundle" in text
     )
     with_it, without = (
-        summary(told, replace(builtin_model(), calibration=calibration)),
-        summary(told),
+        summary(reported, replace(builtin_model(), calibration=calibration)),
+        summary(reported),
     )
-    assert with_it["hash"] == without["hash"] == told.hash() and with_it["command_unit"] == "mm"
+    assert with_it["hash"] == without["hash"] == reported.hash() and with_it["command_unit"] == "mm"
     np.testing.assert_allclose(with_it["command_range"], summary(run)["command_range"], atol=0.003)
     assert with_it["home_visits"] == summary(run)["home_visits"] > without["home_visits"]
     assert any("only ticks are given" in line for line in without["missing"])

@@ -53,12 +53,12 @@ CONFOUNDED = {
 
 @pytest.mark.parametrize("how", CONFOUNDED)
 def test_temperature_that_only_rises_is_time(how):
-    told = collinear_conditions(run(temperature=CONFOUNDED[how]))
-    assert [(c.condition, c.with_) for c in told] == [("temperature", "time")] and told[
+    reported = collinear_conditions(run(temperature=CONFOUNDED[how]))
+    assert [(c.condition, c.with_) for c in reported] == [("temperature", "time")] and reported[
         0
     ].r2 >= 0.95
-    assert "temperature and time cannot be distinguished in this run" in str(told[0])
-    assert "warm up and cool down" in str(told[0])
+    assert "temperature and time cannot be distinguished in this run" in str(reported[0])
+    assert "warm up and cool down" in str(reported[0])
 
 
 @pytest.mark.parametrize("share", [0.35, 0.5, 0.65])
@@ -76,9 +76,9 @@ def test_temperature_that_wanders_or_stays_is_not_confounded():
 
 def test_a_condition_that_follows_the_commands_is_reported():
     heat = 20.0 + 0.05 * P.command[:, 0] ** 2
-    told = collinear_conditions(run(temperature=heat))
-    assert [(c.condition, c.with_) for c in told] == [("temperature", "commands")]
-    assert "repeat the same moves at another temperature" in str(told[0])
+    reported = collinear_conditions(run(temperature=heat))
+    assert [(c.condition, c.with_) for c in reported] == [("temperature", "commands")]
+    assert "repeat the same moves at another temperature" in str(reported[0])
 
 
 def test_load_voltage_and_orientation_are_tested_too():
@@ -120,11 +120,11 @@ def tendons(count, seed=0):
 
 
 def test_tendons_that_add_up_to_zero_are_tied():
-    (told,) = tied_channels(tendons(1).round(3))
-    assert told.channels == (0, 1, 2) and told.moving == 2
-    assert told.weights == pytest.approx((1.0, 1.0, 1.0), abs=1e-3)
-    assert str(told) == "channels 0, 1, 2 add up to 0 (2 of 3 directions move)"
-    assert "each alone" in told.remedy
+    (reported,) = tied_channels(tendons(1).round(3))
+    assert reported.channels == (0, 1, 2) and reported.moving == 2
+    assert reported.weights == pytest.approx((1.0, 1.0, 1.0), abs=1e-3)
+    assert str(reported) == "channels 0, 1, 2 add up to 0 (2 of 3 directions move)"
+    assert "each alone" in reported.remedy
 
 
 def test_pretension_shows_in_the_sum():
@@ -132,8 +132,8 @@ def test_pretension_shows_in_the_sum():
 
 
 def test_each_group_of_an_arm_is_found_in_ticks():
-    told = tied_channels(np.rint(40 * tendons(3)))
-    assert [(g.channels, g.moving) for g in told] == [
+    reported = tied_channels(np.rint(40 * tendons(3)))
+    assert [(g.channels, g.moving) for g in reported] == [
         ((0, 1, 2), 2),
         ((3, 4, 5), 2),
         ((6, 7, 8), 2),
@@ -147,8 +147,8 @@ def test_pairs_and_proportions():
         == "channels 0, 2 move together (1 of 2 directions move)"
     )
     assert str(tied_channels(np.c_[u, -u[:, :1]])[0]).startswith("channels 0, 2 add up to 0")
-    (told,) = tied_channels(np.c_[u[:, :1], 2.5 * u[:, :1], u[:, 1:]])
-    assert "in proportion, 1 to 2.5" in str(told)
+    (reported,) = tied_channels(np.c_[u[:, :1], 2.5 * u[:, :1], u[:, 1:]])
+    assert "in proportion, 1 to 2.5" in str(reported)
     (every,) = tied_channels(np.outer(u[:, 0], [1.0, 2.0, -1.0]))
     assert every.channels == (0, 1, 2) and every.moving == 1 and every.weights == ()
 
@@ -205,26 +205,26 @@ def test_a_log_of_three_tendons_that_add_up_to_zero(tmp_path):
 
 def test_each_pair_is_named_alongside_a_group():
     u = free(3)
-    told = about_channels(np.c_[u[:, :2], -u[:, 0] - u[:, 1], u[:, 2], u[:, 2]])
+    reported = about_channels(np.c_[u[:, :2], -u[:, 0] - u[:, 1], u[:, 2], u[:, 2]])
     assert (
-        len(told) == 2
-        and "channels 0, 1, 2 add up to 0" in told[0]
-        and "channel 3 vs. channel 4" in told[1]
+        len(reported) == 2
+        and "channels 0, 1, 2 add up to 0" in reported[0]
+        and "channel 3 vs. channel 4" in reported[1]
     )
 
 
 def test_every_pair_that_moves_together_is_named():
     u = free(2)
-    told = about_channels(np.c_[u, 2.0 * u[:, :1], -u[:, 1:]])
+    reported = about_channels(np.c_[u, 2.0 * u[:, :1], -u[:, 1:]])
     assert (
-        len(told) == 2
-        and "channel 0 vs. channel 2" in told[0]
-        and "channel 1 vs. channel 3" in told[1]
+        len(reported) == 2
+        and "channel 0 vs. channel 2" in reported[0]
+        and "channel 1 vs. channel 3" in reported[1]
     )
 
 
 def test_one_channel_that_is_the_mean_of_four():
     u = free(4)
-    (told,) = about_channels(np.c_[u, u.mean(axis=1)])
-    assert "channels 0, 1, 2, 3, 4 are tied" in told and "(4 of 5 directions move)" in told
+    (reported,) = about_channels(np.c_[u, u.mean(axis=1)])
+    assert "channels 0, 1, 2, 3, 4 are tied" in reported and "(4 of 5 directions move)" in reported
     assert about_channels(u) == []

@@ -18,8 +18,8 @@ def run(stroke=10.0, places=3, scale=1.0, **more):
     share = (REST[:, 2] / 95) ** 2
     seen = REST + 40 * share[:, None] * np.column_stack([U, 0 * T])[:, None]
     seen = seen + 0.05 * np.random.default_rng(0).normal(size=seen.shape)
-    told = {"t": T, "command": stroke * U, "t_seen": T, "markers": scale * seen[:, -places:]}
-    return Run(**(told | more))
+    reported = {"t": T, "command": stroke * U, "t_seen": T, "markers": scale * seen[:, -places:]}
+    return Run(**(reported | more))
 
 
 def doubts(one):

@@ -74,21 +74,21 @@ def test_nothing_is_meant_by_nonsense(capsys):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_of_a_verb_is_what_the_option_prints(name, capsys):
     assert main(["help", *name.split()]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert main([*name.split(), "--help"]) == 0
-    assert told == capsys.readouterr().out and told.startswith(f"usage: softmap {name}")
+    assert reported == capsys.readouterr().out and reported.startswith(f"usage: softmap {name}")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_shows_examples_that_are_taken_and_a_page_that_is_there(name, capsys):
     command = COMMANDS[name]
     assert main([*name.split(), "--help"]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert command.examples and command.page
     pages = [path for path in (ROOT / "docs").rglob(f"{command.page}.md")]
-    assert len(pages) == 1 and f"Page in the docs: {command.page}" in told
+    assert len(pages) == 1 and f"Page in the docs: {command.page}" in reported
     for example in command.examples:
-        assert f"\n  softmap {example}\n" in told
+        assert f"\n  softmap {example}\n" in reported
         assert example.startswith(f"{name} ") or example == name
         # exits where it cannot be used
         parser_of(command).parse_args(example.split()[len(name.split()) :])
@@ -99,13 +99,13 @@ def test_a_group_lists_its_actions(capsys):
     assert len(actions) > 5
     for argv, code in ((["model"], 2), (["model", "--help"], 0), (["help", "model"], 0)):
         assert main(argv) == code
-        told = capsys.readouterr().out
-        assert told.startswith("usage: softmap model ACTION") and all(
-            f"  {name} " in told for name in actions
+        reported = capsys.readouterr().out
+        assert reported.startswith("usage: softmap model ACTION") and all(
+            f"  {name} " in reported for name in actions
         )
     assert main(["model", "predcit"]) == 2
-    assert "no action of 'model' 'predcit'; there are " in (told := capsys.readouterr().err)
-    assert "did you mean 'predict'?" in told
+    assert "no action of 'model' 'predcit'; there are " in (reported := capsys.readouterr().err)
+    assert "did you mean 'predict'?" in reported
     assert main(["run", "--help"]) == 0
     assert "More actions: run align, run register" in capsys.readouterr().out
 
@@ -122,10 +122,10 @@ def test_about_fifteen_groups_answer_the_questions_of_a_user():
 def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
     new = RENAMED[old]
     assert main([*new.split(), "--help"]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert main([old, "--help"]) == 0
     done = capsys.readouterr()
-    assert done.out == told
+    assert done.out == reported
     assert done.err == f"softmap: '{old}' is now '{new}'; the old name is gone after 0.1.0\n"
 
 

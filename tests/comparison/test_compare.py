@@ -145,7 +145,7 @@ def test_a_dwell_ends_where_the_robot_is_turned():
     assert turned.visit[70] != turned.visit[90] and turned.dwell[90] == still.dwell[90]
 
 
-def test_orientations_are_told_apart():
+def test_orientations_are_distinguished():
     flip = np.tile([0.0, 0.0, 1.0], (1251, 1))
     flip[600:] = [1.0, 0.0, 0.0]
     run = triangle(gravity=flip)
@@ -337,7 +337,7 @@ def test_points_in_another_unit_are_no_missing_effect(factor, unit):
             use(model, wrong)
 
 
-def test_points_in_the_frame_of_a_camera_are_told():
+def test_points_in_the_frame_of_a_camera_are_reported():
     model = builtin_model()
     t = np.arange(0.0, 20.0, 0.1)
     u = 12 * np.column_stack([np.sin(t), np.cos(t)])

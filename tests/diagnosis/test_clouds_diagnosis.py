@@ -77,8 +77,8 @@ def test_roll_is_not_looked_at(registered):
     turned = rolled(run, np.full(run.frames, 6.0))
     features = MODEL.seen_features(run)
     assert features.shape == (run.frames, 9, 3) and MODEL.features(run).shape == (run.frames, 9, 3)
-    told = np.isfinite(features)
-    assert np.abs(MODEL.seen_features(turned) - features)[told].max() < 0.12
+    reported = np.isfinite(features)
+    assert np.abs(MODEL.seen_features(turned) - features)[reported].max() < 0.12
     assert [e["name"] for e in diagnose(MODEL, turned).to_dict()["effects"]] == ["backlash"]
     # As of vertices that were tracked, the directions would be looked at too, which nobody
     # measured.

@@ -337,7 +337,7 @@ def test_command_that_never_changes():
 
 
 def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
-    """A rival that repairs a wrong number is not told without the number."""
+    """An alternative that repairs a wrong number is not reported without the number."""
     run = finger_run(["backlash"], {"backlash.gap": 1.5})
     wrong, right = (
         builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5)
@@ -421,7 +421,7 @@ def test_what_lies_far_beyond_a_bound_is_an_unknown_law_of_its_family():
     assert (found.families[0].name, found.families[0].law) == ("delay", "unknown")
 
 
-def test_extrapolation_is_told():
+def test_extrapolation_is_reported():
     run = finger_run()
     assert "beyond the commands" not in diagnose(builtin_model(), run, effects=["gain"]).sentence
     assert (

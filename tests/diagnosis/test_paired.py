@@ -196,8 +196,8 @@ def test_the_next_experiment_is_chosen_for_a_difference():
     found = replace(found, alternatives=open_one, not_testable=())
     paired = next_experiment(MODEL, found, [run], references=[free])[0]
     assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
-    told = found.made_from
-    raw = next_experiment(MODEL, replace(found, made_from=told | {"reference": None}), [run])[0]
+    reported = found.made_from
+    raw = next_experiment(MODEL, replace(found, made_from=reported | {"reference": None}), [run])[0]
     # The noise of a difference is twice that of a run, the form error a fifth: it is another
     # number.
     assert abs(paired.separation / raw.separation - 1.0) > 0.05
@@ -211,7 +211,10 @@ def test_the_next_experiment_is_chosen_for_a_difference():
         next_experiment(MODEL, found, [run], references=[run])
     with pytest.raises(SoftmapError, match="not relative to a reference run"):
         next_experiment(
-            MODEL, replace(found, made_from=told | {"reference": None}), [run], references=[free]
+            MODEL,
+            replace(found, made_from=reported | {"reference": None}),
+            [run],
+            references=[free],
         )
 
 
@@ -254,8 +257,8 @@ def test_the_verb_takes_a_reference(tmp_path, capsys):
         str(tmp_path / "a.npz"),
     ]
     assert main(argv) == 0
-    told = capsys.readouterr().out
-    assert "play it twice" in told and "--reference NEW_REFERENCE" in told
+    reported = capsys.readouterr().out
+    assert "play it twice" in reported and "--reference NEW_REFERENCE" in reported
     assert main([*argv, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["times"] == 2
     assert main(argv[:4]) == 2 and "give that run too, with --reference" in capsys.readouterr().err

@@ -50,15 +50,15 @@ PLANES = {
 }
 
 
-@pytest.mark.parametrize(("run", "told"), PLANES.values(), ids=PLANES)
-def test_a_plane_of_markers_is_reported_by_check_learn_and_compare(run, told, tmp_path, capsys):
-    assert any(told in text for text in words(run, "markers"))
+@pytest.mark.parametrize(("run", "reported"), PLANES.values(), ids=PLANES)
+def test_a_plane_of_markers_is_reported_by_check_learn_and_compare(run, reported, tmp_path, capsys):
+    assert any(reported in text for text in words(run, "markers"))
     found = notes(run)
-    assert any(told in note and "no effect across it" in note for note in found)
+    assert any(reported in note and "no effect across it" in note for note in found)
     run.save(tmp_path / "run.npz")
     save_bundle(learn_model(run, static=True), tmp_path / "b")
     assert main(["compare", str(tmp_path / "run.npz"), "--bundle", str(tmp_path / "b")]) == 0
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 def test_points_in_space_and_outputs_lie_in_no_plane():
@@ -152,8 +152,9 @@ def test_a_reference_of_one_axis_at_a_time_is_reported_by_check_learn_and_compar
     corner = run_of(
         np.tile([[7.0, 7.0]], (40, 1)) * np.linspace(0.9, 1.0, 40)[:, None], np.arange(40) * 0.05
     )
-    (told,) = command_extrapolation(model, corner)
+    (reported,) = command_extrapolation(model, corner)
     assert (
-        "each channel stays within its range, but they were never moved together like this" in told
+        "each channel stays within its range, but they were never moved together like this"
+        in reported
     )
     assert command_extrapolation(model, run) == []

@@ -1,4 +1,4 @@
-"""Where a run has encoders, what the servo does is told apart from what the tendon does."""
+"""Where a run has encoders, what the servo does is distinguished from what the tendon does."""
 
 import re
 from dataclasses import replace
@@ -58,6 +58,6 @@ def test_each_servo_for_itself_and_silence():
 
 def test_encoders_of_any_of_several_runs_are_read():
     run = replace(finger_run(), command_unit="mm")
-    told = replace(run, present=encoders(run, [0.18, 0.18]))
-    found = diagnose(builtin_model(), [run, told], effects=["latency", "lag"])
+    reported = replace(run, present=encoders(run, [0.18, 0.18]))
+    found = diagnose(builtin_model(), [run, reported], effects=["latency", "lag"])
     assert [row.effects[0].name for row in found.servo] == ["latency", "latency"]

@@ -58,7 +58,7 @@ def test_some_frames_of_runs_are_those_frames_of_all_of_them():
 @pytest.mark.parametrize(
     "names", [(), ("backlash", "payload"), ("camera_drift", "lag")], ids="+".join
 )
-def test_frames_of_which_little_is_seen_are_told_with_the_others(names):
+def test_frames_of_which_little_is_seen_are_reported_with_the_others(names):
     """Sections that are hidden in some frames leave the same residual, predicted by forms or by all
     features.
     """

@@ -199,18 +199,18 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize(("spoil", "told"), SPOILT.values(), ids=SPOILT)
-def test_a_bad_command_file_is_named_in_one_line(spoil, told, written, tmp_path, capsys):
+@pytest.mark.parametrize(("spoil", "reported"), SPOILT.values(), ids=SPOILT)
+def test_a_bad_command_file_is_named_in_one_line(spoil, reported, written, tmp_path, capsys):
     text = written[0].read_text()
     assert spoil(text) != text
     (tmp_path / "bad.csv").write_text(spoil(text))
     with pytest.raises(RunError) as fault:
         read_commands(tmp_path / "bad.csv")
-    assert told in str(fault.value) and "\n" not in str(fault.value)
+    assert reported in str(fault.value) and "\n" not in str(fault.value)
     assert (
         main(["record", str(tmp_path / "bad.csv"), "--sim", "--out", str(tmp_path / "r.npz")]) == 2
     )
-    assert told in capsys.readouterr().err and not (tmp_path / "r.npz").exists()
+    assert reported in capsys.readouterr().err and not (tmp_path / "r.npz").exists()
 
 
 # --- record -------------------------------------------------------------------------------------
@@ -230,12 +230,12 @@ def test_a_plan_is_played_on_the_simulated_finger(tmp_path, capsys):
         str(tmp_path / "run.npz"),
     ]
     assert main(argv) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     run = Run.load(tmp_path / "run.npz")
     assert (
-        told["schema"] == "softmap.record/1"
-        and told["hash"] == run.hash()
-        and told["frames"] == run.frames
+        reported["schema"] == "softmap.record/1"
+        and reported["hash"] == run.hash()
+        and reported["frames"] == run.frames
     )
     assert run.load.max() == 10.0 and set(run.block) == set(made.block)
     np.testing.assert_allclose(run.command, made.command, atol=1e-4)
@@ -284,6 +284,6 @@ def test_what_cannot_be_recorded_is_said(written, tmp_path, capsys):
             )
             == 2
         )
-        told = capsys.readouterr().err
-        assert told.count("\n") == 1 and "demo.json" in told
+        reported = capsys.readouterr().err
+        assert reported.count("\n") == 1 and "demo.json" in reported
     assert HANGING == (0.0, 0.0, 1.0) and not (tmp_path / "r.npz").exists()

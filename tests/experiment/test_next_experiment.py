@@ -194,11 +194,13 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
         str(tmp_path / "c.csv"),
     ]
     assert main(argv) == 0
-    told = capsys.readouterr().out
-    assert "Open      payload (ambiguous); alternatives: gravity" in told
-    assert told.endswith(f"next: softmap record {tmp_path / 'c.csv'} --sim --out new.npz\n")
-    assert "another orientation (0.6 min): settles payload, gravity, stiffness; separation" in told
-    assert "turn the robot until gravity points along 0.52 0.24 0.82" in told
+    reported = capsys.readouterr().out
+    assert "Open      payload (ambiguous); alternatives: gravity" in reported
+    assert reported.endswith(f"next: softmap record {tmp_path / 'c.csv'} --sim --out new.npz\n")
+    assert (
+        "another orientation (0.6 min): settles payload, gravity, stiffness; separation" in reported
+    )
+    assert "turn the robot until gravity points along 0.52 0.24 0.82" in reported
     made, robot = read_commands(tmp_path / "c.csv")
     assert robot == MODEL.robot and made.minutes < 6.0 and np.ptp(made.gravity[:, 0]) > 0.5
     assert main([*argv, "--json"]) == 0
@@ -210,10 +212,11 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     new = played(made, {"payload.mass": 9.0}, seed=1)
     (tmp_path / "d2.json").write_text(json.dumps(diagnose(MODEL, [run, new]).to_dict()))
     assert main(["next", str(tmp_path / "d2.json"), "--since", str(tmp_path / "d.json")]) == 0
-    told = capsys.readouterr().out
-    assert "Before    payload (ambiguous); alternatives: gravity" in told
+    reported = capsys.readouterr().out
+    assert "Before    payload (ambiguous); alternatives: gravity" in reported
     assert (
-        "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+        "Now       payload (identified); alternatives: none" in reported
+        and "Settled   gravity" in reported
     )
 
 
@@ -231,8 +234,8 @@ def test_only_the_built_in_robot_is_played_on_the_simulated_finger(tmp_path, cap
     save_bundle(replace(MODEL, robot="arm"), tmp_path / "arm")
     argv = ["next", "--standard", "--out", str(tmp_path / "c.csv"), "--bundle"]
     assert main([*argv, str(tmp_path / "arm")]) == 0
-    told = capsys.readouterr().out
-    assert told.endswith("c.csv --rig rig.toml --out new.npz\n") and "--sim" not in told
+    reported = capsys.readouterr().out
+    assert reported.endswith("c.csv --rig rig.toml --out new.npz\n") and "--sim" not in reported
     save_bundle(MODEL, tmp_path / "ours")
     assert main([*argv, str(tmp_path / "ours")]) == 0
     after = f"--sim --out new.npz --bundle {tmp_path / 'ours'}\n"
@@ -247,7 +250,7 @@ def test_next_writes_the_standard_protocol_and_blocks_by_name(tmp_path, capsys):
     assert main(["next", "--block", "circle", "--out", str(tmp_path / "c.csv")]) == 0
     assert set(read_commands(tmp_path / "c.csv")[0].block) == {"home", "circle"}
     capsys.readouterr()
-    for argv, told in (
+    for argv, reported in (
         (["next"], "no diagnosis is given"),
         (["next", "--block", "wave"], "no block 'wave'"),
         (["next", "--standard", "--minutes", "0"], "give a time above 0"),
@@ -257,4 +260,4 @@ def test_next_writes_the_standard_protocol_and_blocks_by_name(tmp_path, capsys):
         (["next", str(tmp_path / "c.csv")], "is not JSON"),
     ):
         assert main(argv) == 2
-        assert told in (said := capsys.readouterr().err) and said.count("\n") == 1
+        assert reported in (said := capsys.readouterr().err) and said.count("\n") == 1

@@ -92,9 +92,9 @@ def test_what_the_page_quotes_is_what_is_printed(page):
     poor, effects, following = (
         text.splitlines() for language, text in BLOCKS if language == "text"
     )
-    told = printed["check hasty.npz"].splitlines()
-    start = told.index(poor[0])
-    assert told[start : start + len(poor)] == poor
+    reported = printed["check hasty.npz"].splitlines()
+    start = reported.index(poor[0])
+    assert reported[start : start + len(poor)] == poor
     named, remedy = effects
     found = printed["check hasty.npz --bundle finger"].splitlines()
     line = next(k for k, text in enumerate(found) if text.startswith("  + latency"))
@@ -118,11 +118,12 @@ def assert_alike(said, quoted):
 
 def test_the_doubt_of_the_page_is_settled(page):
     there, printed = page
-    told = printed[
+    reported = printed[
         "diagnose hanging.npz leaning.npz --bundle finger --out settled.json --since diagnosis.json"
     ]
     assert (
-        "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
+        "Now       payload (identified); alternatives: none" in reported
+        and "Settled   gravity" in reported
     )
     assert read_commands(there / "next.csv")[0].gravity[:, 0].max() > 0.5
     assert set(Run.load(there / "circle.npz").block) == {"home", "circle"}

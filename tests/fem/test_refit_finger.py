@@ -66,7 +66,7 @@ def test_modulus_cable_and_frame_are_found_within_their_deviations():
     assert found.finger.young_mpa == found.numbers["young_mpa"].value
 
 
-def test_pretension_and_slack_are_told_apart_from_stiffness():
+def test_pretension_and_slack_are_distinguished_from_stiffness():
     finger = FINGER.replace(bounds=(("young_mpa", (0.05, 1.0)), ("pretension_mm", (-2.0, 3.0))))
     for pretension in (1.2, -0.8):
         found = fit_finger(finger, record(finger.replace(young_mpa=0.3, pretension_mm=pretension)))
@@ -193,6 +193,6 @@ def test_markers_and_a_known_load(tmp_path, capsys):
         (lambda f, r: (f, replace(r, vertices=None, markers=r.vertices[:, :5])), "marker_rest"),
     ],
 )
-def test_wrong_input_is_told(spoil, match):
+def test_wrong_input_is_reported(spoil, match):
     with pytest.raises(SoftmapError, match=match):
         fit_finger(*spoil(FINGER, record(FINGER, [HANGING], places=2, reach=1.0)))

@@ -1,4 +1,4 @@
-"""A user describes a finger, simulates it, saves the sweep, and is told what is wrong with a bad
+"""A user describes a finger, simulates it, saves the sweep, and gets a message on a bad
 description.
 """
 

@@ -72,12 +72,12 @@ def test_a_bundle_that_does_not_name_them_means_all_and_stays_as_it_is(tmp_path)
 
 
 def test_more_than_there_are_vertices_is_refused_before_the_sweep():
-    told = []
+    reported = []
     with pytest.raises(
         FingerError, match=r"template.handles: 549, the template has 548 vertices; give 1 to 548"
     ):
-        build_model(FINGER.replace(handles=549), progress=lambda what, share: told.append(what))
-    assert not told
+        build_model(FINGER.replace(handles=549), progress=lambda what, share: reported.append(what))
+    assert not reported
 
 
 @pytest.mark.parametrize("verb", ["build", "model sweep"])

@@ -34,9 +34,9 @@ def counts(rows=60, **changed):
 
 @pytest.mark.parametrize("name", ["frame", "Frame#", "sample", "idx"])
 def test_a_fraction_in_a_counter_is_refused_once(tmp_path, name):
-    told = fault(tmp_path, log(counts(r7="6.5", r30="29.25"), name), COUNTED % name)
-    assert f"'{name}' is 6.5" in told and "line 9" in told, told
-    assert "1 more of 60 no whole numbers" in told and "rate_hz" in told
+    reported = fault(tmp_path, log(counts(r7="6.5", r30="29.25"), name), COUNTED % name)
+    assert f"'{name}' is 6.5" in reported and "line 9" in reported, reported
+    assert "1 more of 60 no whole numbers" in reported and "rate_hz" in reported
 
 
 def test_time_in_a_counter_is_refused_with_the_way_out(tmp_path):

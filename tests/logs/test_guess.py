@@ -28,7 +28,7 @@ def written(folder, text, name="log.csv"):
     return folder / name
 
 
-def told(lines, *words):
+def reported(lines, *words):
     return any(all(word in line for word in words) for line in lines)
 
 
@@ -53,16 +53,16 @@ def test_the_trunk(tmp_path):
     assert np.nanmax(np.abs(shift - shift[0])) < 1e-9 and np.linalg.norm(shift[0, 0]) < 5.0
     # the example keeps them
     assert np.isnan(run.markers).any() and not np.isnan(right.markers).any()
-    assert told(found.unknown, "how fast 'ID' counts", "100 Hz") and told(
+    assert reported(found.unknown, "how fast 'ID' counts", "100 Hz") and reported(
         found.unknown, "where the clamp is"
     )
-    assert told(found.unknown, "gravity is not declared") and told(
+    assert reported(found.unknown, "gravity is not declared") and reported(
         found.unknown, "radius of the spools"
     )
-    assert told(found.assumed, "encoders: in deg", "12-bit servo") and told(
+    assert reported(found.assumed, "encoders: in deg", "12-bit servo") and reported(
         found.assumed, "runs along -y"
     )
-    assert told(found.said, "79 % of the rows repeat")
+    assert reported(found.said, "79 % of the rows repeat")
 
 
 @pytest.mark.parametrize("name", ["val.csv", "train.csv"])
@@ -81,7 +81,7 @@ def test_the_tdcr(tmp_path, name):
     assert len(set(run.block)) == len(
         {line.split(",")[1] for line in path.read_text().splitlines()[1:]}
     )
-    assert told(found.assumed, "in the order of the file") and told(
+    assert reported(found.assumed, "in the order of the file") and reported(
         found.assumed, "'pattern_label'"
     )
 
@@ -97,7 +97,7 @@ def test_the_beam(tmp_path):
     assert done.run.extra["base_markers"].shape == (600, 3, 3)
     # the base frame is at the clamp, z to the tip
     assert np.median(done.run.markers, axis=(0, 1))[2] > 80
-    assert told(found.unknown, "what was commanded") and told(
+    assert reported(found.unknown, "what was commanded") and reported(
         found.assumed, "softmap run align", "b0:X,Y,Z"
     )
 
@@ -122,7 +122,9 @@ def test_motion_capture(tmp_path, write, name, unit):
     # from the marker "base"
     assert np.nanmedian(done.run.markers[:, 1], axis=0)[2] == pytest.approx(120.0, abs=0.1)
     assert 'axes = ["x", "z", "-y"]' in found.text and 'unit = "file"' in found.text
-    assert done.run.visible.sum() == 120 - 5 and told(found.assumed, "1 markers are on the clamp")
+    assert done.run.visible.sum() == 120 - 5 and reported(
+        found.assumed, "1 markers are on the clamp"
+    )
 
 
 def test_a_recording_of_ros(tmp_path):
@@ -194,7 +196,7 @@ def test_a_force_beside_a_place_is_no_marker(tmp_path):
     assert (
         '["x", "y", "z"]' in found.text
         and '"fx"' not in found.text
-        and told(found.unknown, "fx, fy, fz", "force")
+        and reported(found.unknown, "fx, fy, fz", "force")
     )
 
 
@@ -205,7 +207,7 @@ def test_units_in_the_names_of_markers_are_believed(tmp_path):
     names = [f"{name} (mm)" for name in XYZ]
     path = written(tmp_path, bench_log(["t (s)", "u1 (mm)", "u2 (mm)", *names], t, u, points / 10))
     found = guess_mapping([path])
-    assert 'markers = { unit = "mm"' in found.text and told(found.assumed, "their names say mm")
+    assert 'markers = { unit = "mm"' in found.text and reported(found.assumed, "their names say mm")
     tall = np.ptp(imported(tmp_path, found, [path]).run.markers[5], axis=0)[2]
     assert tall == pytest.approx(12, abs=0.1)
 
@@ -239,8 +241,8 @@ def test_names_of_another_language(tmp_path):
     found = guess_mapping([path])
     run = imported(tmp_path, found, [path]).run
     assert run.t == pytest.approx(t + 3, abs=1e-6) and np.allclose(run.command, u[:, :2], atol=1e-6)
-    assert told(found.assumed, "'Zeit' rises throughout")
-    assert told(found.unknown, "pumpe7 (", "left out") and not told(found.unknown, "leer")
+    assert reported(found.assumed, "'Zeit' rises throughout")
+    assert reported(found.unknown, "pumpe7 (", "left out") and not reported(found.unknown, "leer")
 
 
 def test_ticks_stay_ticks(tmp_path):
@@ -259,7 +261,7 @@ def test_ticks_stay_ticks(tmp_path):
         and np.array_equal(run.command, u)
         and np.array_equal(run.present, u)
     )
-    assert told(found.unknown, "home: the ticks at which the robot rests", "offset = [-")
+    assert reported(found.unknown, "home: the ticks at which the robot rests", "offset = [-")
 
 
 def test_semicolons_labels_current_and_doubled_stamps(tmp_path):
@@ -297,7 +299,7 @@ def test_what_fails_on_trial_is_said(tmp_path):
     u = np.column_stack([np.sin(t), np.cos(t)])
     path = written(tmp_path, bench_log(["t", "u1_mm", "u2_mm", *XYZ], t, u, points))
     found = guess_mapping([path])
-    assert told(found.said, "as it stands it cannot be imported", "time goes backwards")
+    assert reported(found.said, "as it stands it cannot be imported", "time goes backwards")
 
 
 # --- the verb ------------------------------------------------------------------------------
@@ -373,6 +375,6 @@ def test_places_that_were_never_seen_are_reported(tmp_path, shape):
     tip = np.full((40, *shape), np.nan)
     np.savez(tmp_path / "log.npz", t=t, u=np.sin(np.stack([t, 2 * t], axis=1)), tip=tip)
     found = guess_mapping([tmp_path / "log.npz"])
-    assert told(
+    assert reported(
         [*found.assumed, *found.unknown], "no row has all coordinates of one place"
-    ) or told(found.unknown, "nothing is seen in this run")
+    ) or reported(found.unknown, "nothing is seen in this run")

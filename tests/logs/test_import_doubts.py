@@ -51,8 +51,8 @@ def mapping(top='command_unit = "deg"', time="", command="", present="", markers
     )
 
 
-def doubts(folder, log, told):
-    return imported(folder, log, told).doubts
+def doubts(folder, log, reported):
+    return imported(folder, log, reported).doubts
 
 
 def test_a_log_as_it_should_be_raises_no_doubt(tmp_path):
@@ -63,7 +63,7 @@ def test_a_log_as_it_should_be_raises_no_doubt(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("factors", "told", "words"),
+    ("factors", "reported", "words"),
     [
         (
             {"command": np.pi / 180},
@@ -83,13 +83,13 @@ def test_a_log_as_it_should_be_raises_no_doubt(tmp_path):
         ({"markers": 60.0}, {}, ["markers: span", "check columns, unit and scale"]),
     ],
 )
-def test_another_unit_is_suspected(tmp_path, factors, told, words):
-    found = doubts(tmp_path, robot(**factors), mapping(**told))
+def test_another_unit_is_suspected(tmp_path, factors, reported, words):
+    found = doubts(tmp_path, robot(**factors), mapping(**reported))
     assert any(all(word in doubt for word in words) for doubt in found), found
 
 
 @pytest.mark.parametrize(
-    ("factors", "told", "words"),
+    ("factors", "reported", "words"),
     [
         ({"markers": 1e-3}, {}, ["markers:", 'unit = "mm", which looks like m: set unit = "m"']),
         (
@@ -100,8 +100,8 @@ def test_another_unit_is_suspected(tmp_path, factors, told, words):
         ({}, {"top": "", "command": ', unit = "m"'}, ["command:", "looks like mm"]),
     ],
 )
-def test_what_no_robot_can_be_is_refused_with_the_remedy(tmp_path, factors, told, words):
-    message = fault(tmp_path, robot(**factors), mapping(**told))
+def test_what_no_robot_can_be_is_refused_with_the_remedy(tmp_path, factors, reported, words):
+    message = fault(tmp_path, robot(**factors), mapping(**reported))
     assert all(word in message for word in words), message
 
 
@@ -109,13 +109,16 @@ def test_other_quantities(tmp_path):
     lines = robot().splitlines()
     log = "\n".join([lines[0] + ",i,T,w", *(line + ",0.4,295,0.1" for line in lines[1:])])
     extra = 'current = { columns = ["i", "i"] }\nload = { columns = ["w"] }\n'
-    told = mapping().replace("markers =", extra + "markers =")
+    reported = mapping().replace("markers =", extra + "markers =")
     assert any(
-        "current: at most 0.4" in doubt and '"A"' in doubt for doubt in doubts(tmp_path, log, told)
+        "current: at most 0.4" in doubt and '"A"' in doubt
+        for doubt in doubts(tmp_path, log, reported)
     )
-    assert any('looks like kg: set unit = "kg"' in doubt for doubt in doubts(tmp_path, log, told))
+    assert any(
+        'looks like kg: set unit = "kg"' in doubt for doubt in doubts(tmp_path, log, reported)
+    )
     message = fault(
-        tmp_path, log, told.replace("markers =", 'temperature = { columns = ["T"] }\nmarkers =')
+        tmp_path, log, reported.replace("markers =", 'temperature = { columns = ["T"] }\nmarkers =')
     )
     assert 'temperature: at most 295 with unit = "degC" looks like K: set unit = "K"' in message
 
@@ -157,7 +160,7 @@ def test_proposed_axes_are_never_a_mirror():
             assert np.linalg.det(rows) == 1 and rows[2, axis] == sign
 
 
-def test_an_origin_far_from_the_robot_is_told(tmp_path):
+def test_an_origin_far_from_the_robot_is_reported(tmp_path):
     found = doubts(tmp_path, robot(shift=[900, -400, 100]), mapping())
     assert any(
         "from the origin of the base frame" in doubt and "frame.origin_mm" in doubt

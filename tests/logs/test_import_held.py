@@ -1,4 +1,4 @@
-"""Encoders that are read more slowly than they are logged are found, told and un-held; stillness is
+"""Encoders that are read more slowly than they are logged are found, reported and undone; stillness is
 left alone.
 """
 
@@ -94,7 +94,7 @@ def test_the_import_says_what_was_held_and_undoes_it(tmp_path):
 
 
 def test_repeated_frames_are_old_pictures(tmp_path):
-    """A camera at 25 Hz in a log at 100 Hz; a still of one second is kept and told."""
+    """A camera at 25 Hz in a log at 100 Hz; a still of one second is kept and reported."""
     lines = held_log().splitlines()
     cells = [line.split(",") for line in lines[1:]]
     for k, row in enumerate(cells):

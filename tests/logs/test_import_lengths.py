@@ -99,9 +99,9 @@ def test_a_robot_in_millimetres_is_not_doubted(tmp_path, name):
 
 
 def test_a_stroke_in_another_unit_than_mm_shows_no_size(tmp_path):
-    told = mapping(top='command_unit = "deg"', command=', unit = "deg"')
+    reported = mapping(top='command_unit = "deg"', command=', unit = "deg"')
     small = {"length": 30, "stroke": 60, "radius": 20}
-    assert imported(tmp_path, log(**small), told).doubts == ()
+    assert imported(tmp_path, log(**small), reported).doubts == ()
 
 
 def test_places_that_were_not_seen_show_no_size(tmp_path):
@@ -109,8 +109,8 @@ def test_places_that_were_not_seen_show_no_size(tmp_path):
     for k in range(5, 300, 40):
         cells = lines[k].split(",")
         lines[k] = ",".join(cells[:3] + ["nan", "", "9999"] + cells[6:])
-    told = mapping(markers=", not_seen = [9999.0]")
-    found = imported(tmp_path, "\n".join(lines), told).doubts
+    reported = mapping(markers=", not_seen = [9999.0]")
+    found = imported(tmp_path, "\n".join(lines), reported).doubts
     assert any("the places look like cm" in line for line in found)
 
 

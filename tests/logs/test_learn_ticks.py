@@ -65,8 +65,8 @@ def test_a_proposed_mapping_of_ticks_leads_to_a_model_and_a_comparison(
     document = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert document["command_unit"] == "ticks" and document["held_out_error_mm"] < 0.5
     assert main(["compare", "r.npz", "--bundle", "b"]) == 0
-    told = capsys.readouterr().out
-    assert "ticks/s" in told and not re.search(r"[\d.]+ mm/s", told)
+    reported = capsys.readouterr().out
+    assert "ticks/s" in reported and not re.search(r"[\d.]+ mm/s", reported)
     assert main(["check", "r.npz"]) == 0 and "ticks" in capsys.readouterr().out
 
 

@@ -78,7 +78,7 @@ def test_every_stale_frame_of_one_marker_counts_where_noise_tells(u, noise, digi
 
 
 @pytest.mark.parametrize("name", [name for name in [*GOOD, *BUT_ALSO] if "full pulls" not in name])
-def test_noise_is_told_from_motion(name):
+def test_noise_is_distinguished_from_motion(name):
     points, _ = (GOOD | BUT_ALSO)[name]
     noisy = name in (
         "noise",

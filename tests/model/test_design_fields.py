@@ -139,15 +139,15 @@ def test_a_bundle_without_these_fields_is_read_and_answers_loads_as_before(old):
         moved(old, "twist", {"twist.angle": 3.0})
 
 
-def test_an_effect_without_its_field_is_told_untestable(old):
+def test_an_effect_without_its_field_is_reported_untestable(old):
     t = np.arange(0.0, 40.0, 0.2)
     command = 8.0 * np.stack([np.sin(0.4 * t), np.sin(0.7 * t)], axis=1)
     points = old.predict(Run(t=t, command=command, t_seen=t))
     seen = points + np.random.default_rng(0).normal(scale=0.1, size=points.shape)
     run = Run(t=t, command=command, t_seen=t, vertices=seen)
     found = diagnose(old, run, effects=["gain", "twist"])
-    told = {row["name"]: row["why"] for row in found.to_dict()["not_testable"]}
-    assert "no field twist" in told["twist"]
+    reported = {row["name"]: row["why"] for row in found.to_dict()["not_testable"]}
+    assert "no field twist" in reported["twist"]
 
 
 def test_a_change_that_no_finger_has_is_refused():

@@ -48,7 +48,7 @@ def test_what_is_no_command_is_refused_in_one_line(text, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_commands_beyond_the_range_of_the_model_are_told(capsys):
+def test_commands_beyond_the_range_of_the_model_are_reported(capsys):
     assert main(["model", "predict", "16.5,-16"]) == 0
     assert capsys.readouterr().err == ""  # within a twentieth of the range
     assert main(["model", "predict", "45,0", "--json"]) == 0
@@ -81,7 +81,7 @@ def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
     assert main(["model", "effects", "nosuch"]) == 2
 
 
-def test_an_effect_that_is_not_there_is_told_with_the_nearest(capsys):
+def test_an_effect_that_is_not_there_is_reported_with_the_nearest(capsys):
     for name, hint in (
         ("backlsh", "; did you mean 'backlash'?"),
         ("mine.py,gain", "an --effects of its own"),

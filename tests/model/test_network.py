@@ -190,19 +190,19 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
     with pytest.raises(Exception, match="Tanh"):
         _core.Network(content)
     model = load_bundle(bundle(tmp_path, content), trust_onnx=True)
-    told = model.made_from["through_onnxruntime"]["prior"]
-    assert model.kind == "table" and "Tanh" in told["why"] and told["table_off_mm"] < 0.02
-    assert told["graph_sha256"] == sha256(content).hexdigest()
+    reported = model.made_from["through_onnxruntime"]["prior"]
+    assert model.kind == "table" and "Tanh" in reported["why"] and reported["table_off_mm"] < 0.02
+    assert reported["graph_sha256"] == sha256(content).hexdigest()
     u = RNG.uniform(-16, 16, (200, 2))
     off = np.linalg.norm(
         (model.prior.evaluate(u) - run_onnxruntime(content, u)).reshape(200, -1, 3), axis=2
     )
-    assert off.max() < 10 * max(told["table_off_mm"], 1e-3)
+    assert off.max() < 10 * max(reported["table_off_mm"], 1e-3)
     # What consumes a model cannot tell: inverse kinematics, and written once more it is a table.
     there = model.tip(np.array([[2.0, -3.0]]))
     assert Kinematics(model).solve(there).distance[0] < 1e-4
     again = load_bundle(save_bundle(model, tmp_path / "again"))
-    assert again.kind == "table" and again.made_from["through_onnxruntime"]["prior"] == told
+    assert again.kind == "table" and again.made_from["through_onnxruntime"]["prior"] == reported
     np.testing.assert_allclose(again.prior.evaluate(u), model.prior.evaluate(u), atol=1e-3)
 
 
@@ -216,8 +216,8 @@ def test_check_says_that_a_graph_is_run_as_a_table(tmp_path, capsys):
         "the prior is a table of what onnxruntime makes of its graph" in said and "'Tanh'" in said
     )
     assert main(["check", str(folder), "--trust-onnx", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["through_onnxruntime"]["prior"]
-    assert f"{told['table_off_mm']:.2g} mm off" in said and told["why"] in said
+    reported = json.loads(capsys.readouterr().out)["through_onnxruntime"]["prior"]
+    assert f"{reported['table_off_mm']:.2g} mm off" in said and reported["why"] in said
 
 
 def test_check_compares_a_network_of_the_core_with_onnxruntime(tmp_path, capsys, monkeypatch):

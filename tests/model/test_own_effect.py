@@ -50,7 +50,7 @@ def test_the_template_runs_as_it_is(here, capsys):
         (["model", "predict", "1,1", "--effects", "gain"], "softmap model effects new"),
     ],
 )
-def test_wrong_use_is_told_in_one_line(here, capsys, argv, says):
+def test_wrong_use_is_reported_in_one_line(here, capsys, argv, says):
     written(here, "", "there.py")
     assert main(argv) == 2
     err = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Chain, table and predictor: composition, interpolation, batches, and what wrong use is told."""
+"""Chain, table and predictor: composition, interpolation, batches, and errors of wrong use."""
 
 from functools import partial
 
@@ -309,7 +309,7 @@ def wrong_calls():
 
 
 @pytest.mark.parametrize("case", wrong_calls())
-def test_wrong_use_is_told_in_one_line(case):
+def test_wrong_use_is_reported_in_one_line(case):
     call, clue = wrong_calls()[case]
     with pytest.raises(_core.CoreError) as error:
         call()

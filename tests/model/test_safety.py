@@ -109,7 +109,7 @@ def test_a_bundle_of_before_has_none_and_is_read(tmp_path):
     )
 
 
-def test_what_is_edited_by_hand_counts_and_is_told(bundle, tmp_path):
+def test_what_is_edited_by_hand_counts_and_is_reported(bundle, tmp_path):
     edit(bundle, ("high = [16.0, 16.0]", "high = [9.0, 12.5]"), ("slew = 8.0", "slew = 3.0"))
     safety = load_bundle(bundle).safety
     assert safety.edited and safety.high == (9.0, 12.5) and safety.slew == 3.0

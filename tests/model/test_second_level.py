@@ -72,10 +72,10 @@ def test_a_lean_alone_is_answered_between_the_commands_of_the_sweep(simulator):
     t = np.arange(float(len(commands)))
     plain = Run(t=t, command=commands, t_seen=t)
     model = builtin_model()
-    told = model.predict(replace(plain, gravity=LEANING)) - model.predict(plain)
+    reported = model.predict(replace(plain, gravity=LEANING)) - model.predict(plain)
     truth = simulator.path(commands, gravity=LEANING) - simulator.path(commands)
-    assert rms(told - truth) < 0.05 and rms(truth) > 1.0, (
-        f"{rms(told - truth):.3f} of {rms(truth):.2f} mm"
+    assert rms(reported - truth) < 0.05 and rms(truth) > 1.0, (
+        f"{rms(reported - truth):.3f} of {rms(truth):.2f} mm"
     )
 
 

@@ -68,11 +68,11 @@ def test_three_frames_of_a_dwell_are_replicates():
 
 def test_three_dwells_as_the_advice_asks_tell_the_noise():
     dwell, rng = np.repeat(np.arange(3), DWELL_FRAMES), np.random.default_rng(0)
-    told = [
+    reported = [
         estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n])
         for n in (len(dwell), len(dwell) - 4)
     ]
-    assert [noise.replicates for noise in told] == [True, False]
+    assert [noise.replicates for noise in reported] == [True, False]
 
 
 def test_what_is_hidden_at_times_is_no_noise():

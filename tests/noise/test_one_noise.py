@@ -71,16 +71,16 @@ def test_three_commands_state_the_noise_of_a_run_alike(name, tmp_path, capsys):
     argv = ["diagnose", tmp_path / "run.npz", "--bundle", tmp_path / "b", "--effects", "offset"]
     diagnosed = json.loads(stated(capsys, *argv, "--json"))
     checked = json.loads(stated(capsys, "check", tmp_path / "run.npz", "--json"))
-    told = [word for word in checked["can_tell"] if word["about"] == "noise"]
+    reported = [word for word in checked["can_tell"] if word["about"] == "noise"]
     number = noise_of_points(run)
     (of_diagnosis,) = diagnosed["made_from"]["noise_of_points_mm"]
     if number is None:
-        assert name == "moving" and not told and of_diagnosis is None
+        assert name == "moving" and not reported and of_diagnosis is None
         assert "no replicates" in compared["made_from"]["noise_floor"]
         assert any("too few repeated poses" in remark for remark in diagnosed["remarks"])
         return
     assert compared["noise_floor_mm"] == of_diagnosis == number.mm
-    assert f"the noise is {number.mm:.2g} mm" in told[0]["text"]
+    assert f"the noise is {number.mm:.2g} mm" in reported[0]["text"]
     assert not any("too few repeated poses" in remark for remark in diagnosed["remarks"])
     text = " ".join(stated(capsys, *argv).split())
     assert re.search(

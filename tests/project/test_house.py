@@ -49,7 +49,7 @@ def test_every_public_name_is_there_and_named_once():
     )
 
 
-def test_public_names_are_loaded_late_and_unknown_ones_are_told():
+def test_public_names_are_loaded_late_and_unknown_ones_are_reported():
     code = (
         "import sys, softmap_edge; assert 'softmap_edge.run.run' not in sys.modules; "
         "from softmap_edge import Run; assert Run is sys.modules['softmap_edge.run.run'].Run; "

@@ -78,7 +78,7 @@ def test_installed_alone_it_drives_an_emulated_robot(wheel, tmp_path):
     }
     loaded = run(made / "bin/python", "-c", "import softmap_edge, sys; print(*sys.modules)").split()
     assert not {"onnxruntime", "cv2", "mediapipe", "matplotlib"} & set(loaded)
-    told = json.loads(
+    reported = json.loads(
         run(
             made / "bin/softmap",
             "track",
@@ -91,4 +91,4 @@ def test_installed_alone_it_drives_an_emulated_robot(wheel, tmp_path):
             "--json",
         )
     )
-    assert told["seen_mm"]["n"] > 100 and told["seen_mm"]["mean"] < 1.0
+    assert reported["seen_mm"]["n"] > 100 and reported["seen_mm"]["mean"] < 1.0

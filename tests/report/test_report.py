@@ -223,39 +223,39 @@ FAMILIES = {
 def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named, family):
     physics = [Finding("backlash", {})] if named else []
     left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
-    told = (
+    reported = (
         sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [])
         + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
     )
-    assert not re.findall(r"\d mm(?! RMS)", told)
-    errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
+    assert not re.findall(r"\d mm(?! RMS)", reported)
+    errors = [part for part in re.split(r"[;:.] ", reported) if "mm RMS" in part]
     # of an effect, not an error
     sizes = [part for part in errors if "family memory" in part or "law open" in part]
-    assert all("fitted" in part or "held" in part for part in errors if part not in sizes), told
+    assert all("fitted" in part or "held" in part for part in errors if part not in sizes), reported
 
 
 def test_a_sentence_names_what_was_found_in_words_of_both_levels():
     left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
 
-    def told(verdict, family, physics=(), hint=""):
+    def reported(verdict, family, physics=(), hint=""):
         return sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [], hint)
 
-    assert told("ambiguous", "open").startswith(
+    assert reported("ambiguous", "open").startswith(
         "A static, non-linear map of the commands of 1.20 mm RMS, law open; candidates: gain, u³ "
         "on all channels"
     )
-    unknown = told("partly_explained", "unknown")
+    unknown = reported("partly_explained", "unknown")
     assert (
         "unknown law of the family memory (or delay), 1.20 mm RMS" in unknown
         and "follow speed" in unknown
     )
-    assert told("partly_explained", "none").startswith(
+    assert reported("partly_explained", "none").startswith(
         "Something unknown is missing; 0.40 mm RMS (fitted)"
     )
-    assert "(nearest family: creep)" in told("partly_explained", "none", hint="creep")
-    both = told("ambiguous", "open", [Finding("backlash", {})])
+    assert "(nearest family: creep)" in reported("partly_explained", "none", hint="creep")
+    both = reported("ambiguous", "open", [Finding("backlash", {})])
     assert both.startswith("The model lacks backlash; and a static, non-linear map of the commands")
-    candidate = told("ambiguous", "open", [Finding("gain", {})])
+    candidate = reported("ambiguous", "open", [Finding("gain", {})])
     assert "lacks" not in candidate  # a candidate of an open law is no missing effect
 
 
@@ -290,8 +290,8 @@ def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
         model=13.2, ladder=(Rung("servo_swap", 0.4),), held_out_on="blocks of this run"
     )
     left = Unexplained(0.1, 1.0, 0.0, None)
-    told = sentence_of("measurement_fault", [hysteresis], [swap], [], [], left, [], error, [])
-    assert told.startswith(
+    reported = sentence_of("measurement_fault", [hysteresis], [swap], [], [], left, [], error, [])
+    assert reported.startswith(
         "The measurement is at fault (servo_swap); and the model lacks hysteresis; the held-out "
         "error"
     )

@@ -54,8 +54,8 @@ def words(tmp_path, *more):
 
 def test_pulley_and_signs_make_a_map_that_drives(tmp_path, capsys):
     assert main(words(tmp_path, "--signs=+,-", "--json")) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert next(iter(told)) == "schema" and told["schema"] == "softmap.calibration/1"
+    reported = json.loads(capsys.readouterr().out)
+    assert next(iter(reported)) == "schema" and reported["schema"] == "softmap.calibration/1"
     found = load_bundle(tmp_path / "finger").calibration
     np.testing.assert_allclose(found.A, np.diag([TICK, -TICK]))
     np.testing.assert_allclose(found.b, 0.0)
@@ -72,8 +72,8 @@ def test_pulley_and_signs_make_a_map_that_drives(tmp_path, capsys):
     assert found.window == pytest.approx((-16.0 / TICK, 16.0 / TICK), abs=1.0), (
         "the model's range, in ticks"
     )
-    assert any("coupling" in line for line in told["warnings"]) and any(
-        "--ruler" in line for line in told["warnings"]
+    assert any("coupling" in line for line in reported["warnings"]) and any(
+        "--ruler" in line for line in reported["warnings"]
     )
     assert (
         effective_limits(rig(), load_bundle(tmp_path / "finger")).table()["servos"][0]["high"]
@@ -172,7 +172,7 @@ def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
     assert list(np.sign(np.diag(found.A))) == [1, -1]
 
 
-def test_a_servo_that_bends_neither_way_is_told(tmp_path, capsys, monkeypatch):
+def test_a_servo_that_bends_neither_way_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(servo_calibrate, "confirm", lambda *_: False)
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")

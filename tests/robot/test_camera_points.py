@@ -234,7 +234,7 @@ def test_a_port_that_is_taken_has_its_line(receiver):
         (POINTS, [True], r"expected \(4,\)"),
     ],
 )
-def test_what_cannot_be_sent_is_told(points, visible, line):
+def test_what_cannot_be_sent_is_reported(points, visible, line):
     with PointSender("127.0.0.1", 9, KEY) as sender, pytest.raises(LinkError, match=line):
         sender.send(points, 0.0, visible)
 

@@ -7,27 +7,27 @@ from softmap_edge.robot.teleop.clutch import PATIENCE, Clutch
 from softmap_edge.robot.teleop.keys import LAPSE, HeldKey, Wish
 
 
-def told(key, *said):
+def reported(key, *said):
     for down, now in said:
         key.say(down, now)
     return key
 
 
-def test_a_key_that_is_told_of_is_held_until_it_is_let_go_or_silent():
-    key = told(HeldKey(), (False, 0.0), (True, 0.1))
+def test_a_key_that_is_reported_of_is_held_until_it_is_let_go_or_silent():
+    key = reported(HeldKey(), (False, 0.0), (True, 0.1))
     assert key.held(0.1) and key.held(0.1 + LAPSE)
     assert not key.held(0.1 + LAPSE + 0.001), "a heartbeat that is late lets go"
-    assert not told(key, (False, 0.2)).held(0.2)
+    assert not reported(key, (False, 0.2)).held(0.2)
 
 
 def test_who_comes_with_the_key_down_or_back_from_a_silence_must_press_anew():
-    key = told(HeldKey(), (True, 0.0), (True, 0.1))
+    key = reported(HeldKey(), (True, 0.0), (True, 0.1))
     assert not key.held(0.1), "it was not pressed for us"
-    told(key, (False, 0.2), (True, 0.3))
+    reported(key, (False, 0.2), (True, 0.3))
     assert key.held(0.3)
-    told(key, (True, 0.3 + 2 * LAPSE), (True, 0.4 + 2 * LAPSE))
+    reported(key, (True, 0.3 + 2 * LAPSE), (True, 0.4 + 2 * LAPSE))
     assert not key.held(0.4 + 2 * LAPSE)
-    told(key, (False, 0.5 + 2 * LAPSE), (True, 0.6 + 2 * LAPSE))
+    reported(key, (False, 0.5 + 2 * LAPSE), (True, 0.6 + 2 * LAPSE))
     assert key.held(0.6 + 2 * LAPSE)
 
 

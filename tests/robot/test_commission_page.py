@@ -53,12 +53,12 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
                 assert words[0] == "softmap"
                 name = words[2] if words[1] == "servo" else words[1]
                 code = main(words[1:])
-                told = capsys.readouterr()
+                reported = capsys.readouterr()
                 # What this computer lacks (a camera's packages, real-time rights) is no matter of
                 # the bench.
-                assert code == 0 or name == "doctor", f"{name}: {told.err}"
+                assert code == 0 or name == "doctor", f"{name}: {reported.err}"
                 done.append(name)
-                said[name] = told.out
+                said[name] = reported.out
         horns = bus.state()[1]
     assert done == STEPS
     assert not any(on for _, on, _, _ in horns), "torque is off"

@@ -69,7 +69,7 @@ def test_servos_of_older_firmware_are_driven_as_well(old):
             np.testing.assert_allclose(angles(bus), HOME + TICKS_PER_MM, atol=5)
 
 
-def test_who_sent_nothing_for_too_long_is_told_so_and_who_let_go_that_he_did():
+def test_who_sent_nothing_for_too_long_is_reported_so_and_who_let_go_that_he_did():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         until(lambda: robot.state == "ready", 10.0)

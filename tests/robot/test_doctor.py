@@ -50,14 +50,14 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
             and "softmap servo pull" in named(lines, "ceiling").do
         )
         assert bus.state()[1] == before, "nothing moved, no torque"
-        told = ["servo", "doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
-        assert main(told) == 0, "a warning is no fault"
+        reported = ["servo", "doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
+        assert main(reported) == 0, "a warning is no fault"
         document = json.loads(capsys.readouterr().out)
         assert document["schema"] == "softmap.doctor/1" and document["well"] is True
         assert {"name", "state", "found", "do"} == set(document["lines"][0])
         assert [line["name"] for line in document["lines"] if line["state"] != OK] == ["ceiling"]
         bus.damage(1, mute=True)
-        assert main(told) == 1
+        assert main(reported) == 1
         document = json.loads(capsys.readouterr().out)
         unwell = {line["name"]: line for line in document["lines"] if line["state"] == FAULT}
         assert document["well"] is False and set(unwell) == {"servo 2"} and unwell["servo 2"]["do"]
@@ -100,7 +100,7 @@ def test_a_bench_that_is_not(tmp_path, breaks, name, found, do):
 ON = "its torque is on: another program drives it, or one died"
 
 
-def test_torque_that_is_on_is_told_and_left_on(tmp_path):
+def test_torque_that_is_on_is_reported_and_left_on(tmp_path):
     with bench() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(1, 64, b"\x01")
@@ -181,7 +181,7 @@ def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
         ]
 
 
-def test_an_edited_safety_toml_is_told(tmp_path, capsys):
+def test_an_edited_safety_toml_is_reported(tmp_path, capsys):
     folder = save_bundle(replace(builtin_model(), calibration=calibration()), tmp_path / "b")
     lines = doctor.examine(bundle=folder).lines
     assert named(lines, "safety.toml").state == OK
@@ -291,7 +291,7 @@ def rights(folder):
 @pytest.mark.skipif(
     os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already"
 )
-def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
+def test_an_ordinary_user_is_reported_what_rights_are_missing(tmp_path):
     with bench() as (bus, _, _):
         os.chmod(bus.path, 0o600)
         tmp_path.chmod(0o755)

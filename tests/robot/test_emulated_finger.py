@@ -127,17 +127,17 @@ def test_tendons_ask_for_what_the_model_says(model):
 def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
     with emulated(tmp_path, "--hidden", "backlash", "--strength", "0.5", "--seed", "3") as (
         process,
-        told,
+        reported,
         camera,
     ):
         assert (
-            told["schema"] == "softmap.emulated/1"
-            and told["ready"]
-            and told["hidden"] == ["backlash"]
+            reported["schema"] == "softmap.emulated/1"
+            and reported["ready"]
+            and reported["hidden"] == ["backlash"]
         )
         rig, made = read_rig(tmp_path / "rig.toml"), load_bundle(tmp_path / "bundle")
         assert (
-            rig.port == told["port"]
+            rig.port == reported["port"]
             and [servo.home for servo in rig.servos] == made.calibration.home.tolist()
         )
         for servo in rig.servos:
@@ -187,9 +187,9 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
 
 
 def test_exchanged_ids_are_exchanged(tmp_path):
-    with emulated(tmp_path, "--fresh") as (process, told, _):
-        assert not told["ready"] and read_rig(tmp_path / "rig.toml").servos[0].home is None
-        with opened(told["port"], told["baud"]) as bus:
+    with emulated(tmp_path, "--fresh") as (process, reported, _):
+        assert not reported["ready"] and read_rig(tmp_path / "rig.toml").servos[0].home is None
+        with opened(reported["port"], reported["baud"]) as bus:
             assert setup.registers(bus, 1)["operating_mode"] == 3
             say(process, "heat 0 60")
             until(lambda: setup.registers(bus, 1)["present_temperature"] > 50)
@@ -198,7 +198,7 @@ def test_exchanged_ids_are_exchanged(tmp_path):
             assert setup.registers(bus, 1)["present_temperature"] < 40
 
 
-def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
+def test_what_an_emulated_robot_cannot_be_is_reported(capsys, tmp_path):
     for more, line in (
         (["--hidden", "gravity"], "moves no tendon"),
         (["--strength", "-1"], "more than 0 and up to 10"),

@@ -164,7 +164,7 @@ def changes(loop, state, begin, cause, wanted, within):
     the fault.
 
     By the loop's clock: a report tells of which period it is. Periods that it could not have are
-    told too.
+    reported too.
     """
     struck, overruns = time.monotonic(), loop.reports[-1]["overruns"]
     loop.wait(lambda: len(loop.changes(begin, state)) >= len(wanted) or loop.ended)
@@ -186,7 +186,7 @@ def without_torque(loop):
         time.sleep(0.01)
 
 
-def told(get, check):
+def reported(get, check):
     """Check, and once more where it fails on a machine that was too busy meanwhile to tell
     (`Loop.busy`).
     """
@@ -205,7 +205,7 @@ def told(get, check):
 @pytest.mark.parametrize("fault", TABLE)
 def test_reaction(bench, fault):
     state, get = bench
-    told(get, lambda loop, begin: reacts(loop, state, begin, fault, fault))
+    reported(get, lambda loop, begin: reacts(loop, state, begin, fault, fault))
 
 
 # What reacts, in place of what does not: the cells of the second must not hold for the first.
@@ -231,7 +231,7 @@ def test_a_cell_of_nothing_does_not_hold_where_something_happens(bench, broken, 
         with pytest.raises(AssertionError, match="it does not go on"):
             reacts(loop, state, begin, quiet, broken)
 
-    told(get, caught)
+    reported(get, caught)
 
 
 def reacts(loop, state, begin, fault, broken):
@@ -363,7 +363,7 @@ def test_a_poor_wire_at_the_limits_of_verbs_ends_nothing(usual, fault):
         assert found == len(found) // 2 * [("hold", "late"), ("engaged", "none")] and not loop.ended
         assert len(found) // 2 <= 4, "0.2 are expected"
 
-    told(usual, goes_on_by_itself)
+    reported(usual, goes_on_by_itself)
 
 
 def test_every_fault_and_state_is_in_the_table():

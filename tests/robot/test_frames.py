@@ -158,7 +158,7 @@ def test_a_camera_that_is_unplugged(after):
         camera.newest()
 
 
-def test_a_camera_that_freezes_is_told_in_time():
+def test_a_camera_that_freezes_is_reported_in_time():
     device = Device(2, after="freeze")
     with CameraFrames(0, device=device, silence=0.2) as camera:
         start = time.monotonic()

@@ -89,10 +89,10 @@ def test_a_name_is_shown_without_what_a_terminal_obeys(tmp_path):
 
 
 def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
-    file, told = tmp_path / "drive.mcap", []
+    file, reported = tmp_path / "drive.mcap", []
     goal = _core.servo_registers()["led"][0]
     with bench() as (bus, rig, limits):
-        with Controller(rig, calibration(), limits, record=file, tell=told.append) as robot:
+        with Controller(rig, calibration(), limits, record=file, tell=reported.append) as robot:
             robot.engage([0.2, 0.0])
             with talking(bus.path, goal, b"\x00"):
                 for _ in range(40):
@@ -100,22 +100,24 @@ def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
                     time.sleep(0.02)
             counts = robot.bus
         assert counts["unasked"] > 5 and counts["asked"] > 50, counts
-        assert any("answers came that this program did not ask for" in line for line in told), told
+        assert any("answers came that this program did not ask for" in line for line in reported), (
+            reported
+        )
         last = read_recording(file).bus
         assert last["unasked"] >= counts["unasked"] and last["lost"] >= counts["lost"]
 
 
 def test_alone_on_the_bus_nothing_is_said(tmp_path):
-    file, told = tmp_path / "drive.mcap", []
+    file, reported = tmp_path / "drive.mcap", []
     with (
         bench() as (bus, rig, limits),
-        Controller(rig, calibration(), limits, record=file, tell=told.append) as robot,
+        Controller(rig, calibration(), limits, record=file, tell=reported.append) as robot,
     ):
         robot.engage([0.2, 0.0])
         for _ in range(20):
             robot.target([0.2, 0.0])
             time.sleep(0.02)
-    assert not torque(bus) and not [line for line in told if "did not ask" in line]
+    assert not torque(bus) and not [line for line in reported if "did not ask" in line]
     assert read_recording(file).bus["unasked"] == 0
 
 

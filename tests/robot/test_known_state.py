@@ -132,10 +132,10 @@ def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
 def test_a_start_says_what_it_wrote_anew():
     with bench() as (bus, rig, limits):
         leave(bus.path, BAUD, 2, profile_velocity=7)
-        told = []
-        with Controller(rig, calibration(), limits, tell=told.append) as robot:
+        reported = []
+        with Controller(rig, calibration(), limits, tell=reported.append) as robot:
             line = "servo 2: profile velocity was 7, left by another program: it is 0 now"
-            assert robot.mended == [line] and told == [line]
+            assert robot.mended == [line] and reported == [line]
 
 
 @pytest.mark.parametrize(

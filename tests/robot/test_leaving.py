@@ -1,4 +1,4 @@
-"""What whoever leaves a robot is told: a fault of the way home once, and none that was told
+"""Messages on leaving a robot: a fault of the way home once, and none that was reported
 before.
 """
 
@@ -10,13 +10,13 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.controller import Controller
 
 
-def test_a_finger_that_does_not_come_home_at_the_end_is_told():
+def test_a_finger_that_does_not_come_home_at_the_end_is_reported():
     with bench() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        told = pytest.raises(
+        reported = pytest.raises(
             ServoError, match=r"in state fault \(servo 1 does not follow.*home the robot again"
         )
-        with told, Controller(rig, calibration(), limits) as robot:
+        with reported, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [2.5, 0.0], 1.5)
             bus.damage(0, jammed=True)  # seen only on the way back
@@ -34,7 +34,7 @@ def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
         assert "home the robot again" in ended.value.__notes__[0] and not torque(bus)
 
 
-def test_a_fault_that_its_program_has_seen_is_not_told_again():
+def test_a_fault_that_its_program_has_seen_is_not_reported_again():
     with bench() as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()

@@ -323,14 +323,14 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     rig((("hold", 1.5),), slew=900.0).write(tmp_path / "rig.toml")
     argv = ["servo", "limits", "--rig", str(tmp_path / "rig.toml"), "--bundle", str(bundle)]
     assert main([*argv, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     assert (
-        next(iter(told)) == "schema"
-        and told["schema"] == "softmap.limits/1"
-        and told["refused"] is None
+        next(iter(reported)) == "schema"
+        and reported["schema"] == "softmap.limits/1"
+        and reported["refused"] is None
     )
     table = effective_limits(read_rig(tmp_path / "rig.toml"), calibrated).table()
-    listed = {one["name"]: one for one in (*told["servos"][0]["limits"], *told["robot"])}
+    listed = {one["name"]: one for one in (*reported["servos"][0]["limits"], *reported["robot"])}
     assert set(table["servos"][0]) - {"home"} | set(table) - {"servos", "period"} == set(listed), (
         "none is left out"
     )

@@ -64,7 +64,7 @@ def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
     assert periods == whole.periods
 
 
-def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
+def test_any_cut_gives_what_is_whole_and_damage_is_reported(tmp_path):
     file = tmp_path / "loop.mcap"
     with bench() as (_, rig, limits):
         drive(rig, limits, calibration(), file, 0.3)
@@ -130,17 +130,17 @@ def test_the_error_is_that_of_the_frames_and_memory_is_right():
             now = one.compared()
         if 505.0 < t[k] < 514.0:
             assert live.compared().whole_mm < 0.02  # ticks are whole
-    told, missed = live.compared(), plain.compared()
+    reported, missed = live.compared(), plain.compared()
     assert (
-        told.frames == missed.frames == pytest.approx(len(frames), abs=2)
-        and now.frames == told.frames
+        reported.frames == missed.frames == pytest.approx(len(frames), abs=2)
+        and now.frames == reported.frames
     )
-    assert told.now_mm == pytest.approx(0.3, abs=0.01) and told.recent_mm == pytest.approx(
+    assert reported.now_mm == pytest.approx(0.3, abs=0.01) and reported.recent_mm == pytest.approx(
         0.3, abs=0.02
     )
-    assert told.whole_mm == pytest.approx(0.3 * math.sqrt(5 / 20), abs=0.02)
-    assert missed.whole_mm > 0.8 > 4 * told.whole_mm
-    assert json.loads(json.dumps(told.to_dict()))["schema"] == "softmap.live/1"
+    assert reported.whole_mm == pytest.approx(0.3 * math.sqrt(5 / 20), abs=0.02)
+    assert missed.whole_mm > 0.8 > 4 * reported.whole_mm
+    assert json.loads(json.dumps(reported.to_dict()))["schema"] == "softmap.live/1"
 
 
 EFFECTS = {
@@ -160,7 +160,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("names", EFFECTS.values(), ids=EFFECTS)
-def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
+def test_what_is_reported_while_it_runs_is_the_error_of_the_whole_run(names):
     model = with_map()
     names = [name for name in names if not model.missing_for(name)]
     chain = model.with_effects(names, {}).chain
@@ -180,9 +180,9 @@ def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
     predicted, seen, visible = aligned(model, run)
     whole = np.sqrt(np.sum((predicted - seen) ** 2) / visible.sum())
     live = Live(model)
-    told = periods(t, u)
+    reported = periods(t, u)
     for begin, end in zip(range(0, len(t), 47), range(47, len(t) + 47, 47)):
-        live.drove(told[begin:end])
+        live.drove(reported[begin:end])
         live.saw(
             [
                 Frame(s + 1000.0, s, p)
@@ -196,7 +196,7 @@ def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
     assert now.whole_mm == pytest.approx(whole, rel=1e-6)  # ns of the recording's clock
     if "backlash" in names:  # memory that begins anew at what is still kept would be another's
         late = Live(model)
-        late.drove(told[len(t) // 2 :])
+        late.drove(reported[len(t) // 2 :])
         late.saw([Frame(s + 1000.0, s, p) for s, p in zip(stamps, points)])
         assert len(live._t) < len(t) and abs(late.compared().recent_mm - now.recent_mm) > 0.01
 
@@ -213,7 +213,7 @@ def test_a_clock_keeps_a_few_numbers_of_many_frames():
     assert len(clock._lower) < 100 and len(clock._parts) <= 91
 
 
-def test_what_was_not_seen_counts_nothing_and_other_robots_are_told():
+def test_what_was_not_seen_counts_nothing_and_other_robots_are_reported():
     live = Live(with_map())
     t = np.arange(0.0, 2.0, 0.01)
     live.drove(periods(t, np.zeros((len(t), 2))))
@@ -230,7 +230,7 @@ def test_what_was_not_seen_counts_nothing_and_other_robots_are_told():
         Live(builtin_model())
 
 
-def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path):
+def test_the_error_of_a_robot_in_another_process_is_reported_while_it_moves(tmp_path):
     """One process is the robot, one drives and records it, one compares; Ctrl-C ends it with a
     summary.
     """
@@ -256,17 +256,17 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
         with interruptible("compare", str(file), "--live", *on, "--json") as live:
             assert live.stdout.readline() == "up\n"
             driver.start()
-            told = ""
+            reported = ""
             # nothing was seen of it yet
             while '"whole_mm": null' in (line := live.stdout.readline()):
-                told += line
-            told += line + live.stdout.readline()
+                reported += line
+            reported += line + live.stdout.readline()
             assert driver.is_alive()
             live.send_signal(signal.SIGINT)
             rest, failed = live.communicate(timeout=60)
             driver.join()
     assert live.returncode == 0, failed
-    lines = [json.loads(line) for line in (told + rest).splitlines()]
+    lines = [json.loads(line) for line in (reported + rest).splitlines()]
     assert {line["schema"] for line in lines} == {"softmap.live/1"} and len(lines) >= 3
     last = lines[-1]
     assert last["whole"] and last["effects"] == [] and last["came"] >= last["frames"] > 30
@@ -274,7 +274,7 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
     assert last["whole_mm"] > 0.3 and last["worst_mm"] >= last["whole_mm"]
 
 
-def test_what_cannot_be_followed_is_told(tmp_path, capsys):
+def test_what_cannot_be_followed_is_reported(tmp_path, capsys):
     run = str(tmp_path / "loop.mcap")
     for argv, line in (
         (["compare", run, "--live"], "--live needs eyes"),

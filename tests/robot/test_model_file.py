@@ -70,7 +70,7 @@ def test_what_is_there_is_kept_unless_forced(tmp_path):
     check_model(task.path)
 
 
-def test_a_file_that_was_exchanged_is_told(tmp_path):
+def test_a_file_that_was_exchanged_is_reported(tmp_path):
     task = fetch_model(wheel(tmp_path / "a.whl"), tmp_path / "hand.task").path
     archive(task, [(DETECTOR, NETWORKS[DETECTOR]), (LANDMARKS, NETWORKS[LANDMARKS] + b"x")])
     with pytest.raises(TeleopError, match=r"but hand.task.sha256 says .*; fetch the model again"):
@@ -134,7 +134,7 @@ def test_damaged_archives_are_one_line(tmp_path, seed):
             assert check_model(made.path) == made
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(TeleopError, match="cannot be written"):
         fetch_model(wheel(tmp_path / "a.whl"), tmp_path / "file/hand.task")

@@ -51,7 +51,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), (
                 "no farther than its travel"
             )
-            assert jog.push(1, -1) == "travel" and jog.push(1, 1) == "", "and it is told"
+            assert jog.push(1, -1) == "travel" and jog.push(1, 1) == "", "and it is reported"
         assert not torque(bus)
 
 
@@ -230,11 +230,11 @@ def test_to_a_command_and_back(capsys):
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
     assert main(["servo", "move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 1
-    told, error = capsys.readouterr()
+    reported, error = capsys.readouterr()
     assert "40.00, 1.00 mm is outside the window, the nearest is 16.00, 1.00 mm" in error
     assert "find what holds" not in error, "it came where it was sent"
-    assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in told
-    came = re.search(r"came to (\S+), (\S+) mm", told)
+    assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in reported
+    came = re.search(r"came to (\S+), (\S+) mm", reported)
     assert [float(one) for one in came.groups()] == pytest.approx([16.0, 1.0], abs=0.15), (
         "it is there before it turns back"
     )
@@ -279,10 +279,10 @@ def jogging(terminal, *on):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     ) as process:
-        told = b""
-        while b"connected" not in told:  # the keys are read from here on
-            told += process.stderr.read1(200)
-            assert process.poll() is None, told
+        reported = b""
+        while b"connected" not in reported:  # the keys are read from here on
+            reported += process.stderr.read1(200)
+            assert process.poll() is None, reported
         threading.Thread(target=process.stderr.read, daemon=True).start()
         yield process
 
@@ -399,13 +399,16 @@ def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, serv
     _, rig, bundle = weak
     argv = ["servo", "move", f"--rig={rig}", "--bundle", bundle, "--hold", "--seconds", "0.2"]
     assert main([*argv, "--json", "--", command]) == 1
-    told = capsys.readouterr()
-    document = json.loads(told.out)
+    reported = capsys.readouterr()
+    document = json.loads(reported.out)
     assert [one in document["short"] for one in ("servo 1 stands", "servo 2 stands")] == [
         "1" in servos,
         "2" in servos,
     ]
-    assert "allowed are 25, under at most 60 mA" in told.err and "softmap servo pull" in told.err
+    assert (
+        "allowed are 25, under at most 60 mA" in reported.err
+        and "softmap servo pull" in reported.err
+    )
     assert main([*argv, "--", command]) == 1
     assert "came only to" in capsys.readouterr().out
 
@@ -436,9 +439,11 @@ def test_a_command_that_is_reached_under_the_same_cap_is_one(weak, capsys):
 def test_a_jog_that_is_not_reached_is_no_success(weak, capsys, by, code):
     _, rig, _ = weak
     assert main(["servo", "move", "--rig", rig, "--servo", "2", f"--by={by}", "--hold"]) == code
-    told = capsys.readouterr()
-    assert ("servo 2 stands" in told.err) == (code == 1) and "servo 1 stands" not in told.err
-    assert "torque is off" in told.out
+    reported = capsys.readouterr()
+    assert ("servo 2 stands" in reported.err) == (
+        code == 1
+    ) and "servo 1 stands" not in reported.err
+    assert "torque is off" in reported.out
 
 
 def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):

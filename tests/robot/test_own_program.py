@@ -38,8 +38,8 @@ def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     with PointReceiver("127.0.0.1", 0) as any_port:
         port = str(any_port.port)
     names, sent = {}, []
-    with emulated(tmp_path, *hides, "--stream", f"udp://127.0.0.1:{port}") as (_, told, _):
-        Path(told["bundle"]).rename("finger")
+    with emulated(tmp_path, *hides, "--stream", f"udp://127.0.0.1:{port}") as (_, reported, _):
+        Path(reported["bundle"]).rename("finger")
         for program in programs:
             exec(compile(program.replace("9870", port), "docs/do/own_program.md", "exec"), names)
             sent.append((names["t"], names["done"]))
@@ -67,11 +67,11 @@ def test_a_robot_that_cannot_be_opened_says_what_to_do(tmp_path):
         open_robot(tmp_path / "rig.toml", tmp_path / "bare")
     with pytest.raises(SoftmapError, match="nowhere"):
         open_robot(tmp_path / "rig.toml", tmp_path / "nowhere")
-    with emulated(tmp_path) as (_, told, _):
+    with emulated(tmp_path) as (_, reported, _):
         with pytest.raises(SoftmapError, match=r"none\.toml"):
-            open_robot(tmp_path / "none.toml", told["bundle"])
+            open_robot(tmp_path / "none.toml", reported["bundle"])
         with (
-            open_robot(told["rig"], told["bundle"]) as robot,
+            open_robot(reported["rig"], reported["bundle"]) as robot,
             pytest.raises(SoftmapError, match=r"shape \(3,\)"),
         ):
             robot.engage([1.0, 2.0, 3.0])

@@ -52,8 +52,8 @@ def test_answers_that_lie_over_one_another_are_named(capsys, delays, said):
     bus = two(delays)
     where = ["--port", bus.path, "--baud", "57600"]
     assert main(["servo", "scan", *where]) == 1
-    told = capsys.readouterr().out
-    assert said in told and "connect one servo at a time" in told
+    reported = capsys.readouterr().out
+    assert said in reported and "connect one servo at a time" in reported
     for argv in (
         ["servo", "read", *where],
         ["servo", "setup", *where, "--id", "1", "--new-id", "2"],
@@ -213,10 +213,10 @@ def test_scan_and_read_look_for_the_servos_of_a_rig(tmp_path, capsys):
         capsys.readouterr()
         for what in ("scan", "read"):
             assert main(["servo", what, "--rig", file]) == 1
-            told = capsys.readouterr().out
+            reported = capsys.readouterr().out
             assert (
                 "! servo 1: no answer, but id 9 answers, which the rig does not list; if it got "
-                "another id" in told
+                "another id" in reported
             )
         assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
         assert "but id 2, 9 answers; check which id it has" in capsys.readouterr().err

@@ -61,10 +61,10 @@ def pulled(capsys, argv, before=lambda: None):
 
 def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
     _, file, bundle = folder
-    told = json.loads(pulled(capsys, words(file, bundle, "--json")))
-    assert next(iter(told)) == "schema" and told["schema"] == "softmap.pull/1"
+    reported = json.loads(pulled(capsys, words(file, bundle, "--json")))
+    assert next(iter(reported)) == "schema" and reported["schema"] == "softmap.pull/1"
     rig = read_rig(file)
-    for servo, one in zip(rig.servos, told["servos"], strict=True):
+    for servo, one in zip(rig.servos, reported["servos"], strict=True):
         low, high = one["legs"]
         assert (low["stroke_ticks"], high["stroke_ticks"]) == (-250, 300)
         assert low["mA"] == pytest.approx(100.0, abs=12.0) and high["mA"] == pytest.approx(
@@ -152,7 +152,7 @@ def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
         pull(effective_limits(short, FINGER), Held())
 
 
-def test_a_servo_that_is_silent_of_its_current_is_told(monkeypatch):
+def test_a_servo_that_is_silent_of_its_current_is_reported(monkeypatch):
     monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
     with bench() as (bus, rig, _):
         with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
@@ -202,7 +202,7 @@ def test_one_that_never_stands_is_read_as_it_is(brief, monkeypatch):
 
 
 def test_time_goes_on_only_while_it_is_held(brief, monkeypatch):
-    """Who lets go for longer than a silence is waited for is told nothing of the wiring."""
+    """A user who lets go for longer than the wait for a silence gets no message on the wiring."""
     monkeypatch.setattr("softmap_edge.robot.commissioning.pull.PATIENCE", 0.2)
 
     class Pauses(Held):

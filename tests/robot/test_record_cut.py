@@ -240,15 +240,15 @@ def test_who_is_killed_loses_the_last_second(folder, capsys):
     assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     again = capsys.readouterr().err
     line = "softmap record c.csv --recover run.seen --out run.npz"
-    assert line in again and line in said, "how, told at the start and by who finds it"
+    assert line in again and line in said, "how, at the start and when it is found"
     seen = frames(folder / "run.seen")
     assert main([*shlex.split(line)[1:], "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     run = Run.load(folder / "run.npz")
     assert (
-        told["schema"] == "softmap.record/1"
-        and not told["whole"]
-        and told["frames"] == run.frames >= seen - 3 > 2
+        reported["schema"] == "softmap.record/1"
+        and not reported["whole"]
+        and reported["frames"] == run.frames >= seen - 3 > 2
     )
     assert run.vertices.shape[1:] == builtin_model().rest.shape and set(run.block) <= {
         "circle",
@@ -266,7 +266,7 @@ def little():
 FULL = r"file too large: .*{}, recorded up to \d+\.\d s; the recording broke off, and what it has is kept"
 
 
-def test_a_full_disk_is_told_and_what_there_is_is_kept(folder):
+def test_a_full_disk_is_reported_and_what_there_is_is_kept(folder):
     process = record(folder, before=little)
     out, said = process.communicate(timeout=200)
     assert process.returncode != 0 and not (folder / "run.npz.part").exists(), out
@@ -279,7 +279,7 @@ def test_a_full_disk_is_told_and_what_there_is_is_kept(folder):
     )
 
 
-def test_a_full_disk_under_a_drive_is_told(folder):
+def test_a_full_disk_under_a_drive_is_reported(folder):
     argv = [
         SOFTMAP,
         "track",

@@ -86,7 +86,7 @@ def test_rests_and_stops_are_where_the_file_has_them():
     assert list(pace(noted, calibration(), SERVOS).stops.values()) == ["hang 10 g at the tip"]
 
 
-def test_what_servos_cannot_do_is_told_before_anything_moves():
+def test_what_servos_cannot_do_is_reported_before_anything_moves():
     made = short()
     with pytest.raises(
         SoftmapError,
@@ -278,11 +278,11 @@ def recorded(folder, robot):
                 [SOFTMAP, "record", *argv, *more], capture_output=True, text=True, timeout=300
             )
         if done.returncode == 0:
-            told = json.loads(done.stdout)
+            reported = json.loads(done.stdout)
             assert (
-                told["schema"] == "softmap.record/1"
-                and told["whole"]
-                and told["frames"] >= told["wanted"] - 1
+                reported["schema"] == "softmap.record/1"
+                and reported["whole"]
+                and reported["frames"] >= reported["wanted"] - 1
             )
             return Run.load(out)
         assert "state fault" in done.stderr and excused(loop), done.stderr
@@ -344,10 +344,10 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
     def robot(trial):
         there = folder / f"robot{trial}"
         there.mkdir()
-        with emulated(there, "--hidden", "backlash", "--seed", "1") as (_, told, receiver):
+        with emulated(there, "--hidden", "backlash", "--seed", "1") as (_, reported, receiver):
             until(lambda: receiver.taken > 0)
             receiver.close()  # its port is for the one who records
-            on = ["--bundle", told["bundle"], "--rig", told["rig"]]
+            on = ["--bundle", reported["bundle"], "--rig", reported["rig"]]
             yield [
                 str(commands),
                 *on,
@@ -383,9 +383,9 @@ def test_interrupted_is_kept(tmp_path, commands):
         seen = out.with_suffix(SEEN)
         until(lambda: seen.exists() and seen.read_bytes().count(b"\n") > 10, 60.0)
         process.send_signal(signal.SIGINT)
-        told, failed = process.communicate(timeout=60)
+        reported, failed = process.communicate(timeout=60)
     assert process.returncode == 130, failed
-    assert "it was cut short" in told
+    assert "it was cut short" in reported
     run = Run.load(out)
     assert 0 < run.frames < 73 and len(read_recording(tmp_path / "loop.mcap").periods) >= len(run.t)
 
@@ -403,13 +403,13 @@ def test_interrupted_is_kept(tmp_path, commands):
         (["--emulated", "--hide", "gravity"], "moves no tendon"),
     ],
 )
-def test_what_does_not_go_together_is_told(tmp_path, commands, capsys, monkeypatch, more, line):
+def test_what_does_not_go_together_is_reported(tmp_path, commands, capsys, monkeypatch, more, line):
     monkeypatch.chdir(tmp_path)
     assert main(["record", str(commands), "--out", "run.npz", *more]) == 2
     assert line in capsys.readouterr().err and not (tmp_path / "run.npz").exists()
 
 
-def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
+def test_nobody_to_ask_is_reported(tmp_path, commands, monkeypatch, capsys):
     from softmap_edge.commands.record_robot import _ask
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))

@@ -55,8 +55,8 @@ def test_a_model_in_ticks_gets_the_ticks_of_a_recording_and_not_mm(tracked):
 
 
 def test_what_was_driven_and_seen_is_one_run_on_one_clock(tracked):
-    run, told = open_run(tracked, CALIBRATED), read_recording(tracked)
-    driven = told.run()
+    run, reported = open_run(tracked, CALIBRATED), read_recording(tracked)
+    driven = reported.run()
     np.testing.assert_array_equal(run.ticks, driven.ticks)
     np.testing.assert_array_equal(run.t, driven.t)
     assert run.robot == MODEL.robot and run.vertices.shape[1:] == MODEL.rest.shape
@@ -66,7 +66,7 @@ def test_what_was_driven_and_seen_is_one_run_on_one_clock(tracked):
         and run.t_seen[-1] < run.t[-1]
     )
     tip = run.vertices[:, MODEL.tip_indices].mean(axis=1)
-    acting = told.calibration.commands(run.present_ticks)
+    acting = reported.calibration.commands(run.present_ticks)
 
     def off(late):
         at = np.stack([np.interp(run.t_seen - late, run.t, column) for column in acting.T], axis=1)
@@ -159,7 +159,7 @@ def test_alone_nothing_was_seen(tracked, tmp_path, capsys):
     assert run.frames == 0 and run.robot == MODEL.robot, "cut before its first frame"
 
 
-def test_another_robots_bundle_is_told(copied, capsys):
+def test_another_robots_bundle_is_reported(copied, capsys):
     seen = seen_file(copied)
     first, *rest = seen.read_text().splitlines(True)
     seen.write_text("".join([changed(first, robot="another"), "\n", *rest]))
@@ -201,7 +201,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize("head, row", [(one, {}) for one in HEADS] + [({}, one) for one in ROWS])
-def test_what_is_damaged_is_told_in_a_line(copied, head, row, capsys):
+def test_what_is_damaged_is_reported_in_a_line(copied, head, row, capsys):
     seen = seen_file(copied)
     first, second, *rest = seen.read_text().splitlines()
     seen.write_text("\n".join([changed(first, **head), changed(second, **row), *rest]) + "\n")
@@ -255,11 +255,12 @@ def test_a_command_file_that_was_cut_is_recovered_and_not_opened(copied):
 
 
 def test_a_recording_without_its_calibration_stays_in_ticks(copied, monkeypatch):
-    told = read_recording(copied)
+    reported = read_recording(copied)
     monkeypatch.setattr(
         "softmap_edge.robot.drive.recorded.read_recording",
         lambda file: replace(
-            told, setup={key: value for key, value in told.setup.items() if key != "calibration"}
+            reported,
+            setup={key: value for key, value in reported.setup.items() if key != "calibration"},
         ),
     )
     run = open_run(copied, MODEL)

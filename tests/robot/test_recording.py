@@ -144,7 +144,7 @@ def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
         assert stream(io.BytesIO(whole[:cut])) == expected
 
 
-def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
+def test_what_a_recording_lacks_is_reported(recorded, tmp_path, capsys):
     """A record whose kind, number or length a flipped byte changes is no period less that nobody
     notices.
     """
@@ -168,7 +168,7 @@ def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
     assert read_recording(file).short == "its loop did not close it: cut short"
 
 
-def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
+def test_a_changed_byte_is_reported_whatever_it_changes(recorded, tmp_path, capsys):
     """The file holds a checksum of all that the loop wrote: a changed number is not replayed as if
     it were recorded.
     """
@@ -181,8 +181,8 @@ def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
     for old, new in ((counted, other), (b'"current_mA"', b'"current_mB"')):
         file.write_bytes(whole[:start] + middle.replace(old, new) + whole[start + len(middle) :])
         main(["servo", "replay", str(file)])
-        told = capsys.readouterr()
-        assert "changed.mcap" in told.err and "damaged" in told.err, (old, told)
+        reported = capsys.readouterr()
+        assert "changed.mcap" in reported.err and "damaged" in reported.err, (old, reported)
     file.write_bytes(
         whole[:start]
         + middle.replace(b'"overruns":', b'"overruns";')
@@ -193,7 +193,7 @@ def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
     assert len(read_recording(file).periods) == len(messages) // 2 - 1
 
 
-def test_periods_that_vanish_before_a_clean_end_are_told(recorded, tmp_path, capsys):
+def test_periods_that_vanish_before_a_clean_end_are_reported(recorded, tmp_path, capsys):
     """The file ends with a checksum of all that was written."""
     whole, file = recorded.read_bytes(), tmp_path / "less.mcap"
     messages = [message for _, _, message in _core.read_recording(str(recorded))]

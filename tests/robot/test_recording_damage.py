@@ -62,14 +62,14 @@ def changed(file, old, new, share=0.5):
 
 # --- damage ----------------------------------------------------------------------------------
 def test_a_sound_recording_gives_no_word(recorded):
-    told = read_recording(recorded)
-    assert told.short is None and told.incomplete is None and not told.doubtful
+    reported = read_recording(recorded)
+    assert reported.short is None and reported.incomplete is None and not reported.doubtful
     with recorded.open("rb") as stream:
         closing = read_closing(stream, recorded.stat().st_size)
     assert closing.data is True and closing.summary is True, (
         "its own recordings always carry checksums"
     )
-    assert sum(closing.counts.values()) == len(told.periods) + 1
+    assert sum(closing.counts.values()) == len(reported.periods) + 1
 
 
 def test_no_flipped_bit_changes_a_number_silently(copied):
@@ -250,11 +250,11 @@ def test_a_full_disk_is_an_error_when_the_block_is_left(tmp_path):
             robot.__exit__(None, None, None)
         assert robot.state == "off" or not robot.report.get("torque")
     seconds = float(re.search(r"up to (\S+) s", robot.unrecorded)[1])
-    told = read_recording(file)
-    assert (told.periods[-1]["now"] - told.periods[0]["now"]) * 1e-9 == pytest.approx(
+    reported = read_recording(file)
+    assert (reported.periods[-1]["now"] - reported.periods[0]["now"]) * 1e-9 == pytest.approx(
         seconds, abs=0.06
     )
-    assert told.short is not None
+    assert reported.short is not None
 
 
 @pytest.mark.parametrize("own", [ValueError("mine"), KeyboardInterrupt(), ServoError("mine")])

@@ -165,7 +165,7 @@ def test_firmware_without_a_watchdog_is_refused_and_nothing_is_written(fresh):
     }
 
 
-def test_what_setup_mends_is_told(fresh, capsys):
+def test_what_setup_mends_is_reported(fresh, capsys):
     setting(fresh, drive_mode=1, secondary_id=7, torque_enable=1)
     argv = ["servo", "setup", "--port", fresh.path, "--baud", "57600"]
     code, document = said(capsys, *argv)
@@ -177,9 +177,9 @@ def test_what_setup_mends_is_told(fresh, capsys):
         "secondary id is 7: it becomes 255",
     ]
     assert main(argv) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert len(told) == 2, "the second time there is nothing to mend"
-    assert told[0].endswith(": set up") and told[1] == (
+    reported = capsys.readouterr().out.splitlines()
+    assert len(reported) == 2, "the second time there is nothing to mend"
+    assert reported[0].endswith(": set up") and reported[1] == (
         f"next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml"
     )
 

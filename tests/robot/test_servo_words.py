@@ -51,7 +51,7 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
         ("something new(2)", "something new(2)"),
     ],
 )
-def test_what_is_denied_is_told_in_words(said, line):
+def test_what_is_denied_is_reported_in_words(said, line):
     assert words.denied(said) == line
 
 

@@ -114,7 +114,7 @@ def test_a_servo_that_answers_too_little_is_set_up(level, number):
     bus.unplug()
 
 
-def test_limits_that_another_program_left_are_raised_and_told():
+def test_limits_that_another_program_left_are_raised_and_reported():
     bus, said = fresh(57_600, (1,)), []
     leave(
         bus.path,

@@ -230,7 +230,7 @@ class Clocked:
         return self.lost
 
 
-def test_what_a_busy_computer_took_is_told_now_and_then_and_excused():
+def test_what_a_busy_computer_took_is_reported_now_and_then_and_excused():
     said, time_ = [], Clocked()
     busy = Busy(time_, said.append)
     for k in range(10):
@@ -322,7 +322,7 @@ def test_a_run_that_is_recorded_on_a_busy_computer_is_the_same_run(tmp_path):
 def test_twelve_sessions_in_a_row_on_a_busy_computer_break_no_servo(k):
     with load():
         if k % 3 == 2:
-            told = session(["teleop", "--sim", "--page", "none", "--seconds", "10", "--json"])
-            assert "fault" not in told["states_s"] and told["presses"] >= 1
+            printed = session(["teleop", "--sim", "--page", "none", "--seconds", "10", "--json"])
+            assert "fault" not in printed["states_s"] and printed["presses"] >= 1
         else:
             assert session([*TRACK, "--sim"])["seen_mm"]["n"] > 60

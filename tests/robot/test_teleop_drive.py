@@ -170,7 +170,7 @@ def test_another_way_to_drive_needs_a_new_press():
         s.stays_lost("the knob was chosen")
 
 
-def test_a_fault_is_told_and_goes_on_after_it_is_acknowledged():
+def test_a_fault_is_reported_and_goes_on_after_it_is_acknowledged():
     with Session("knob").running() as s:
         s.presses()
         s.bus.supply(0, 2.9)

@@ -62,7 +62,7 @@ def test_two_opencvs_clash(site):
     )
 
 
-def test_what_another_opencv_took_away_is_told(site):
+def test_what_another_opencv_took_away_is_reported(site):
     site("opencv-python-headless", "5.0", CV2)
     (site.folder / "cv2/__init__.py").unlink()
     found = opencv(site.found())

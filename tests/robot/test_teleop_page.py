@@ -166,7 +166,7 @@ def test_a_delay_that_is_always_the_same_is_seen_and_holds_no_key(there, back):
             client.say(time.monotonic() > end - 1.8, (0.5, 0.5))
             client.hear()
             ever.append(held(page))
-        assert client.state["slow_ms"] > 1e3 * there - 1.0, "it is told why"
+        assert client.state["slow_ms"] > 1e3 * there - 1.0, "the cause is shown"
         assert not any(ever) and page.controls(0.0).knob == (0.0, 0.0)
         client.say(do="emergency")
         until(lambda: page.asked() == "emergency")
@@ -179,8 +179,8 @@ def test_a_small_delay_drives():
         client.until(lambda _: held(page), held=True)
 
 
-def test_the_age_of_a_word_is_never_told_too_small():
-    """Clocks apart, delays that change: what is told is at least the true age, and exact where a
+def test_the_age_of_a_word_is_never_reported_too_small():
+    """Clocks apart, delays that change: the age shown is at least the true age, and exact where a
     state came at once.
     """
     link, apart = pages._Link(), 1000.0  # s that the page's clock is behind
@@ -330,13 +330,17 @@ def test_the_verb_is_driven_by_its_page():
             client.until(lambda state: state["here"][0] > 1.9, held=True, knob=(0.125, 0.0))
             client.until(lambda state: state["state"] == "hold")
             client.until(lambda state: state["state"] == "ready")
-            told = ended(program)
+            reported = ended(program)
     assert (
-        told["schema"] == "softmap.teleop/1"
-        and told["presses"] >= 1
-        and told["ended"] == "interrupted"
+        reported["schema"] == "softmap.teleop/1"
+        and reported["presses"] >= 1
+        and reported["ended"] == "interrupted"
     )
-    assert told["driving_s"] > 0 and told["states_s"]["engaged"] > 0 and told["pictures"] == 0
+    assert (
+        reported["driving_s"] > 0
+        and reported["states_s"]["engaged"] > 0
+        and reported["pictures"] == 0
+    )
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
@@ -396,8 +400,8 @@ def in_a_browser(browser):
         assert page.locator("#hold").bounding_box()["y"] < 844, "the button is in sight on a phone"
         page.goto("about:blank")
         chromium.close()
-        told = ended(program)
-    assert told["presses"] == 4 and not wrong
+        reported = ended(program)
+    assert reported["presses"] == 4 and not wrong
 
 
 def test_binary_messages_are_points_and_pictures():

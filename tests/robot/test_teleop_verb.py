@@ -62,7 +62,7 @@ def test_what_cannot_be_driven_is_refused_in_one_line(options, said, capsys, tmp
     assert said in capsys.readouterr().err
 
 
-def test_a_camera_that_is_not_there_is_told_before_anything_moves(capsys, tmp_path):
+def test_a_camera_that_is_not_there_is_reported_before_anything_moves(capsys, tmp_path):
     model = str(hand_model(tmp_path))
     assert main(["teleop", "--sim", "--page", "none", "--camera", "9999", "--model", model]) == 2
     assert "camera 9999: there is no /dev/video9999" in capsys.readouterr().err
@@ -80,10 +80,10 @@ def test_a_model_is_copied_with_its_checksum(capsys, tmp_path):
     model = hand_model(tmp_path)
     to = tmp_path / "copy.task"
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     assert (
-        told["known_as"] == "mediapipe 0.10.18"
-        and told["sha256"] in to.with_name("copy.task.sha256").read_text()
+        reported["known_as"] == "mediapipe 0.10.18"
+        and reported["sha256"] in to.with_name("copy.task.sha256").read_text()
     )
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to)]) == 2
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to), "--force"]) == 0
@@ -105,9 +105,13 @@ def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
         model,
     ]
     assert main([*words, "--seconds", "3", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["pictures"] > 5 and told["hands"] == told["pictures"] and told["presses"] == 0
-    assert set(told["states_s"]) == {"ready"}, "a hand alone drives nothing"
+    reported = json.loads(capsys.readouterr().out)
+    assert (
+        reported["pictures"] > 5
+        and reported["hands"] == reported["pictures"]
+        and reported["presses"] == 0
+    )
+    assert set(reported["states_s"]) == {"ready"}, "a hand alone drives nothing"
 
 
 def test_landmarks_and_key_reach_the_other_computer():
@@ -157,7 +161,7 @@ def test_landmarks_and_key_reach_the_other_computer():
     assert any("sending" in line for line in lines) and any("no hand" in line for line in lines)
 
 
-def test_who_has_another_key_is_told_on_both_sides(tmp_path, capsys):
+def test_who_has_another_key_is_reported_on_both_sides(tmp_path, capsys):
     for name in ("ours", "another"):
         main(["teleop", "--new-key", str(tmp_path / name)])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -182,7 +186,7 @@ def test_who_has_another_key_is_told_on_both_sides(tmp_path, capsys):
     assert lines and all("with the same key" in line for line in lines)
 
 
-def test_a_port_that_is_taken_is_told(capsys, tmp_path):
+def test_a_port_that_is_taken_is_reported(capsys, tmp_path):
     main(["teleop", "--new-key", str(tmp_path / "k")])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
@@ -223,8 +227,10 @@ def test_the_commands_of_the_page_that_need_no_device_run(tmp_path, monkeypatch,
         port = free.getsockname()[1]
     udp = [word.replace("9000", str(port)) for word in udp]
     assert main([*udp, "--page", "0", "--seconds", "0.5", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert told["camera"] == "the other computer" and told["ended"] == "after 0.5 s, as asked"
+    reported = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (
+        reported["camera"] == "the other computer" and reported["ended"] == "after 0.5 s, as asked"
+    )
     fetch = next(words for words in ours if "--fetch-model" in words)
     (tmp_path / "wheels").mkdir()
     model = hand_model(tmp_path / "wheels")

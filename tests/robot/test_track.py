@@ -99,10 +99,10 @@ def tracked(model, laws, folder, name, observe=False):
         emulated_bench(model, MAP, laws, rate=100.0) as (_, rig, limits, finger),
         Controller(rig, MAP, limits, kinematics=kinematics, record=record) as robot,
     ):
-        told = track(robot, kinematics, made, finger.seen, observe=observe)
-    assert len(told.error) > 300
+        reported = track(robot, kinematics, made, finger.seen, observe=observe)
+    assert len(reported.error) > 300
     assert read_recording(record).replay() == []
-    return float(told.error.mean()), told.response
+    return float(reported.error.mean()), reported.response
 
 
 @pytest.mark.long
@@ -123,13 +123,13 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("o.svg", "o.mcap")]
     options = ["--amplitude", "5", "--duration", "4", "--rate", "20", "--json"]
     assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     assert (
-        told["schema"] == "softmap.track/1"
-        and told["waypoints"] == 81
-        and told["seen_mm"]["mean"] < 0.3
+        reported["schema"] == "softmap.track/1"
+        and reported["waypoints"] == 81
+        and reported["seen_mm"]["mean"] < 0.3
     )
-    assert told["hidden"] == [] and told["effects"] == []
+    assert reported["hidden"] == [] and reported["effects"] == []
     assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(
         files[1]
     ).periods
@@ -210,8 +210,8 @@ def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
     ):
         parser = argparse.ArgumentParser()
         arguments(parser)
-        told = vars(parser.parse_args([*others, word, "backlash,creep"]))
-        assert "backlash,creep" in told["hide"]
+        reported = vars(parser.parse_args([*others, word, "backlash,creep"]))
+        assert "backlash,creep" in reported["hide"]
 
 
 @pytest.mark.parametrize(
@@ -247,10 +247,10 @@ def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_
         emulated_bench(model, MAP, rate=100.0) as (_, rig, limits, finger),
         Controller(rig, MAP, limits, kinematics=kinematics, record=tmp_path / "r.mcap") as robot,
     ):
-        told = track(robot, kinematics, made, finger.seen)
+        reported = track(robot, kinematics, made, finger.seen)
         held = [p for p in read_recording(tmp_path / "r.mcap").periods if p["state"] == "hold"]
-    np.testing.assert_allclose(told.response, ANSWER, atol=0.015)
-    assert told.t[-1] > made.plan.t[-1] - 0.1, "all of the figure was seen"
+    np.testing.assert_allclose(reported.response, ANSWER, atol=0.015)
+    assert reported.t[-1] > made.plan.t[-1] - 0.1, "all of the figure was seen"
     assert len(held) < 100, "a busy machine may hold it for a moment"
 
 
@@ -334,7 +334,7 @@ def test_feedback_fades_while_the_tip_is_not_seen(model):
 
 
 def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path, capsys):
-    """The figure is led to its end, torque is off, and what was not seen is told."""
+    """The figure is led to its end, torque is off, and what was not seen is reported."""
     save_bundle(replace(model, calibration=calibration()), tmp_path / "bundle")
     with PointReceiver("", 0) as free:
         port = free.port
@@ -362,6 +362,6 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
             timer.start()
         assert main(argv) == 0
         assert not torque(bus)
-    told = json.loads(capsys.readouterr().out)
-    assert 1.0 < told["unseen_s"] < 10.0 and told["seen_mm"]["n"] > 30
-    assert told["seen_mm"]["mean"] < 1.0
+    reported = json.loads(capsys.readouterr().out)
+    assert 1.0 < reported["unseen_s"] < 10.0 and reported["seen_mm"]["n"] > 30
+    assert reported["seen_mm"]["mean"] < 1.0

@@ -51,9 +51,11 @@ def curves(file):
     lines = [
         path for path in ElementTree.parse(file).iter(PATH) if path.get("d", "").count("L") > 30
     ]
-    told = [dict(re.findall(r"([a-z-]+): ([^;]+)", path.get("style", ""))) for path in lines]
+    reported = [dict(re.findall(r"([a-z-]+): ([^;]+)", path.get("style", ""))) for path in lines]
     return [
-        (one.get("stroke"), one.get("stroke-width")) for one in told if one.get("fill") == "none"
+        (one.get("stroke"), one.get("stroke-width"))
+        for one in reported
+        if one.get("fill") == "none"
     ]
 
 
@@ -100,11 +102,11 @@ def test_table_ii_stands_whole_with_the_papers_own_figures_as_other_data():
     head, *rows = rows
     assert head[2:] == ["simulator", "stand-in", "the paper: simulation", "the paper: hardware"]
     names = {"DeepSoRo-style": RIVAL}
-    told = {(letter, names.get(name, name)): cells for letter, name, *cells in rows}
-    assert list(told) == [
+    reported = {(letter, names.get(name, name)): cells for letter, name, *cells in rows}
+    assert list(reported) == [
         (letter, name) for letter in "SHOE" for name in (OURS, COMPENSATED, RIVAL)
     ]
-    for key, cells in told.items():
+    for key, cells in reported.items():
         paper = [
             "{:.2f} ± {:.2f}, {:.2f}".format(*numbers) for numbers in PUBLISHED_ERRORS.get(key, ())
         ] or ["", ""]
@@ -124,8 +126,8 @@ def test_the_commands_that_lead_from_a_recording_to_the_figure_are_commands(caps
     assert [line[1] for line in words] == ["next", "record", "diagnose", "add", "track"]
     for line in words:
         assert main([line[1], "--help"]) == 0
-        told = capsys.readouterr().out
-        assert all(word in told for word in line[2:] if word.startswith("--")), line
+        reported = capsys.readouterr().out
+        assert all(word in reported for word in line[2:] if word.startswith("--")), line
 
 
 def test_the_commands_of_table_ii_are_commands():

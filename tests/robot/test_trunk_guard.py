@@ -58,11 +58,11 @@ def judged(slew, acceleration, window):
     goals = np.array([goal for *_, goal in decided(targets, blind, still)])
     # Servos that follow: what is sensed is where they were sent a period ago.
     sensed = np.concatenate([still[:5], goals])[: len(still)]
-    told = decided(targets, limits, sensed)
-    assert all(state == "engaged" and torque for state, _, torque, _ in told[1:]), {
-        t[:2] for t in told
+    reported = decided(targets, limits, sensed)
+    assert all(state == "engaged" and torque for state, _, torque, _ in reported[1:]), {
+        t[:2] for t in reported
     }
-    assert (np.array([goal for *_, goal in told]) == goals).all()
+    assert (np.array([goal for *_, goal in reported]) == goals).all()
     return targets, goals, servo, limits
 
 

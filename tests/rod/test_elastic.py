@@ -143,7 +143,7 @@ def test_long_runs_are_thinned_evenly():
     assert found.error_mm < 1e-3
 
 
-def test_a_start_too_far_off_is_told():
+def test_a_start_too_far_off_is_reported():
     far = arm(
         **ROUGH
         | {"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 240, 240, 60, 180, 300]"}

@@ -145,10 +145,12 @@ def test_a_second_run_of_another_speed_judges_between_families():
     assert alone.law == "ambiguous" and {"creep", "rate"} <= {
         rival.family for rival in alone.alternatives
     }
-    (told,) = both.learned_in
-    assert (told.name, told.law) == ("latency", "identified")
-    assert told.params[0].value == pytest.approx(0.2, abs=0.005)
-    assert [rival.name for rival in told.alternatives] == ["clock_shift"]  # no run distinguishes it
+    (reported,) = both.learned_in
+    assert (reported.name, reported.law) == ("latency", "identified")
+    assert reported.params[0].value == pytest.approx(0.2, abs=0.005)
+    assert [rival.name for rival in reported.alternatives] == [
+        "clock_shift"
+    ]  # no run distinguishes it
     assert both.made_from["runs"] == [one.hash(), other.hash()]
 
 

@@ -1,4 +1,4 @@
-"""`robot.toml`: every fault is told in one line that names the key."""
+"""`robot.toml`: every fault gets one line that names the key."""
 
 from pathlib import Path
 

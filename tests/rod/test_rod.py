@@ -90,7 +90,7 @@ def test_too_low_a_degree_is_seen_in_the_error(plain, learned):
     assert learn(plain, degree=1).error_mm > 100 * learned.error_mm
 
 
-def test_a_missing_command_is_told(plain):
+def test_a_missing_command_is_reported(plain):
     poor = learn(replace(plain, command=plain.command[:, :1]))
     assert any("may miss a command" in note for note in poor.notes)
     assert learn(plain).notes == ()

@@ -92,7 +92,7 @@ def test_the_numbers_of_the_page_come_from_the_logs(logs, rods):
     assert shown("published simulator") == [None, None, None, tdcr.SIMULATOR_MM]
     for name, (row, _, _) in rods.items():
         wanted = [row["numbers"], *(row[key] for key in ("train_mm", "cv_mm", "unseen_mm"))]
-        # The last digit shown; where a number is not told, the descent ends a little elsewhere on
+        # The last digit shown; where a number is not identified, the descent ends a little elsewhere on
         # another machine.
         assert shown(name) == pytest.approx(wanted, abs=0.3 if "two-sided" in name else 0.1), name
     taut, slack = tdcr.slack_share(rods["elastic rod, cables"][2], logs[1])
@@ -148,7 +148,7 @@ def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
     assert tdcr.error(added, logs[2]) == pytest.approx(after, abs=1e-6)
 
 
-def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
+def test_the_second_is_a_memory_whose_members_are_not_distinguished(page, logs):
     """An offset is dropped: the error on the unseen run did not fall."""
     found, before, after = document(page, "tdcr.json")
     rivals = {name for rival in found["alternatives"] for name in rival["effects"]}

@@ -84,8 +84,8 @@ def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
     }
     assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
     assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
-    told = str(page[1]["found"]).split("Not testable")[0].split("Next experiment")[0]
-    assert not re.search(r"\d\s*(g|grams?)\b", told)
+    reported = str(page[1]["found"]).split("Not testable")[0].split("Next experiment")[0]
+    assert not re.search(r"\d\s*(g|grams?)\b", reported)
 
 
 def test_the_error_falls_on_moves_that_nothing_was_fitted_to(page):
@@ -197,14 +197,14 @@ def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
 
 
 def test_the_encoders_tell_the_drive_apart(page):
-    told = page[1]["found"].to_dict()["servo"]
-    assert [servo["channel"] for servo in told] == list(range(6))
-    for servo in told:
+    reported = page[1]["found"].to_dict()["servo"]
+    assert [servo["channel"] for servo in reported] == list(range(6))
+    for servo in reported:
         found = {effect["name"]: effect["params"] for effect in servo["effects"]}
         assert set(found) == ({"latency", "gain"} if servo["channel"] == 2 else {"latency"})
         assert found["latency"]["latency.delay"]["value"] == pytest.approx(0.213, abs=0.005)
         assert 5.5 < servo["error"]["model"] < 15.5 and 0.65 < servo["error"]["value"] < 1.05
-    assert told[2]["effects"][1]["params"]["gain.factor[0]"]["value"] == pytest.approx(
+    assert reported[2]["effects"][1]["params"]["gain.factor[0]"]["value"] == pytest.approx(
         0.80, abs=0.01
     )
     assert "is 0.21 to 0.22 s" in PAGE and "by 0.80 of its commands" in PAGE

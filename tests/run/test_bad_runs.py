@@ -384,7 +384,7 @@ def test_frames_out_of_order_in_a_dwell_are_set_aside_and_hide_nothing(tmp_path,
         assert document["error"]["noise_floor"] < 0.3
 
 
-def test_a_slow_lag_is_a_lag_and_its_scatter_at_rest_is_told():
+def test_a_slow_lag_is_a_lag_and_its_scatter_at_rest_is_reported():
     found = diagnose(
         builtin_model(),
         finger_run(["lag"], {"lag.tau": 2.0}),

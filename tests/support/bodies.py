@@ -171,7 +171,7 @@ FIELD_VALUES |= {
 FIELD_VALUES |= {f"tip_force_{a}": pushing(a, 1.0) for a in "xyz"}
 FIELD_VALUES = {name: FIELD_VALUES[name] for name in _core.FIELDS if name in FIELD_VALUES}
 
-# Two pairs of tendons that are told u, 0.09 mm for each mm, and get 0.1 mm shorter for each N; no
+# Two pairs of tendons that are commanded u, 0.09 mm for each mm, and get 0.1 mm shorter for each N; no
 # load changes their length.
 CABLE, SHORTER, TOLD = 20.0, 0.1, 0.09
 TENSION_VALUES = [
@@ -181,8 +181,8 @@ TENSION_VALUES = [
 
 def pulls(u):
     """Pull (n, 4) N of the tendons, below zero how slack they are."""
-    told = TOLD * np.concatenate([u, -u], axis=1)
-    return np.where(told > 0.0, told / (1.0 / CABLE + SHORTER), CABLE * told)
+    reported = TOLD * np.concatenate([u, -u], axis=1)
+    return np.where(reported > 0.0, reported / (1.0 / CABLE + SHORTER), CABLE * reported)
 
 
 def lost(compliance, u):

@@ -284,7 +284,7 @@ def child(forms, name, first, count, folder):
 
 
 def spoil_many(script, form, first, count, folder):
-    """Run a child over the seeds `first` and on; a child that fails, dies or hangs is told with its
+    """Run a child over the seeds `first` and on; a child that fails, dies or hangs is reported with its
     format and seed.
     """
 

@@ -64,9 +64,9 @@ class Client:
         """Return the newest state."""
         with suppress(TimeoutError):
             while True:
-                told = self.connection.recv(0.02)
-                if isinstance(told, str) and "hello" not in json.loads(told):
-                    self.state = json.loads(told)
+                reported = self.connection.recv(0.02)
+                if isinstance(reported, str) and "hello" not in json.loads(reported):
+                    self.state = json.loads(reported)
         return self.state
 
     def until(self, what, held=False, knob=(0.0, 0.0)):

@@ -56,7 +56,7 @@ def built(tmp_path_factory):
     return folder
 
 
-def told(built, name, run, capsys):
+def reported(built, name, run, capsys):
     run.save(built / "run.npz")
     assert main(["diagnose", str(built / "run.npz"), "--bundle", str(built / name), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
@@ -96,7 +96,7 @@ def test_both_are_what_the_robots_do_at_commands_they_never_saw(built):
 
 @pytest.mark.parametrize("name", ["arc", "rod"])
 def test_a_hidden_backlash_is_named(built, name, capsys):
-    found = told(built, name, recorded(name, "backlash", 0.5), capsys)
+    found = reported(built, name, recorded(name, "backlash", 0.5), capsys)
     assert [e["name"] for e in found["effects"]] == ["backlash"] and found[
         "verdict"
     ] == "identified"
@@ -112,7 +112,7 @@ def test_an_effect_behind_another_of_its_kind_leaves_a_doubt(built, capsys):
         [[np.cos(0.035), 0, np.sin(0.035)], [0, 1, 0], [-np.sin(0.035), 0, np.cos(0.035)]]
     )
     run = measured(lambda u, *_: arc(u + [0.8, 0.0], PLACE, OFFSET) @ lean.T, orientations=1)
-    found = told(built, "arc", run, capsys)
+    found = reported(built, "arc", run, capsys)
     if {"offset", "mount"} != {e["name"] for e in [*found["effects"], *found["faults"]]}:
         assert found["verdict"] == "ambiguous" and "both may act" in found["sentence"], found[
             "sentence"
@@ -120,7 +120,7 @@ def test_an_effect_behind_another_of_its_kind_leaves_a_doubt(built, capsys):
 
 
 def test_a_hidden_payload_is_named_and_never_in_grams(built, capsys):
-    found = told(built, "arc", recorded("arc", "payload", 2.5), capsys)
+    found = reported(built, "arc", recorded("arc", "payload", 2.5), capsys)
     assert found["effects"][0]["name"] == "payload" and len(found["effects"]) == 1
     assert found["effects"][0]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
     assert found["error"]["ladder"][-1]["value"] < 0.15 * found["error"]["model"]
@@ -130,7 +130,7 @@ def test_with_a_known_load_a_payload_is_weighed(built, capsys):
     """In one orientation own weight and a weight at the tip look alike: ambiguous within the family
     is right.
     """
-    found = told(built, "rod", recorded("rod", "payload", 1.5), capsys)
+    found = reported(built, "rod", recorded("rod", "payload", 1.5), capsys)
     assert found["verdict"] == "ambiguous" and [e["name"] for e in found["effects"]] == ["payload"]
     assert [r["effects"] for r in found["alternatives"]] == [["gravity"]]
     mass = found["effects"][0]["params"]["payload.mass"]
@@ -140,20 +140,20 @@ def test_with_a_known_load_a_payload_is_weighed(built, capsys):
 
 @pytest.mark.parametrize("name", ["arc", "rod"])
 def test_nothing_hidden_nothing_claimed(built, name, capsys):
-    found = told(built, name, recorded(name, None, 1.0), capsys)
+    found = reported(built, name, recorded(name, None, 1.0), capsys)
     assert found["verdict"] == "nothing" and not found["effects"] and not found["faults"]
 
 
 def test_the_known_load_finds_the_stiffness(built):
     model = load_bundle(built / "rod")
     assert model.structure.stiffness_known
-    told = model.made_from["compliance"]
+    reported = model.made_from["compliance"]
     # 20 g bend the rod past the linear range: 13 % too stiff.
-    assert told["per_n_mm2"] == pytest.approx(1.0 / HEAVY.stiffness, rel=0.2)
+    assert reported["per_n_mm2"] == pytest.approx(1.0 / HEAVY.stiffness, rel=0.2)
     # Held tendons carry k r² L / (EI + k r² L) of the mean moment, two of them about each axis.
     carried = 2 * HEAVY.tendon * 6.5**2 * 100.0
-    assert told["lock"] == pytest.approx(carried / (carried + HEAVY.stiffness), abs=0.03)
-    assert told["residual_mm"] < 0.05 * told["known_load_moved_mm"]
+    assert reported["lock"] == pytest.approx(carried / (carried + HEAVY.stiffness), abs=0.03)
+    assert reported["residual_mm"] < 0.05 * reported["known_load_moved_mm"]
     u = np.random.default_rng(5).uniform(-12, 12, (60, 2))
     t = np.arange(60.0)
     place, offset = rings(11, 8)

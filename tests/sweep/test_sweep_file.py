@@ -81,7 +81,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("fields", "says"), WRONG, ids=[says[:30] for _, says in WRONG])
-def test_each_mistake_is_told_in_one_line(fields, says, tmp_path):
+def test_each_mistake_is_reported_in_one_line(fields, says, tmp_path):
     with pytest.raises(SweepError, match=says) as fault:
         load(tmp_path, **fields)
     assert str(fault.value).startswith("sweep.npz: ") and "\n" not in str(fault.value)

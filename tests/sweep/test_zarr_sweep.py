@@ -134,8 +134,8 @@ def test_a_killed_sweep_loses_at_most_a_chunk_and_goes_on(finger_file, tmp_path,
     with pytest.raises(SimulationError, match=f"{killed.done.sum()} of 10 chunks are done"):
         SimulatedSet.load(out)
     assert main([*argv[:-4], "--out", str(out), "--json"]) == 0  # the chunk is that of the store
-    told = json.loads(capsys.readouterr().out)
-    assert told["commands"] == 49 and told["solved"] == 49 - 5 * killed.done.sum()
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["commands"] == 49 and reported["solved"] == 49 - 5 * killed.done.sum()
     assert (
         main(argv) == 0
         and "49 commands, none failed, 49 of them were there" in capsys.readouterr().out

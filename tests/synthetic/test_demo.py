@@ -19,7 +19,7 @@ def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
     text = capsys.readouterr().out
     before, reveal = text.rsplit("Hidden:", 1)
     assert "half_width_mm" in reveal
-    assert "half_width_mm" not in before  # not told earlier
+    assert "half_width_mm" not in before  # not printed earlier
     assert "Held-out error" in text
     assert str(tmp_path / "report.html") in text
     page = (tmp_path / "report.html").read_text()

@@ -58,7 +58,7 @@ def fell(before, after, floor):
     return before - after >= FALL * (before - floor)
 
 
-def told(story):
+def reported(story):
     """One line for the failure report: what was hidden, what was said, the raw errors."""
     hidden = ", ".join(f"{s.name} {s.displacement_mm:.1f} mm" for s in story.truth.hidden)
     return (
@@ -75,9 +75,9 @@ EACH = [name if name in SOME else pytest.param(name, marks=pytest.mark.long) for
 def test_hidden_effect_is_named_first_and_its_error_falls(name):
     story = case((name,), SEED)
     assert 1.0 <= story.truth.hidden[0].displacement_mm <= 4.0
-    assert story.before_mm > story.floor_mm + 0.1, told(story)
-    assert first(story, name), told(story)
-    assert fell(story.before_mm, story.after_mm, story.floor_mm), told(story)
+    assert story.before_mm > story.floor_mm + 0.1, reported(story)
+    assert first(story, name), reported(story)
+    assert fell(story.before_mm, story.after_mm, story.floor_mm), reported(story)
     # Doing nothing fails the same assertion.
     assert not fell(story.before_mm, story.before_mm, story.floor_mm)
 
@@ -85,7 +85,7 @@ def test_hidden_effect_is_named_first_and_its_error_falls(name):
 @pytest.mark.parametrize("seed", [4, pytest.param(8, marks=pytest.mark.prove)])
 def test_nothing_hidden_nothing_claimed(seed):
     story = case((), seed)
-    assert claimed(story) == [], told(story)
+    assert claimed(story) == [], reported(story)
     assert story.diagnosis.to_dict()["verdict"] == "nothing"
     assert story.after_mm == story.before_mm
 
@@ -100,15 +100,15 @@ def test_nothing_hidden_nothing_claimed(seed):
 )
 def test_several_hidden_effects_are_found_whole(names):
     story = case(names, SEED)
-    assert set(claimed(story)) == set(names), told(story)
-    assert fell(story.before_mm, story.after_mm, story.floor_mm), told(story)
+    assert set(claimed(story)) == set(names), reported(story)
+    assert fell(story.before_mm, story.after_mm, story.floor_mm), reported(story)
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize("name", LAWS)
 def test_ten_seeds_of_each(name):
     stories = [case((name,), seed) for seed in PROVE_SEEDS]
-    lines = "\n".join(map(told, stories))
+    lines = "\n".join(map(reported, stories))
     assert sum(first(story, name) for story in stories) >= 9, lines
     assert np.median([story.fall for story in stories]) >= FALL, lines
     assert not any(fell(s.before_mm, s.before_mm, s.floor_mm) for s in stories)
@@ -118,6 +118,8 @@ def test_ten_seeds_of_each(name):
 def test_thirty_seeds_of_nothing():
     stories = [case((), seed) for seed in NULL_SEEDS]
     wrong = [
-        told(story) for story in stories if claimed(story) or story.diagnosis.verdict != "nothing"
+        reported(story)
+        for story in stories
+        if claimed(story) or story.diagnosis.verdict != "nothing"
     ]
     assert len(wrong) <= 1, "\n".join(wrong)

@@ -1,4 +1,4 @@
-"""A doubt is settled: gravity or payload, seen in one orientation, cannot be told apart; the
+"""A doubt is settled: gravity or payload, seen in one orientation, cannot be distinguished; the
 experiment that is suggested is recorded, and the right one of the two is identified. The truth is a
 finger of its own: another mesh, another batch of silicone, its weights solved in the finite
 elements; nothing of the effect library is in it.
@@ -47,11 +47,11 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
         "0.1",
     ]
     assert main([*argv, "--out", str(tmp_path / "c.csv"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["next"][0]["block"] == "another orientation" == told["blocks"][0]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["next"][0]["block"] == "another orientation" == reported["blocks"][0]
     assert (
-        set(told["next"][0]["settles"]) >= {"gravity", "payload"}
-        and told["next"][0]["separation"] > 2 * SETTLED
+        set(reported["next"][0]["settles"]) >= {"gravity", "payload"}
+        and reported["next"][0]["separation"] > 2 * SETTLED
     )
 
     new = truth.measure(read_commands(tmp_path / "c.csv")[0], seed=1)

@@ -41,12 +41,14 @@ def worse(model):
 
 
 def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
-    told = []
+    reported = []
     rows = {
         row.model: row
-        for row in table_two(model, worse(model), progress=lambda name, _: told.append(name), **FEW)
+        for row in table_two(
+            model, worse(model), progress=lambda name, _: reported.append(name), **FEW
+        )
     }
-    assert set(rows) == {OURS, RIVAL} and told == ["O, ours", "O, rival"]
+    assert set(rows) == {OURS, RIVAL} and reported == ["O, ours", "O, rival"]
     ours, rival = rows[OURS], rows[RIVAL]
     assert len(ours.simulator) == len(ours.stand_in) == 7 and ours.unreachable < 1e-3
     # each believes that it is there
@@ -146,9 +148,9 @@ def test_the_workspace_says_what_is_in_it_and_how_far_another_point_is(model, tm
     picture = tmp_path / "w.svg"
     argv = ["track", "--workspace", "--json"]
     assert main([*argv, "--reach", "60", "0", "60", "--picture", str(picture)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["schema"] == "softmap.workspace/1" and told["axes"] == "xyz"
-    target = told["target"]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["schema"] == "softmap.workspace/1" and reported["axes"] == "xyz"
+    target = reported["target"]
     apart = np.linalg.norm(np.subtract(target["target_mm"], target["nearest_mm"]))
     assert (
         not target["reached"]

@@ -121,11 +121,11 @@ def test_what_is_drawn_lies_where_it_is_said_to(virtual):
 
 def test_friction_remembers_where_a_command_was_reached_from(virtual):
     protocol = virtual_protocol("grid", 3, LIMITS)
-    acting, told = (
+    acting, reported = (
         virtual.truth.to_body(protocol),
         replace(virtual.truth, hidden=()).to_body(protocol),
     )
-    held_back = told - acting
+    held_back = reported - acting
     assert 0.3 < np.abs(held_back).max() < 2.0 and held_back.min() < -0.3 < 0.3 < held_back.max()
 
 
@@ -346,9 +346,10 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     (tmp_path / "finger.toml").write_text(FINGER.to_toml())
     out = {name: str(tmp_path / name) for name in ("grid.csv", "few.csv", "run.npz", "truth.npz")}
     assert main(["next", "--protocol", "grid", "--out", out["grid.csv"]]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert (
-        "49 frames" in told and "draws the finger, not the commands: one for all its runs" in told
+        "49 frames" in reported
+        and "draws the finger, not the commands: one for all its runs" in reported
     )
     made, robot = read_commands(out["grid.csv"])
     write_commands(out["few.csv"], thinned(made, 3), robot)
@@ -363,8 +364,8 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
         "4",
     ]
     assert main([*argv, "--out", out["run.npz"], "--truth", out["truth.npz"], "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["virtual"] and told["simulated"] and told["truth"] == out["truth.npz"]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["virtual"] and reported["simulated"] and reported["truth"] == out["truth.npz"]
     run, truth = Run.load(out["run.npz"]), read_npz(tmp_path / "truth.npz")
     assert _ahead(made, False) == "a recording of 1.8 minutes; solving its 49 frames one by one"
     assert main([*argv, "--out", str(tmp_path / "spoken.npz")]) == 0

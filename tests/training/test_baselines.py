@@ -27,11 +27,11 @@ MEAN = vertex_error(np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].sha
 
 
 def test_laplacian_coordinates_are_undone():
-    told = encodings.laplacian(SURFACE.rest, SURFACE.triangles, SURFACE.held, POINTS[:5])
-    back = told.mean + told.codes @ told.modes
+    reported = encodings.laplacian(SURFACE.rest, SURFACE.triangles, SURFACE.held, POINTS[:5])
+    back = reported.mean + reported.codes @ reported.modes
     assert np.abs(back - POINTS[:5]).max() < 0.02  # clamped vertices are held softly
     # differences: they know no place
-    assert np.abs(told.codes.reshape(5, -1, 3).sum(axis=1)).max() < 1e-6
+    assert np.abs(reported.codes.reshape(5, -1, 3).sum(axis=1)).max() < 1e-6
 
 
 def test_rotations_give_a_rigid_motion_back_exactly_and_a_bent_shape_nearly():
@@ -39,9 +39,9 @@ def test_rotations_give_a_rigid_motion_back_exactly_and_a_bent_shape_nearly():
     turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = ((rest - rest[0]) @ turn.T + rest[0]).ravel()[None]
-    told = encodings.arap(rest, SURFACE.triangles, SURFACE.held[:1], moved)
+    reported = encodings.arap(rest, SURFACE.triangles, SURFACE.held[:1], moved)
     np.testing.assert_allclose(
-        told.codes[0, : 9 * len(rest)].reshape(-1, 3, 3),
+        reported.codes[0, : 9 * len(rest)].reshape(-1, 3, 3),
         np.broadcast_to(turn, (len(rest), 3, 3)),
         atol=1e-9,
     )
@@ -81,11 +81,11 @@ def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
         from softmap_training.evaluate import on_shapes
 
         mean = np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].shape)
-        told = [
+        reported = [
             on_shapes(name, lambda u, p=p: p[: len(u)], COMMANDS[TEST], POINTS[TEST], {})
             for p in (found, mean)
         ]
-        assert told[0].errors["chamfer"].mean() < told[1].errors["chamfer"].mean()
+        assert reported[0].errors["chamfer"].mean() < reported[1].errors["chamfer"].mean()
     else:
         assert vertex_error(found, POINTS[TEST]) < (0.6 if name == "xgboost" else 0.1) * MEAN
     np.testing.assert_array_equal(

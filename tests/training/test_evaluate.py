@@ -90,7 +90,7 @@ def test_a_shift_has_the_vertex_error_of_the_shift_and_no_shift_has_none():
 
 
 def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
-    """Why both are told: the side that no camera sees has no points."""
+    """Why both are reported: the side that no camera sees has no points."""
     rng = np.random.default_rng(1)
     t = np.zeros(1)
     shape = np.asarray(MODEL.prior.evaluate(np.array([[6.0, -3.0]]))).reshape(1, -1, 3)
@@ -111,7 +111,7 @@ def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
     assert seen["vertex"][0, 0] == 0.0 and seen["whole"][0, 0] < 1e-6
 
 
-def test_seeds_are_told_as_a_mean_and_how_far_it_moves():
+def test_seeds_are_reported_as_a_mean_and_how_far_it_moves():
     rows = [
         Row("x", {"vertex": np.array([[1.0, 3.0]]) + shift}, {"seconds": 2.0 + shift})
         for shift in (0.0, 1.0, 2.0)
@@ -126,7 +126,7 @@ def test_seeds_are_told_as_a_mean_and_how_far_it_moves():
     assert rows[0].to_dict()["vertex_mm"]["sd_of_seeds"] is None
 
 
-def test_a_table_is_judged_where_it_was_told_nothing():
+def test_a_table_is_judged_where_it_was_reported_nothing():
     axis = np.asarray(MODEL.prior.axes[0])
     nodes = np.array([[axis[3], axis[30]], [axis[25], axis[20]], [axis[40], axis[0]]])
     assert holds_shapes_of(MODEL, nodes) and not holds_shapes_of(MODEL, nodes + 0.1)
@@ -227,7 +227,7 @@ def test_runs_that_teach_together_are_one_lesson_a_minute_apart(files):
         Lesson.of(MODEL, replace(shapes, vertices=shapes.vertices[:, 1:], visible=hidden[:, 1:]))
 
 
-def test_a_run_of_another_robot_among_those_that_teach_is_told():
+def test_a_run_of_another_robot_among_those_that_teach_is_reported():
     mine, other = (replace(recorded(40, seed)[0], points=None, start=None) for seed in (1, 2))
     rest = MODEL.prior.evaluate(np.zeros((1, 2))).reshape(-1, 3)
     bent = 0.001 * rest[:, 2:] ** 2 * np.array([1.0, 0.5, 0.0])
@@ -379,7 +379,7 @@ def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch)
         assert text in page, text
 
 
-def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(
+def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_reported(
     files, capsys, monkeypatch
 ):
     monkeypatch.chdir(files)
