@@ -20,7 +20,6 @@ EFFECT = {
 
 
 def rollout(params, u, t, ctx):
-    channels = u.shape[2]
-    a, b = params[:, None, :channels], params[:, None, channels:-1]
+    a, b = np.split(params[:, None, :-1], 2, axis=2)  # (B, 1, C)
     radius = params[:, -1, None, None]
     return u + a * np.sin(u / radius) + b * (np.cos(u / radius) - 1.0)

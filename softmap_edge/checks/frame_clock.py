@@ -268,16 +268,13 @@ def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """Fitted numbers.
-
-    `inverse` of the last one's information, its standard error, and the squares that are left.
-    """
+class _Estimate:
+    """Numbers that were fitted, and how well the last of them is known."""
 
     value: Floats
-    inverse: float
-    sigma: float
-    left: float
+    variance: float  # of the last one, for errors of unit variance
+    sigma: float  # standard error of the last one, from the scatter of the blocks
+    left: float  # squares of the residual
 
 
 class _Blocks:
@@ -324,7 +321,7 @@ class _Blocks:
         columns = ones if kind == "constant" else np.column_stack([ones, part])
         found = self._fitted(columns)
         known = np.linalg.pinv((columns * self.alone[:, None]).T @ columns, hermitian=True)[-1, -1]
-        separate = known > SEPARATE * found.inverse
+        separate = known > SEPARATE * found.variance
         first, last = float(found.value[0]), float(found.value[-1])
         return _Line(
             kind,
@@ -334,7 +331,7 @@ class _Blocks:
             found.left,
         )
 
-    def _fitted(self, columns: Floats) -> _Numbers:
+    def _fitted(self, columns: Floats) -> _Estimate:
         """Fit numbers of `columns` (B, n) to the delays."""
         inverse = np.linalg.pinv(columns.T @ self.weight @ columns, hermitian=True)
         value = inverse @ (columns.T @ self.pull)
@@ -342,7 +339,7 @@ class _Blocks:
         squares = max(float(left @ self.inverse @ left), 0.0)
         spread = squares / max(self.count - columns.shape[1] - 1, 1)
         last = float(inverse[-1, -1])
-        return _Numbers(value, last, float(np.sqrt(max(spread * last, 0.0))), squares)
+        return _Estimate(value, last, float(np.sqrt(max(spread * last, 0.0))), squares)
 
     def within_halves(self) -> tuple[float, float]:
         """Return the slope within halves of the run, each with a first value, and its error.

@@ -14,17 +14,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
-from softmap_edge.diagnosis.families import (
-    RIDGES,
-    Family,
-    FeatureBody,
-    Ranking,
-    Representative,
-    State,
-    families,
-)
+from softmap_edge.diagnosis.families import Family, FeatureBody, families
 from softmap_edge.diagnosis.laws import WINDING, Answer
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.representatives import RIDGES, Ranking, Representative, State
 
 Floats = NDArray[np.float64]
 

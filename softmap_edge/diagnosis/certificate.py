@@ -34,10 +34,11 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.families import FeatureBody, Representative, State, families
+from softmap_edge.diagnosis.families import FeatureBody, families
 from softmap_edge.diagnosis.findings import Certificate
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.outcome import Outcome
+from softmap_edge.diagnosis.representatives import Representative, State
 from softmap_edge.run.folds import Withheld
 
 Floats = NDArray[np.float64]

@@ -17,15 +17,9 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, seen_to_fall
-from softmap_edge.diagnosis.families import (
-    WARMED,
-    State,
-    best_ridge,
-    declared,
-    families,
-    seen_commands,
-)
+from softmap_edge.diagnosis.families import WARMED, declared, families, seen_commands
 from softmap_edge.diagnosis.outcome import Outcome
+from softmap_edge.diagnosis.representatives import State, best_ridge
 
 Floats = NDArray[np.float64]
 

@@ -23,14 +23,11 @@ from softmap_edge.diagnosis.families import (
     Commands,
     Family,
     FeatureBody,
-    Representative,
-    State,
-    about_itself,
-    linearised,
     seen_commands,
 )
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.representatives import Representative, State, about_itself, linearised
 from softmap_edge.run.folds import GAP
 
 Floats = NDArray[np.float64]

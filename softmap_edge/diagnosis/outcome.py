@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.families import Family, FeatureBody, Representative, State, ranked
+from softmap_edge.diagnosis.families import Family, FeatureBody
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, capped_at_events
+from softmap_edge.diagnosis.representatives import Representative, State, ranked
 
 Floats = NDArray[np.float64]
 

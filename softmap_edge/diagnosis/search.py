@@ -21,18 +21,7 @@ import numpy as np
 from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
-from softmap_edge.diagnosis.families import (
-    RIDGES,
-    Columns,
-    Family,
-    FeatureBody,
-    Ranking,
-    Representative,
-    State,
-    families,
-    linearised,
-    ranked,
-)
+from softmap_edge.diagnosis.families import Columns, Family, FeatureBody, families
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, Law, answered, law_of
@@ -43,6 +32,14 @@ from softmap_edge.diagnosis.outcome import (
     held_out_loss,
     name_candidates,
     with_family,
+)
+from softmap_edge.diagnosis.representatives import (
+    RIDGES,
+    Ranking,
+    Representative,
+    State,
+    linearised,
+    ranked,
 )
 from softmap_edge.diagnosis.together import completed
 

@@ -16,19 +16,11 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import (
-    Family,
-    FeatureBody,
-    Ranking,
-    Representative,
-    State,
-    families,
-    home,
-    ranked,
-)
+from softmap_edge.diagnosis.families import Family, FeatureBody, families, home
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
+from softmap_edge.diagnosis.representatives import Ranking, Representative, State, ranked
 
 Floats = NDArray[np.float64]
 

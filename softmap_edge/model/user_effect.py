@@ -201,10 +201,8 @@ EFFECT = {
 
 
 def rollout(params, u, t, ctx):
-    """Return what acts (B, T, C) mm of commands u (B, T, C) mm at t (T,) s, for params (B, P).
-
-    ctx has dt (T,), gravity (T, 3), load (T,) and temperature (T,).
-    """
+    """Return the effective commands (B, T, C) mm of u (B, T, C) mm, t (T,) s and params (B, P)."""
+    # ctx has dt (T,), gravity (T, 3), load (T,) and temperature (T,)
     share, reach = params[:, 0, None, None], params[:, 1, None, None]  # (B, 1, 1)
     return u * (1.0 + share * np.tanh(u / reach))
 '''

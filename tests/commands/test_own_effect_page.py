@@ -53,7 +53,7 @@ def test_the_page_shows_the_example():
         text for language, text in blocks(PAGE) if language == "python" and "EFFECT" in text
     ]
     assert shown == EXAMPLE
-    assert len(EXAMPLE.splitlines()) <= 26
+    assert len(EXAMPLE.splitlines()) <= 25
 
 
 @pytest.fixture(scope="module")

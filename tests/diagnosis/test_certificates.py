@@ -12,7 +12,7 @@ from arm import NAMES, arm, protocol, record_run
 from softmap_edge.diagnosis.certificate import LEVEL, SIZES, certificates, certified, hypotheses
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.families import FeatureBody, State, families
+from softmap_edge.diagnosis.families import FeatureBody, families
 from softmap_edge.diagnosis.findings import Certificate, power
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
+from softmap_edge.diagnosis.representatives import State
 from softmap_edge.diagnosis.text import diagnosis_text
 from softmap_edge.noise.noise_model import command_kernel
 from softmap_edge.run.folds import (

@@ -25,7 +25,7 @@ here = pytest.fixture(entered)
 def test_the_template_runs_as_it_is(here, capsys):
     assert main(["model", "effects", "new", "wobble"]) == 0
     assert "--effects wobble.py" in capsys.readouterr().out
-    assert len((here / "wobble.py").read_text().splitlines()) <= 26
+    assert len((here / "wobble.py").read_text().splitlines()) <= 25
     assert main(["model", "effects", "wobble", "--effects", "wobble.py"]) == 0
     out, err = capsys.readouterr()
     assert "wobble" in out and "wobble.py is code and runs with your rights" in err

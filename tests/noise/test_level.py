@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.families import RIDGES, best_ridge
+from softmap_edge.diagnosis.representatives import RIDGES, best_ridge
 from softmap_edge.errors import CoreError
 from softmap_edge.noise.noise_model import Kernel, Whitener, command_kernel
 from softmap_edge.run.folds import run_folds

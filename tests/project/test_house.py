@@ -60,7 +60,7 @@ def test_public_names_are_loaded_late_and_unknown_ones_are_reported():
         softmap_edge.nonsense  # noqa: B018
 
 
-USUAL, LONGEST, LONG_ONES = 600, 750, 5  # lines, lines, files: a longer file rarely holds one idea
+LONGEST = 600  # lines: a longer file rarely holds one idea
 
 
 def test_no_file_is_longer_than_a_reader_can_hold_in_mind():
@@ -72,8 +72,8 @@ def test_no_file_is_longer_than_a_reader_can_hold_in_mind():
         str(file.relative_to(root)): len(file.read_text(encoding="utf-8").splitlines())
         for file in files
     }
-    long = {name: count for name, count in counts.items() if count > USUAL}
-    assert len(long) <= LONG_ONES and max(counts.values()) <= LONGEST, f"split by concept: {long}"
+    long = {name: count for name, count in counts.items() if count > LONGEST}
+    assert not long, f"split by concept: {long}"
 
 
 @pytest.mark.parametrize(

@@ -365,6 +365,7 @@ def test_the_commands_of_the_page_run_and_print_what_it_shows(tmp_path, monkeypa
         assert main(shlex.split(line)[1:]) == 0, line
     printed = re.sub(r"[0-9a-f]{12,}", "HASH", capsys.readouterr().out).splitlines()
     assert printed[:-2] == re.sub(r"[0-9a-f]{12,}", "HASH", shown).splitlines()
+    assert printed[-2].startswith("hash ") and printed[-1] == "next: softmap check both.npz"
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(code, {})
     assert Run.load("both.npz").frames == 800

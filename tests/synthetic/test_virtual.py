@@ -121,11 +121,11 @@ def test_what_is_drawn_lies_where_it_is_said_to(virtual):
 
 def test_friction_remembers_where_a_command_was_reached_from(virtual):
     protocol = virtual_protocol("grid", 3, LIMITS)
-    acting, reported = (
+    effective, commanded = (
         virtual.truth.to_body(protocol),
         replace(virtual.truth, hidden=()).to_body(protocol),
     )
-    held_back = reported - acting
+    held_back = commanded - effective
     assert 0.3 < np.abs(held_back).max() < 2.0 and held_back.min() < -0.3 < 0.3 < held_back.max()
 
 
@@ -349,7 +349,8 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     reported = capsys.readouterr().out
     assert (
         "49 frames" in reported
-        and "draws the finger, not the commands: one for all its runs" in reported
+        and "--seed of `softmap record` draws the finger, not the commands: one for all its runs"
+        in reported
     )
     made, robot = read_commands(out["grid.csv"])
     write_commands(out["few.csv"], thinned(made, 3), robot)

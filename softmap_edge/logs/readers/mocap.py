@@ -14,7 +14,8 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_number, split
-from softmap_edge.logs.readers.text import TextColumns, first_lines
+from softmap_edge.logs.readers.lines import first_lines
+from softmap_edge.logs.readers.text import TextColumns
 
 _HEAD = 40  # lines in which the rows must begin
 _UNITS = {

@@ -110,7 +110,7 @@ def _limit_of(path: Path, file: Path) -> int:
         RunError: it is of a format that is not read.
     """
     from softmap_edge.logs.readers.kinds import BINARY, kind_of  # imports this module
-    from softmap_edge.logs.readers.text import LIMIT as TEXT
+    from softmap_edge.logs.readers.lines import LIMIT as TEXT
 
     with file.open("rb") as start:
         if start.read(2) == b"PK":  # its directory is at the end

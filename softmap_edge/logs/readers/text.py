@@ -13,9 +13,8 @@ million rows of 16 columns need seconds and little more memory than their number
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -25,18 +24,15 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.logs.readers.encoding import PLAIN, decoded, encoding_of, is_cut, is_wide
+from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
+from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
 
-LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
-LONGEST = 2**20  # characters of one line: 50 000 columns
-_BLOCK = 2**22  # characters read at a time
-_BLANK = 2**20  # blank lines at the end that are held back together with those to skip
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
 _FIRST = 200  # rows whose text decides what a column holds
@@ -118,7 +114,7 @@ class TextColumns:
         count = 0
         self.words.found.clear()
         between, recent = Between(), list[str]()
-        for first, block in _held_back(_blocks(self.path, self.first, self.stop), self.skip_last):
+        for first, block in held_back(blocks(self.path, self.first, self.stop), self.skip_last):
             numbers = np.arange(first, first + len(block))
             if not all(map(str.strip, block)):
                 kept = [k for k, line in enumerate(block) if line.strip()]
@@ -580,108 +576,3 @@ def _is_row(line: str, table: Table) -> bool:
     """Return whether a line of names holds mostly numbers."""
     cells = [cell for cell in split(line, table.delimiter) if cell]
     return 2 * sum(map(is_number, cells)) > len(cells)
-
-
-# --- the lines -----------------------------------------------------------------------------
-def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
-    """Return at most `count` lines of a text log from line `first` on, fewer if very long."""
-    found: list[str] = []
-    for _, lines in _blocks(path, first):
-        found += lines[: count - len(found)]
-        if len(found) == count or (len(found) > 8 and sum(map(len, found)) > 2 * _BLOCK):
-            break
-    return found
-
-
-def lines_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text log with their numbers from 1, one pass over the file."""
-    for first, lines in _blocks(path, 1):
-        yield from enumerate(lines, first)
-
-
-def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list[tuple[int, str]]:
-    """Return the short lines of a text log that fit, at most `most`, with their numbers from 1."""
-    found: list[tuple[int, str]] = []
-    for number, line in lines_of(path):
-        if len(line) < 200 and fits(line):
-            found.append((number, line))
-            if len(found) == most:
-                break
-    return found
-
-
-def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The lines from number `first` to before `stop`, in blocks, each with its first number.
-
-    A block has some thousand lines.
-    """
-    number, rest, encoding = 1, "", PLAIN
-    try:
-        if not path.is_file():
-            raise RunError(
-                f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a "
-                "log"
-            )
-        if path.stat().st_size > LIMIT:
-            raise RunError(
-                f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log"
-            )
-        encoding = encoding_of(path)[0]
-        for text in decoded(path, encoding, _BLOCK):
-            if "\0" in text:
-                raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
-            lines = (rest + text).split("\n")
-            rest = lines.pop()
-            if len(rest) > LONGEST:
-                raise RunError(
-                    f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; "
-                    "export again"
-                )
-            if number + len(lines) > first:
-                end = len(lines) if stop is None else max(stop - number, 0)
-                yield max(number, first), lines[max(first - number, 0) : end]
-            number += len(lines)
-            if stop is not None and number >= stop:
-                return
-    except OSError as cause:
-        raise RunError(
-            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
-        ) from cause
-    except UnicodeDecodeError as cause:
-        if is_wide(encoding):
-            raise RunError(
-                f"{path}: is damaged text in {encoding.upper()} ({cause.reason}); export it again"
-            ) from cause
-        if b"\0" in cause.object:
-            raise RunError(f"{path}: is not text; give the log of a recording, as CSV") from cause
-        raise RunError(
-            f"{path}: is not text in UTF-8 (byte {cause.start} of a part); save the log as UTF-8"
-        ) from cause
-    if rest.strip() and number >= first:
-        yield number, [rest]
-
-
-def _held_back(
-    blocks: Iterator[tuple[int, list[str]]], count: int
-) -> Iterator[tuple[int, list[str]]]:
-    """The same lines without the last `count` that are not blank."""
-    held: list[str] = []
-    start = 1
-    for first, lines in blocks:
-        start = start if held else first
-        held += lines
-        # blank lines at the end are not counted among them
-        keep = count + (_blank_at_end(held) if count else 0)
-        if len(held) > keep:
-            yield start, held[: len(held) - keep]
-            start, held = start + len(held) - keep, held[len(held) - keep :]
-    while count and held and not held[-1].strip():
-        held.pop()
-    if count and len(held) > count:
-        yield start, held[:-count]
-
-
-def _blank_at_end(lines: list[str]) -> int:
-    """How many lines at the end are blank, at most `_BLANK`."""
-    blank = takewhile(lambda line: not line.strip(), islice(reversed(lines), _BLANK))
-    return sum(1 for _ in blank)

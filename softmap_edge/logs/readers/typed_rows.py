@@ -16,7 +16,7 @@ import numpy as np
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_plain, split
 from softmap_edge.logs.readers.columns import HeldColumns
-from softmap_edge.logs.readers.text import lines_of
+from softmap_edge.logs.readers.lines import lines_of
 
 _TYPES = (
     "comment",

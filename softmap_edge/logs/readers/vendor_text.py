@@ -19,8 +19,9 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_number, split, trimmed
+from softmap_edge.logs.readers.lines import first_lines, lines_that
 from softmap_edge.logs.readers.paced import PacedColumns, paced
-from softmap_edge.logs.readers.text import TextColumns, first_lines, lines_that, open_text
+from softmap_edge.logs.readers.text import TextColumns, open_text
 
 _HEAD = 60  # lines in which the rows must begin
 _QTM = ("NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "NO_OF_BODIES", "FREQUENCY")
