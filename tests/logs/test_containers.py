@@ -174,6 +174,9 @@ def test_a_folder_without_metadata_is_read_and_reported(tmp_path):
             lambda f: write_folder(f, ["bag_0.db3", "bag_1.db3"]),
             ["names 2 files, and bag_0.db3, bag_1.db3 is not there"],
         ),
+        (lambda f: write_folder(f, ["bag.db3", "1" * 300]), ["names 2 files", "is not there"]),
+        (lambda f: write_folder(f, ["ä" * 200 + ".db3"]), ["names 1 files", "is not there"]),
+        (lambda f: write_folder(f, ['"a\\u0000b.db3"']), ["names 1 files", "is not there"]),
         (
             lambda f: write_folder(f, []),
             ["metadata.yaml names no files, and no recording is there"],

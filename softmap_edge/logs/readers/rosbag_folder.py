@@ -10,6 +10,7 @@ folder are its files.
 from __future__ import annotations
 
 import json
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,8 +117,9 @@ def _present(folder: Path, name: str) -> Path | None:
     if name in ("", ".", ".."):
         return None
     for ending in ("", ".zstd", ".zst"):
-        if (folder / f"{name}{ending}").is_file():
-            return folder / f"{name}{ending}"
+        file = folder / f"{name}{ending}"
+        if os.path.isfile(file):  # false for a name that no file can have
+            return file
     return None
 
 
