@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.checks.lost_points import without_lost
-from softmap_edge.diagnosis.findings import Bin
 from softmap_edge.errors import ComparisonError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.views import members, roll_seen, without_roll
 from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
-from softmap_edge.run.conditions import Cell, cells, conditions
+from softmap_edge.run.conditions import Bin, Cell, cells, conditions
 from softmap_edge.run.run import Run, known
 
 if TYPE_CHECKING:

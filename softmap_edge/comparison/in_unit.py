@@ -13,7 +13,7 @@ from softmap_edge.run.in_unit import lengths_in_unit, output_of, renamed_maps
 if TYPE_CHECKING:
     from softmap_edge.comparison.comparison import Comparison
     from softmap_edge.comparison.series import Series
-    from softmap_edge.diagnosis.findings import Bin
+    from softmap_edge.run.conditions import Bin
 
 
 def comparison_in_unit(comparison: Comparison) -> Comparison:

@@ -19,7 +19,7 @@ from softmap_edge.run.in_unit import PLACES, unit_of
 
 if TYPE_CHECKING:
     from softmap_edge.comparison.comparison import Comparison
-    from softmap_edge.diagnosis.findings import Bin
+    from softmap_edge.run.conditions import Bin
 
 # What each map is called when it stands in a report.
 WHERE = {

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.decision import VISIBLE_MM
-from softmap_edge.diagnosis.findings import Bin, Rung, Unexplained, Untestable
+from softmap_edge.diagnosis.findings import Rung, Unexplained, Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.model.effect_info import registry
 from softmap_edge.noise.noise_model import scaled_commands
-from softmap_edge.run.conditions import cells, last_direction, orientations
+from softmap_edge.run.conditions import Bin, cells, last_direction, orientations
 
 Floats = NDArray[np.float64]
 

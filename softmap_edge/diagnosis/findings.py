@@ -14,6 +14,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from softmap_edge.errors import ReportError
+from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
 BEYOND = 6  # powers of ten of an e-value that are reported
@@ -206,17 +207,6 @@ class Unexplained:
     predicted_by: str | None = None
     # ordinary static imperfections of the robot, which are no discovery
     ordinary_mm: float | None = None
-
-
-@dataclass(frozen=True)
-class Bin:
-    """A class of a condition: its name, bounds (or None), count of frames, RMS error in mm."""
-
-    label: str
-    low: float | None
-    high: float | None
-    n: int
-    rms_mm: float
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,17 @@ class Cell:
     frames: Mask  # (K,)
 
 
+@dataclass(frozen=True)
+class Bin:
+    """A class of a condition: its name, bounds (or None), count of frames, RMS error in mm."""
+
+    label: str
+    low: float | None
+    high: float | None
+    n: int
+    rms_mm: float
+
+
 def conditions(run: Run, command: Floats) -> Conditions:
     """Work out what the commands of a run were doing at its seen frames.
 

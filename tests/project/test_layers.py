@@ -18,8 +18,7 @@ commands
 report experiment adaptation
 diagnosis comparison calibration sweep synthetic
 robot checks fem rod alignment
-model logs
-noise
+model logs noise
 run
 files geometry
 errors version
