@@ -66,7 +66,7 @@ def reference(free: Run) -> tuple[Model, Model]:
 
 
 def error(model: Model, run: Run) -> float:
-    """Return the RMS error in mm over the later frames; memory runs through the whole record."""
+    """Return the RMS error in mm over the later frames; memory runs through the complete record."""
     off = (model.predict(run) - run.markers)[run.t_seen >= LATER]
     return float(np.sqrt((off**2).sum(axis=2).mean()))
 

@@ -177,7 +177,7 @@ def adapt(
     shown = [_shown(base, one, say) for one in runs]
     found = _missing(base, shown, say) if physics else None
     better = base if found is None else found.model
-    say("learning what is left, as a smooth field of the command")
+    say("learning the unexplained error as a smooth field of the command")
     added = better.chain_names != base.chain_names
     rest, residual = _rest(better, shown, added)
     kept = rest is not None and residual["gain_in_se"] > SURE

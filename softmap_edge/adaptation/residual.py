@@ -1,4 +1,4 @@
-"""A residual: a smooth static correction over the command, learned from a run.
+"""A residual: a smooth static function of the command, learned from a run.
 
 It is on top of a model and its effects.
 

@@ -3,9 +3,9 @@
     Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape
         six numbers: turns, then shifts
     T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model's own error, as large as what is left there,
+    shape: model and robot differ at home; the model error, as large as the misfit there,
         correlated along it;
-           of base points, what is left over the coordinates that the pose did not take (3 N − 6),
+           of base points, the misfit over the coordinates that the pose did not take (3 N − 6),
            each point for itself
 
 Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many

@@ -411,7 +411,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
     """Report commands logged at their extreme while the body moves on: the log may be clipped.
 
-    What is left there, along the slope of the points over this command, is by how much the command
+    The misfit there, along the slope of the points over this command, is by how much the command
     went on. An effect leaves the same whenever a command is held, or goes with the time that it is
     held for. A clipped one goes on by more or less each time, or as far as it gets at the speed at
     which it came and went.
@@ -508,5 +508,5 @@ def _unexplained(columns: Floats, values: Floats) -> Floats:
 
 
 def spread(left: Floats, visible: Mask) -> float:
-    """Return the RMS mm of what is left (K, N, 3) about its mean over these frames."""
+    """Return the RMS mm of the misfit (K, N, 3) about its mean over these frames."""
     return float(np.sqrt(np.sum(centred(left, visible) ** 2) / max(int(visible.sum()), 1)))

@@ -19,7 +19,7 @@ from softmap_edge.robot.servo.terminal import terminal, wait_for_release
 
 
 def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare `--hold`, the same wherever a deadman is; `more` says what else it does."""
+    """Declare `--hold`, the same wherever there is an enable key; `more` says what else it does."""
     parser.add_argument(
         "--hold",
         action="store_true",

@@ -334,8 +334,8 @@ class _Asked:
     def _main(self, laws: list[Law], explained: float) -> Law | None:
         """Return the member that explains most of the family; the form of its law may be off.
 
-        A rod's own error is part of its noise: there, shares of a memory are too unsure for a
-        candidate.
+        The model error of a rod is part of its noise: there, shares of a memory are too unsure for
+        a candidate.
         """
         if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None

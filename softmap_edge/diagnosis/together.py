@@ -227,7 +227,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    # a family without a law explains the form error of another law too
+    # a family without a law explains the model-form error of another law too
     form = rule.FORM * max(1, outcome.open)
     return (
         fewer

@@ -10,8 +10,8 @@ believed, a block is worth
 
 over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson &
 Fedorov 1975). A has its fitted parameters, an effect that was not seen those of typical strength; C
-is the noise of the old runs and the model's form error, which is one function of the command over
-old runs and block: what only a changed condition shows counts. Of a pair the smaller of both
+is the noise of the old runs and the model-form error, which is one function of the command
+over old runs and block: what only a changed condition shows counts. Of a pair the smaller of both
 directions holds. Effects that the library calls alike in one orientation (or under one load) are
 separated by blocks that change it and by no others: other differences are the form of the library's
 laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is

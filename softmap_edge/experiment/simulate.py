@@ -4,8 +4,8 @@ They are predicted in a block of commands that is not recorded yet.
 
 `Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs;
 `answers` simulates a block and says what the wrong answer would leave of the right one (`choose.py`
-has the formula). Predictions are those of the diagnosis itself: records, noise and form error,
-whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
+has the formula). Predictions are those of the diagnosis itself: records, noise and model-form
+error, whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations

@@ -149,8 +149,8 @@ def _single(sheet: Sheet) -> str | None:
 def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
     """Return which values of a column that is named as a counter are no whole numbers.
 
-    A column that is whole in fewer than half of its rows counts nothing: it is left to its values,
-    but for one of frames.
+    A column with whole numbers in fewer than half of its rows is no counter: it is left to its
+    values, but for one of frames.
     """
     known = _known(sheet, name)
     if not (len(known) and sheet.header and _called_so(sheet, name, _COUNTERS)):

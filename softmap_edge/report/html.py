@@ -32,7 +32,6 @@ from softmap_edge.diagnosis.text import (
     alternative_name,
     confirmed,
     ladder_steps,
-    moved_by,
     parameter,
     servo_row,
     untestable_rows,
@@ -181,7 +180,6 @@ class ReportPage:
     about: str
     cards: list[Card]
     unit: str
-    moved_by: str
     install: str | None
     families_title: str
     families: list[ShownFamily]
@@ -215,7 +213,6 @@ def _page(story: Story) -> ReportPage:
         about=" · ".join(_about(story)),
         cards=_cards(story),
         unit=story.unit,
-        moved_by=moved_by(story.unit),
         install=install,
         families_title=TITLE,
         families=[_family(row, document) for row in document.get("families") or []],

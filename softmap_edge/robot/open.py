@@ -41,7 +41,7 @@ class Bench:
 
 
 def read_bench(path: str | Path, model: Model) -> Bench:
-    """Return the bench of a rig file, ready to be driven with the finger of `model`.
+    """Return the robot of a rig file, ready to be driven with the finger of `model`.
 
     Raises:
         ServoError: something is not known that driving needs; the line says what.
@@ -61,10 +61,10 @@ def open_robot(
     axes: str = "xyz",
     record: str | Path | None = None,
 ) -> Controller:
-    """Return the robot of a bench, which is driven from entering to leaving it (`with`).
+    """Return the robot of a rig, which is driven from entering to leaving it (`with`).
 
     Args:
-        rig: the file of the bench, as `softmap servo setup` writes it.
+        rig: the file of the rig, as `softmap servo setup` writes it.
         model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are
             compensated.
         axes: that count for `robot.kinematics`.

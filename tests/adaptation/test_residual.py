@@ -269,7 +269,7 @@ def test_memory_is_found_through_a_residual():
 
 
 @pytest.mark.parametrize(
-    ("size", "reason"), [(0.15, "may be its own error"), (0.7, "no single effect explains")]
+    ("size", "reason"), [(0.15, "may be model error"), (0.7, "no single effect explains")]
 )
 def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     run = warped(hanging(finger_run()), size)

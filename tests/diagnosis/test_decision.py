@@ -192,7 +192,7 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     # below noise, below the model's error
     assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)
     assert accepted(kind="memory", form=2.0)  # which has no memory
-    assert accepted(kind="static", form=2.0, noisy=True)  # whose own error is in its noise
+    assert accepted(kind="static", form=2.0, noisy=True)  # whose model error is in its noise
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, noisy=True)
     assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run

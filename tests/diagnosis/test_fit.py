@@ -35,8 +35,8 @@ def test_recovers_what_was_hidden(hidden):
     fit = Fits(problem, NAMES).get((name,))
     assert problem.null().chi2 - fit.chi2 > 100.0  # doing nothing explains nothing
     for label, value in hidden.items():
-        # Noise of 0.02 mm on 350 frames. A gain could partly be form error (0.26 mm), so the weak
-        # prior pulls it most.
+        # Noise of 0.02 mm on 350 frames. A gain could partly be model-form error (0.26 mm), so the
+        # weak prior pulls it most.
         assert fit.params[label] == pytest.approx(value, rel=0.08 if name == "gain" else 0.02)
 
 
@@ -56,8 +56,8 @@ def test_deviations_are_honest():
         fit = problem.fit(("gain",), [problem.space(("gain",)).start])
         sigma = problem.uncertainty(fit, 1.0)
         found += list((fit.space.values(fit.x) - 1.06) / sigma)
-    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the form error
-    # that is allowed for and absent here makes the deviations too wide, never too narrow.
+    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the model-form
+    # error that is allowed for and absent here makes the deviations too wide, never too narrow.
     assert 0.05 < np.sqrt(np.mean(np.square(found))) < 1.5
 
 

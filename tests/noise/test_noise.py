@@ -1,4 +1,4 @@
-"""Noise and form error: what the estimators recover, and that whitened numbers are white."""
+"""Noise and model-form error: what the estimators recover, and that whitened numbers are white."""
 
 from dataclasses import replace
 
@@ -154,7 +154,7 @@ def test_whitened_form_error_and_noise_have_unit_variance():
         blind.append(np.mean(white.modes(draw) ** 2))
     # 300 x 18 x 20 numbers: one standard deviation of their mean square is 0.5 %.
     assert np.mean(values) == pytest.approx(1.0, abs=0.03)
-    assert np.mean(blind) > 5.0  # without the form error the same numbers are far from white
+    assert np.mean(blind) > 5.0  # without the model-form error the same numbers are far from white
 
 
 def test_squares_are_those_of_the_shrunk_modes():
@@ -184,7 +184,7 @@ def test_rod_noise_counts_correlated_frames_once():
 
 
 def test_what_does_not_repeat_is_no_error_of_a_rods_map():
-    """A residual that is all memory: the same command, two shapes. The map's own error cannot
+    """A residual that is all memory: the same command, two shapes. The map's model error cannot
     absorb it.
     """
     rng = np.random.default_rng(7)

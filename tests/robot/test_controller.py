@@ -82,7 +82,8 @@ def test_who_sent_nothing_for_too_long_is_reported_so_and_who_let_go_that_he_did
         robot.release()
         until(lambda: robot.state == "ready", 10.0)
         with pytest.raises(
-            ServoError, match=r"in state ready \(the deadman was released\); call engage\(\) first"
+            ServoError,
+            match=r"in state ready \(the enable key was released\); call engage\(\) first",
         ):
             robot.target([0.0, 0.0])
 
@@ -147,7 +148,7 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
             until(lambda: acknowledged(robot), 5.0)
             assert robot.state == "connected", "home is forgotten"
             with pytest.raises(
-                ServoError, match="in state connected, and a running loop cannot prove home"
+                ServoError, match="in state connected, and a running loop cannot home it"
             ):
                 robot.request("home")
             assert robot.state == "connected" and not torque(bus)
@@ -205,7 +206,7 @@ def test_an_unplugged_port_ends_the_loop_with_a_reason():
 
 PROGRAM = """
 import signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever starts the tests in the background ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by background tests
 sys.path.insert(0, {tests!r})
 from rigs import calibration, WINDOW, MODEL, HOME, BAUD
 from softmap_edge.robot.control.controller import Controller

@@ -219,7 +219,7 @@ def test_what_combined_drives_is_no_fault(tmp_path):
         moved = replace(rig, servos=tuple(replace(servo, home=HOME + 2048) for servo in rig.servos))
         more = replace(rig, servos=(*rig.servos, RigServo(3, MODEL)))
         for other, found in (
-            (moved, "home of the bench is 4048"),
+            (moved, "home of the rig is 4048"),
             (more, "the rig has 3 servos, the calibration 2"),
         ):
             other.write(tmp_path / "rig.toml")

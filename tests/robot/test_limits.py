@@ -192,7 +192,7 @@ def test_the_calibrations_window_and_the_turns_of_a_bench_count():
     )
     astray = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME + 1500), RigServo(2, MODEL, HOME)))
     with pytest.raises(
-        ServoError, match=r"servo 1: home of the bench is 3500, .* 1500 ticks apart, .* are 269"
+        ServoError, match=r"servo 1: home of the rig is 3500, .* 1500 ticks apart, .* are 269"
     ):
         effective_limits(astray, FINGER, turned(np.eye(2) / 280.0))
 

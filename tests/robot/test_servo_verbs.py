@@ -200,7 +200,7 @@ def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
             file
         ).port == rig.port
         assert main([*argv, "1", "--new-baud", "9600", "--rig", file]) == 2
-        assert "the bench runs at 1000000 baud" in capsys.readouterr().err
+        assert "the rig runs at 1000000 baud" in capsys.readouterr().err
         assert main([*argv, "9"]) == 2
         assert "no servo of id 9 answers" in capsys.readouterr().err
 
@@ -321,7 +321,7 @@ def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsy
         ]
         assert main([*argv, "--new-baud", "57600"]) == 2
         assert (
-            "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000"
+            "the rig runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000"
             in capsys.readouterr().err
         )
         assert [one.id for one in setup.scan(bus.path, 1_000_000)] == [

@@ -47,7 +47,7 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
         ("from(safe_stop)", "not allowed in state slackening"),
         ("trouble(late)", "something is wrong: a servo did not answer in time"),
         ("torque", "a servo has torque; `softmap servo off` releases it"),
-        ("undriven", "no fresh target, or the deadman is not pressed"),
+        ("undriven", "no fresh target, or the enable key is not pressed"),
         ("something new(2)", "something new(2)"),
     ],
 )

@@ -175,7 +175,7 @@ def pull(
 
 
 def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
-    """Return the bench with the ceilings that were found, and how."""
+    """Return the rig with the ceilings that were found, and how."""
     by_id, when = (
         {one.servo.id: one for one in done},
         datetime.now(UTC).isoformat(timespec="seconds"),

@@ -73,10 +73,10 @@ class Controller(Supervisor):
     effects of its model, delays aside, from what was really sent. Entering starts the loop, checks
     that the servos are what the rig says and that home was confirmed since they got power
     (`proof.py`), and goes to READY. With `commissioning` it goes to CONNECTED, home is not asked
-    for, and small slow moves are all that is allowed (`jog.py`). Leaving releases tension and switches
-    torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to
-    that file, which must not exist (`recording.py`). A full disk ends the recording and not the
-    loop: `unrecorded` then holds the cause, and leaving raises `RecordingBroken`. `tell` is called
+    for, and small slow moves are all that is allowed (`jog.py`). Leaving releases tension and
+    switches torque off, whatever happened. With `record` all that the loop hears, decides and sends
+    goes to a file that must not exist (`recording.py`). A full disk ends the recording, not
+    the loop; `unrecorded` then holds the cause; leaving raises `RecordingBroken`. `tell` is called
     with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked
     for (`bus`).
 
@@ -191,7 +191,7 @@ class Controller(Supervisor):
         """
         if name == "home":
             raise ServoError(
-                f"the robot is in state {self.state}, and a running loop cannot prove home (turns "
+                f"the robot is in state {self.state}, and a running loop cannot home it (turns "
                 "are lost without power); close the Controller and start another, which looks "
                 "for the proof of `softmap servo home`"
             )
@@ -252,7 +252,7 @@ class Controller(Supervisor):
         It is the nearest within the window of the servos.
 
         One that is not finite is refused by the guard: then what was asked before will be done. It
-        counts as a pressed deadman: a program that stops calling it lets go.
+        counts as a pressed enable key: a program that stops calling it releases the key.
 
         Raises:
             ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the
@@ -264,7 +264,7 @@ class Controller(Supervisor):
         return self._target(u)
 
     def release(self) -> None:
-        """Let go of the deadman: the guard holds, then releases tension."""
+        """Release the enable key: the guard holds, then releases tension."""
         self._drove_at = None
         self._send(deadman=False)
 

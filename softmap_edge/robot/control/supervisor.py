@@ -224,7 +224,7 @@ class Supervisor:
             self._drove |= bool(document.get("torque"))
             if "ended" in document:
                 self._end = document
-            elif "rescued" not in self._last:  # what was said before is no news then
+            elif "rescued" not in self._last:  # earlier reports are no news then
                 denied = self._last.get("denied")
                 self._last |= document
                 self._last["denied"] = document.get("denied") or denied

@@ -2,7 +2,7 @@
 
 Versions, processor, real-time rights, serial ports, cameras, MediaPipe.
 
-Each look returns lines and takes where it looks as an argument, so that a test can show it another
+Each check returns lines and takes its paths as arguments, so that a test can examine another
 computer. Pinned by tests/robot/test_doctor.py.
 """
 

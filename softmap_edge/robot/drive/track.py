@@ -2,7 +2,7 @@
 
 The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the
 effects of the model are compensated in the control loop, from what was really sent. Where a camera
-sees the tip, what is left can be fed back (`observe`). Pinned by tests/robot/test_track.py.
+sees the tip, the remaining error can be fed back (`observe`). Pinned by tests/robot/test_track.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The emergency stops of a bench: `[emergency]` of its `rig.toml`.
+"""The emergency stops of a rig: `[emergency]` of its `rig.toml`.
 
     [emergency]
     gpio = {chip = "/dev/gpiochip0", line = 17, active_low = false}
@@ -51,7 +51,7 @@ class Beats:
 
 @dataclass(frozen=True)
 class Emergency:
-    """The stops that a bench has; none by default."""
+    """The stops that a rig has; none by default."""
 
     gpio: Line | None = None
     udp: Beats | None = None
@@ -90,7 +90,7 @@ class Emergency:
 
 
 def read_emergency(table: TomlTable, folder: Path) -> Emergency:
-    """Read the stops of a bench; a key file is looked for from `folder`.
+    """Read the stops of a rig; a key file is looked for from `folder`.
 
     Raises:
         RunError: an unknown name, or a value out of range. ServoError: what a stop needs is

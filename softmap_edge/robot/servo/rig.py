@@ -1,6 +1,6 @@
 """One rig: where its servos are and where home is, on the machine that drives them (`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by
+A bundle is somebody else's file; what belongs to a rig never travels with it. Pinned by
 tests/robot/test_rig_file.py.
 """
 

@@ -26,7 +26,7 @@ LEVELS: dict[str, Level] = {
 CAUSES = {
     "none": "",
     "asked": "somebody asked for it",
-    "deadman": "the deadman was released",
+    "deadman": "the enable key was released",
     "stale": "no target came in time",
     "refused": "targets were refused: not finite, or a jump too far",
     "late": "a servo did not answer in time",
@@ -61,7 +61,7 @@ DENIED = {
         "a servo stands outside its window; turn it back with `softmap servo move`, or home the "
         "robot again"
     ),
-    "undriven": "no fresh target, or the deadman is not pressed",
+    "undriven": "no fresh target, or the enable key is not pressed",
 }
 STATES = {
     "off": "Not connected, torque is off",

@@ -3,8 +3,8 @@
 One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
 target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
 hand that goes, or a gesture, only ends it (`clutch`). Who holds nothing is released to the guard,
-which holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
-through the real loop on emulated servos.
+which holds, then releases tension (docs/reference/safety.md). Pinned by
+tests/robot/test_teleop_drive.py through the real loop on emulated servos.
 """
 
 from __future__ import annotations
@@ -324,7 +324,7 @@ class Drive:
     def _acknowledge(self, state: str) -> None:
         try:
             if state == "fault":
-                # the one that was pressed here; a line or heartbeat of the bench stays
+                # the stop pressed here; a stop by a line or heartbeat of the rig stays
                 self._robot.emergency(False)
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":

@@ -224,7 +224,7 @@ class Page:
         wish = said.get("do")
         if wish in GRAVEST:
             self._wish.ask(wish)
-        if wish in ("stop", "emergency") or age > LATE:  # an old message tells nothing of now
+        if wish in ("stop", "emergency") or age > LATE:  # an old message is out of date
             return
         self._source, self._knob = said["source"], said["knob"]
         self._key.say(said["held"], now - age)
