@@ -3,8 +3,8 @@
 //!
 //! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that
 //! does what may take long: it writes reports (and the recording) from a ring that the loop never
-//! waits for. When the orders' pipe closes, whoever sent them is gone: hold, slacken, torque off.
-//! SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too, torque off is sent
+//! waits for. When the orders' pipe closes, the sender is gone: hold, release tension, torque off.
+//! SIGINT and SIGTERM do so at once. Whatever ends the loop, a panic too, torque off is sent
 //! last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and
 //! tests/robot/test_nobody_watches.py.
 
@@ -42,7 +42,7 @@ use report::{Last, Reporter, Ring};
 const WATCHDOG: f64 = 100.0;
 /// Entries that the reporting thread may lag behind: seconds, at any rate.
 const RING: usize = 4096;
-/// Questions that are repeated before a servo is said not to answer.
+/// Questions that are repeated before a servo is reported as silent.
 const TRIES: usize = 9;
 /// s for which torque off is repeated at the end.
 const FAREWELL: f64 = 0.5;
@@ -53,14 +53,14 @@ pub struct Setup {
     pub baud: u32,
     pub members: Vec<Member>,
     pub limits: Limits,
-    /// The emergency stops of the bench, beside the one in the orders.
+    /// The emergency stops of the rig, next to the one in the orders.
     pub stops: Emergency,
     /// A file that the loop is recorded to, and the JSON document that says what it was made of.
     pub record: Option<(PathBuf, String)>,
 }
 
 /// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must
-/// be proved anew.
+/// be confirmed again.
 pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<bool> {
     let servos = setup.members.len();
     if servos != setup.limits.axes.len() {
@@ -118,7 +118,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
 /// Why a loop ended, for the last report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// Whoever sent orders is gone.
+    /// The sender of the orders is gone.
     Alone,
     /// A signal came.
     Signal,
@@ -165,7 +165,7 @@ fn patiently<T>(
     answer
 }
 
-/// Refuse servos that are not what they are said to be, or whose torque is on; whether all can
+/// Refuse servos that differ from the rig, or whose torque is on; whether all can
 /// answer in one packet.
 fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
@@ -215,7 +215,7 @@ fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     Ok(fast)
 }
 
-/// Torque off is the last that the servos hear; whether it was said.
+/// Send torque off as the last message to the servos; whether it was sent.
 struct Farewell<L: Plan, R: Record>(Control<Opened, L, PipeMailbox, R>, bool);
 
 impl<L: Plan, R: Record> Farewell<L, R> {

@@ -64,7 +64,7 @@ impl Period {
     }
 }
 
-/// What each servo said of one thing.
+/// One reading of each servo.
 pub fn sensed<T>(
     entry: &Entry,
     servos: usize,

@@ -1,4 +1,4 @@
-//! Real-time priority where the system grants it; what it did not grant is told, not hidden.
+//! Real-time priority where the system grants it; a refusal is reported, not hidden.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use softmap_servo::urgent::urgent;

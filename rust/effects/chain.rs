@@ -214,7 +214,7 @@ impl Chain {
         })
     }
 
-    /// Refuse what goes sample by sample where a user's effect maps whole records only. A control
+    /// Refuse steps sample by sample where a user's effect maps complete records only. A control
     /// loop asks this first.
     pub fn stepwise(&self) -> Result<()> {
         let whole = |link: &&Link| matches!(link.effect.law, Law::Record(_));

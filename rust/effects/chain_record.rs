@@ -1,4 +1,4 @@
-//! Whole records through a chain, for many parameter sets at once: what acts at every sample, or at
+//! Full records through a chain, for many parameter sets at once: what acts at every sample, or at
 //! the seen times only.
 
 use super::{Chain, HEAD, Link};
@@ -37,7 +37,7 @@ impl Reader<'_> {
 }
 
 impl Chain {
-    /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium
+    /// Advance a full record (T, C) in place, effect by effect; where it begins, from equilibrium
     /// with `held` (C,).
     fn advance(
         &self,

@@ -277,7 +277,7 @@ pub trait ChannelEffect: Sync {
     /// Advance one sample: `x` (C,) goes in and comes out changed.
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context);
 
-    /// Advance a whole record `samples` (T, C) in place. The loop is compiled once per effect, with
+    /// Advance a full record `samples` (T, C) in place. The loop is compiled once per effect, with
     /// `step` inside it.
     fn rollout(
         &self,
@@ -298,10 +298,10 @@ pub trait ChannelEffect: Sync {
     }
 }
 
-/// A change of the command numbers that sees a whole record at once: a user's own (`own.rs`). It
+/// A change of the commands that maps a complete record at once: a user's own (`own.rs`). It
 /// has no state to pass on.
 pub trait RecordEffect: Sync {
-    /// Change a whole record `samples` (T, C) in place, T and C at least 1. It begins in
+    /// Change a complete record `samples` (T, C) in place, T and C at least 1. It begins in
     /// equilibrium with its first sample.
     fn rollout(
         &self,

@@ -72,7 +72,7 @@ impl SensingEffect for Lens {
     }
 }
 
-/// By how much a point is seen beside its place, mm.
+/// By how much a point is seen away from its place, mm.
 fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
     let mut system = Mat3::from_diagonal(Vec3::splat(UNIQUE));
     let mut right = Vec3::ZERO;
@@ -89,8 +89,8 @@ fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
         let beside = bent * (q.x * x + q.y * y);
         let ray = q.x * x + q.y * y + q.z * z + beside;
         let square = ray.length_squared();
-        // The distance of p + shift from the ray: that of (shift − beside), since the ray goes
-        // through p + beside.
+        // The distance of p + shift from the ray: that of (shift − `beside`), since the ray goes
+        // through p + `beside`.
         let across = |v: Vec3| v - v.dot(ray) / square * ray;
         let [along_x, along_y, along_z] = Vec3::AXES.map(across);
         system += Mat3::from_cols(along_x, along_y, along_z);

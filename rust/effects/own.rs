@@ -1,4 +1,4 @@
-//! Effects that a user adds while the program runs: a list beside the library's.
+//! Effects that a user adds while the program runs: a list next to the library's.
 //!
 //! One name stands for one effect: a name that is taken is refused until it is forgotten. A chain
 //! keeps the effects that it was composed with, whatever is forgotten later; so their few hundred

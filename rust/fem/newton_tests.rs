@@ -188,7 +188,7 @@ fn a_slack_cable_is_no_cable() {
         Solid::build(design(2, 8)).unwrap(),
         Solid::build(alone).unwrap(),
     );
-    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slackens too
+    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slacks the cables too
     let all = reach(&four, &[6.0, -4.0, -6.0, -4.0], gravity, Vec3::ZERO);
     let single = reach(&one, &[6.0], gravity, Vec3::ZERO);
     let tension: Vec<f64> = four

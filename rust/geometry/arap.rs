@@ -186,7 +186,7 @@ impl Held<'_> {
         }
     }
 
-    /// The whole energy, mm².
+    /// The full energy, mm².
     pub fn energy(&self, pose: &Pose, goals: &[Vec3]) -> f64 {
         let held = pose.places.iter().zip(goals).zip(&self.strength);
         let held = held

@@ -24,15 +24,15 @@ pub const REACHED: f64 = 1e-4;
 /// step.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
-/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint
+/// Damping at the begin of a search, as a share of the largest slope: at a start, at the waypoint
 /// before.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds from each start of a search that begins anew: the way to a place within reach takes three
+/// Rounds from each start of a search that begins again: to a place within reach it takes three
 /// or four.
 const BRIEF: usize = 12;
-/// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
+/// Starts of a search that begins again, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
 const APART: f64 = 0.1;
 /// Places that are looked at beforehand: a grid for few commands, else points that fill space.

@@ -16,7 +16,7 @@ pub struct Shapes {
 
 impl Shapes {
     /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the
-    /// whole, loads included.
+    /// complete shape, loads included.
     pub fn copy(
         &self,
         predictor: &Predictor,

@@ -52,7 +52,7 @@ pub fn floats(
     let data = view
         .as_slice()
         .map_or_else(|| view.iter().copied().collect(), <[f64]>::to_vec);
-    // Whole chunks without a branch in them: fits ask again and again with records of tens of
+    // Full chunks without a branch in them: fits ask again and again with records of tens of
     // thousands of numbers.
     let finite = |part: &[f64]| part.iter().fold(true, |all, value| all & value.is_finite());
     if data.chunks(CHUNK).all(finite) {

@@ -371,7 +371,7 @@ impl PyChain {
     /// Parameters (B, P).
     pub(super) fn sets(&self, params: Value<'_, '_>) -> PyResult<Floats> {
         let width = self.chain.width();
-        // Without parameters there is nothing to tell one set from another.
+        // Without parameters all sets are the same.
         let sets = (width == 0).then_some(1);
         if let Some(groups) = tied(&self.chain) {
             let given = floats("params", params, &[("B", sets), ("P", None)])?;

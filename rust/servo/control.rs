@@ -46,7 +46,7 @@ pub trait Mailbox {
     fn collect(&mut self) -> Orders;
 }
 
-/// All of one period: what the guard was told and what it said. A recording of it replays bit for
+/// All of one period: inputs and outputs of the guard. A recording of it replays bit for
 /// bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {

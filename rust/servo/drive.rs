@@ -2,8 +2,8 @@
 //! model needs.
 //!
 //! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off
-//! is written until each servo has said that it has none. The bus watchdog runs while torque is on:
-//! a servo that hears nothing stops by itself. Nobody answers such writes, so that a cap or a
+//! is written until each servo has reported that it has none. The bus watchdog runs under torque:
+//! a servo that hears nothing stops by itself. No servo answers such writes, so that a cap or a
 //! watchdog may be lost on the wire: both are read back and written again.
 
 use crate::bus::{Answer, Bus, Fault, Heard, Port};
@@ -84,7 +84,7 @@ impl<P: Port> Drive<P> {
         self.alert
     }
 
-    /// Whether each servo has said, when it was examined last, that it has no torque.
+    /// Whether each servo reported, when it was examined last, that it has no torque.
     pub fn released(&self) -> bool {
         self.health.iter().all(without_torque)
     }
@@ -98,7 +98,7 @@ impl<P: Port> Drive<P> {
             .collect()
     }
 
-    /// What servos have said of themselves counts no more.
+    /// Forget what the servos reported.
     pub fn ask_anew(&mut self) {
         self.health.fill(None);
     }
@@ -240,7 +240,7 @@ impl<P: Port> Drive<P> {
     }
 }
 
-/// Whether a servo has said that it has no torque.
+/// Whether a servo has reported that it has no torque.
 fn without_torque(health: &Option<Health>) -> bool {
     health.is_some_and(|health| !health.torque)
 }

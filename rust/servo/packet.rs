@@ -121,7 +121,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Write a whole packet with `parameters`.
+/// Write a complete packet with `parameters`.
 pub fn packet<'a>(
     buffer: &'a mut [u8],
     id: u8,

@@ -149,8 +149,8 @@ impl Emulator {
         }
     }
 
-    /// Whoever lets time go on slept for `time` s: what the master said meanwhile is yet to be
-    /// heard, and its silence is not what it was.
+    /// The stepping program slept for `time` s: messages of the master are still to be
+    /// read, and its silence does not count.
     pub fn excuse(&mut self, time: f64) {
         self.servos.iter_mut().for_each(|servo| servo.excuse(time));
     }

@@ -31,7 +31,7 @@ pub struct Motion {
 pub struct Broken {
     /// It never answers.
     pub mute: bool,
-    /// Its encoder says what it said last.
+    /// Its encoder repeats the last reading.
     pub stuck: bool,
     /// Its tendon pulls no more.
     pub torn: bool,

@@ -21,8 +21,8 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Take in what a servo said, if anything, in the period that ends at `time` (s by the clock,
-    /// and periods); `near` tells whether a position is where it was sent.
+    /// Take in the answer of a servo, if any, in the period that ends at `time` (s by the clock,
+    /// and periods); `near` checks whether a position is where it was sent.
     pub fn hear(
         &mut self,
         said: Option<Feedback>,

@@ -168,7 +168,7 @@ fn ticks_lie_about_home_within_what_the_servos_count() {
 #[test]
 fn what_other_limits_leave_of_a_range() {
     type Set = fn(&mut Axis);
-    // What is just allowed, what is not, and what is said then.
+    // What is just allowed, what is not, and the message then.
     let table: [(Set, Set, &str); 5] = [
         (
             |axis| (axis.warm, axis.hot) = (60.0, 60.0),

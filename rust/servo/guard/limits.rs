@@ -1,4 +1,4 @@
-//! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is
+//! What a rig and a finger allow, checked before anything moves: a limit that makes no sense is
 //! refused, not clamped.
 
 use crate::guard::Budget;
@@ -7,7 +7,7 @@ use crate::guard::path::Bounds;
 /// Limits of one servo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
-    /// Tick at which the finger is straight, as proved after power-up.
+    /// Tick at which the finger is straight, as homed after power-up.
     pub home: i32,
     /// Lowest and highest goal, ticks; home lies between.
     pub low: i32,
@@ -21,7 +21,7 @@ pub struct Axis {
     pub fastest: f64,
     /// Ticks between goal and position that are not believed to be lag.
     pub following: f64,
-    /// °C from which its current is cut back, and at which it slackens.
+    /// °C from which its current is cut back, and at which it releases tension.
     pub warm: f64,
     pub hot: f64,
     /// Volts between which it runs.
@@ -36,7 +36,7 @@ pub struct Limits {
     pub axes: Vec<Axis>,
     /// Seconds without a command after which it holds.
     pub stale: f64,
-    /// Seconds of holding after which it slackens.
+    /// Seconds of holding after which it releases tension.
     pub hold: f64,
     /// Seconds after which slackening ends wherever it is, torque off.
     pub slacken: f64,
@@ -47,7 +47,7 @@ pub struct Limits {
     pub grace: f64,
     /// Seconds over which speed grows after engaging.
     pub ramp: f64,
-    /// Ticks by which a target may jump: what is more is slowed down and told, or beyond the second
+    /// Ticks by which a target may jump: more is slowed down and reported, or beyond the second
     /// refused.
     pub jump: (f64, f64),
     /// Moves of commissioning: ticks from where they began, ticks/s, mA.
@@ -233,7 +233,7 @@ impl Axis {
     }
 
     /// The share of its current that it gets at `temperature` (°C): all while cool, a third where
-    /// it slackens.
+    /// it releases tension.
     pub fn share(&self, temperature: f64) -> f64 {
         let above = (temperature - self.warm) / (self.hot - self.warm).max(1e-9);
         1.0 - above.clamp(0.0, 1.0) * (2.0 / 3.0)

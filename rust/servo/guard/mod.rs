@@ -44,9 +44,9 @@ pub use reversals::Budget;
 pub enum State {
     /// Nothing is known of the servos.
     Off,
-    /// All servos answer; where home is has not been proved since power-up.
+    /// All servos answer; the robot has not been homed since power-up.
     Connected,
-    /// Home is proved.
+    /// The robot is homed.
     Homed,
     /// Checked and waiting to engage.
     Ready,
@@ -90,15 +90,15 @@ impl State {
 pub enum Request {
     /// OFF → CONNECTED, once all servos are heard, healthy and without torque.
     Connect,
-    /// CONNECTED → HOMED: somebody proved where home is, and all positions lie in the window.
+    /// CONNECTED → HOMED: a user confirmed home, and all positions lie in the window.
     Home,
     /// HOMED → READY, without any trouble.
     Arm,
-    /// READY → ENGAGED, with the deadman pressed and a fresh target.
+    /// READY → ENGAGED, with the enable key pressed and a fresh target.
     Engage,
     /// ENGAGED → HOLD.
     Hold,
-    /// Slacken, then torque off; while commissioning torque off at once.
+    /// Release tension, then torque off; while commissioning torque off at once.
     Stop,
     /// FAULT → HOMED or CONNECTED, once its cause is gone.
     Acknowledge,
@@ -129,7 +129,7 @@ pub enum Cause {
     None,
     /// Somebody asked for it.
     Asked,
-    /// The deadman was released, or not heard of for `stale`.
+    /// The enable key was released, or not heard of for `stale`.
     Deadman,
     /// No valid target for `stale`.
     Stale,
@@ -199,11 +199,11 @@ pub enum Denied {
     From(State),
     /// Something is wrong.
     Trouble(Cause),
-    /// A servo has torque, or has not said whether it has.
+    /// A servo has torque, or has not reported whether it has.
     Torque,
     /// A servo stands outside the window.
     Outside,
-    /// The deadman is not pressed, or there is no fresh target.
+    /// The enable key is not pressed, or there is no fresh target.
     Undriven,
 }
 
@@ -211,7 +211,7 @@ pub enum Denied {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reaction {
     None,
-    /// Brake and hold; goes on by itself once the cause is gone, slackens when it lasts.
+    /// Brake and hold; goes on by itself once the cause is gone, releases tension when it lasts.
     Hold,
     /// Go home at half the slew, then torque off and FAULT.
     Slacken,
@@ -219,7 +219,7 @@ pub enum Reaction {
     Release,
 }
 
-/// What a servo said in one answer.
+/// One answer of a servo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Feedback {
     /// Ticks.

@@ -1,4 +1,4 @@
-//! What targets become: passed, told or refused, and how goals move engaged, slackening and
+//! What targets become: passed, reported or refused, and how goals move engaged, slackening and
 //! commissioning.
 
 use super::robot::*;
