@@ -1,5 +1,5 @@
-"""The bank's rod is right by itself: closed forms, order, energy, symmetry; the finite elements
-stand beside it.
+"""The bank's rod is right by itself (closed forms, order, energy, symmetry) and agrees with the
+finite elements.
 """
 
 from dataclasses import replace

@@ -101,7 +101,7 @@ def test_folds_hold_out_blocks_of_time():
         run_folds(np.arange(5.0))
 
 
-def test_folds_hold_out_whole_labels_where_there_are_enough():
+def test_folds_hold_out_complete_labels_where_there_are_enough():
     """Six pulls after one another, as on a nine-tendon robot: a block of time holds them all, a
     fold by label one.
     """
@@ -136,7 +136,7 @@ def test_labels_that_change_with_every_frame_still_leave_something_to_fit():
     assert len(folds) == FOLDS and all(len(train) == 84 for train, _ in folds)
 
 
-def test_a_diagnosis_judges_by_labels_and_says_so():
+def test_a_diagnosis_validates_by_labels_and_reports_it():
     run = record_run({"backlash.gap": 2.0})
     run = replace(run, block=np.repeat(np.arange(25), 14))
     record = Record(arm(), run)

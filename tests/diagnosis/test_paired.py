@@ -149,7 +149,7 @@ def test_what_is_no_replay_is_refused_with_numbers():
         diagnose(MODEL, markers, reference=replace(markers, marker_rest=rest + 2.0))
 
 
-def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
+def test_validation_is_relative_to_a_reference_of_its_own_commands():
     """A static error of 0.6 mm buries the weight in the raw run of other commands too; relative, it
     goes away.
     """
@@ -218,7 +218,7 @@ def test_the_next_experiment_is_chosen_for_a_difference():
         )
 
 
-def test_the_verb_takes_a_reference(tmp_path, capsys):
+def test_the_command_takes_a_reference(tmp_path, capsys):
     finger_run(["payload"], {"payload.mass": 15.0}).save(tmp_path / "b.npz")
     finger_run().save(tmp_path / "a.npz")
     argv = [

@@ -1,4 +1,4 @@
-"""Large loads and softer sections: the built-in model beside the finger solved with them, what
+"""Large loads and softer sections: the built-in model against the finger solved with them, what
 bends, old bundles.
 """
 

@@ -23,7 +23,7 @@ def script(path):
 OWN = ("tdcr_", "beam_", "track_", "diagnosis")
 
 
-def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
+def test_the_pictures_are_made_in_the_given_folder(tmp_path, capsys):
     """Seed 4 is the finger that the demo's tests measure too, so that its sweeps are done once."""
     docs = sorted(path for path in (ROOT / "docs").rglob("*") if path.is_file())
     before = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in docs}

@@ -20,7 +20,7 @@ def prove():
 
 
 def outcome(line, summary, what="replace > with >= in Guard::go_on"):
-    """Return one outcome as cargo-mutants writes it, but for what nobody reads."""
+    """Return one outcome as cargo-mutants writes it, but for fields that are not read."""
     file = "rust/servo/guard/machine.rs"
     mutant = {
         "name": f"{file}:{line}:58: {what}",
@@ -61,7 +61,7 @@ def test_mutants_are_named_without_their_places(prove):
         pytest.param(0, 0, 0, 3, 0, True, id="nothing was judged"),
     ],
 )
-def test_the_score_and_every_survivor_are_judged(
+def test_the_score_and_every_survivor_are_checked(
     prove, capsys, caught, late, missed, unviable, explained, fails
 ):
     counts = {"CaughtMutant": caught, "Timeout": late, "MissedMutant": missed, "Unviable": unviable}
@@ -81,7 +81,7 @@ def test_the_score_and_every_survivor_are_judged(
 
 
 @pytest.mark.parametrize("code", [1, 4])
-def test_what_judged_nothing_is_a_failure(prove, monkeypatch, tmp_path, capsys, code):
+def test_a_run_without_results_is_a_failure(prove, monkeypatch, tmp_path, capsys, code):
     monkeypatch.setattr(prove, "ROOT", tmp_path)
     monkeypatch.setattr(prove, "cargo", lambda *words, **environment: code)
     old = tmp_path / "target" / "mutants" / "mutants.out" / "outcomes.json"

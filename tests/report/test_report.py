@@ -119,7 +119,7 @@ def test_what_is_not_known_is_not_printed():
 
 
 def test_numbers_that_ran_away_stay_short(tmp_path):
-    """A rival whose held-out error is astronomic must not fill the screen with its digits."""
+    """An alternative with an astronomic held-out error must not fill the screen with its digits."""
     document = copy.deepcopy(DIAGNOSIS)
     document["alternatives"][0]["why"] = (
         f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"

@@ -141,6 +141,6 @@ def test_ticks_are_home_and_the_rounded_inverse_of_the_map():
         ]
         assert ticks.tolist() == [h + np.round(w) for h, w in zip(home, wanted)]
     # What comes back is the command to half a tick of each servo; cut instead of rounded it would
-    # be a whole one.
+    # be a complete one.
     back = np.abs(known.commands(sent) - made.plan.commands)
     assert (back <= np.abs(slope).sum(axis=1) / 2 + 1e-9).all()

@@ -22,7 +22,7 @@ PX = 1000.0  # px a metre: a hand of 100 px from wrist to middle knuckle is 0.1 
 
 
 def at(place, side="right", scale=1.0, degrees=0.0, **pose):
-    """A hand elsewhere (px), larger, turned."""
+    """A hand at another place (px), larger, turned."""
     return turned(hand(side=side, **pose), degrees, scale, place)
 
 

@@ -40,7 +40,7 @@ def fresh():
 
 
 def said(capsys, *argv):
-    """Run a verb with --json; its exit code and document."""
+    """Run a command with --json; its exit code and document."""
     code = main([*argv, "--json"])
     return code, json.loads(capsys.readouterr().out)
 
@@ -106,7 +106,7 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(
     number, counts, mode, firmware, runs_on
 ):
     """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and
-    said.
+    reported.
     """
     bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
     setting(bus, operating_mode=mode, homing_offset=1000)
@@ -214,7 +214,7 @@ def test_a_servo_without_current_is_driven_in_extended_position():
     bus.unplug()
 
 
-def test_torque_goes_off_whoever_left_it_on(capsys, tmp_path):
+def test_torque_goes_off_however_it_was_left_on(capsys, tmp_path):
     with bench() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
         for id in (1, 2):

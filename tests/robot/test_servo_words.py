@@ -105,7 +105,7 @@ def test_no_word_of_the_guards_own_is_shown():
         jog.press(0, 1.0)
 
 
-def test_why_driving_ended_is_said_once_and_with_what_leads_on():
+def test_why_driving_ended_is_reported_once_and_with_a_remedy():
     tripped = {"state": "fault", "cause": "tripped", "servo": 0}
     assert (
         words.lost(tripped, words.sentence(tripped))

@@ -204,7 +204,7 @@ def test_learned_rods_have_that_compliance(learned):
     assert np.linalg.norm(tip) == pytest.approx(20.0, rel=0.05)  # the rest pose is a little bent
 
 
-def test_arrays_carry_the_whole_rod(learned):
+def test_arrays_carry_the_full_rod(learned):
     again = PolynomialRodArrays.from_npz(learned.rod.to_npz())
     u = np.array([[3.0, -2.0]])
     np.testing.assert_array_equal(again.compiled().evaluate(u), learned.rod.compiled().evaluate(u))
