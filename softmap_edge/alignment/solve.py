@@ -58,8 +58,8 @@ def solve(
     pose, _ = robust(*flat, sigma.ravel(), seen.ravel())
     check_mirror(*flat, sigma.ravel(), seen.ravel(), pose, what)
     tukey = refined(groups.source, groups.target, sigma, seen, pose)[1]
-    # What wanders between visits, as the tip of a robot with play does, says little of the base;
-    # and points of one place along the body are off together, so that many of them say no more than
+    # Points that wander between visits, as the tip of a robot with play does, locate the base
+    # poorly; and points of one place along the body err together, so that many of them count like
     # one.
     wander = _wander(groups, tukey > 0, pose)
     tukey = refined(groups.source, groups.target, np.sqrt(sigma**2 + wander**2), seen, pose)[1]

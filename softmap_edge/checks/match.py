@@ -324,7 +324,7 @@ def _at_the_clamp(
 
 
 def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """What is declared as gravity points the way in which things fall."""
+    """Report a declared gravity that points against the way in which things fall."""
     if run.gravity is None:
         return
     other = np.asarray(model.predict(replace(run, gravity=-run.gravity)))

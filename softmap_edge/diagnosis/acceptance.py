@@ -82,7 +82,7 @@ def accepted(
     if static and not beyond_ordinary(ranking, state):
         return False
     record = state.body.record
-    # What imperfections of the robot leave of a model error is noise to a memory too.
+    # The model error that imperfections of the robot do not explain is noise to a memory too.
     if record.error_is_noise and (
         row.family.kind in ("static", "time") or state is not state.without_background()
     ):

@@ -9,10 +9,9 @@ Both are whitened with noise, the model error and the robot's ordinary imperfect
 level that the search estimates, in the covariance. φ is the dispersion of the other frames, at
 least 1 except for a rod.
 
-The split alone makes noise harmless, but a model error is the same in all blocks. Whatever k
-numbers are fitted, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 -
-T)^(-k/2). With T and the last term e stays an e-value even if the claim was fitted to just this
-error.
+The split alone makes noise harmless, but a model error is the same in all blocks. For any k fitted
+numbers, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). With
+T and the last term e stays an e-value even if the claim was fitted to just this error.
 
 The search sees all frames: names cost data. Its choice is paid for by counting. Every set of r
 claims among N candidates, and each member of it, is a hypothesis with an e-value, zero where it was

@@ -5,8 +5,8 @@
 What the model misses on the reference at the same place of the replay (same command, same past) is
 taken off what is seen, so that its model error cancels out, and so does every effect that acts
 alike in both runs. The reference is read linearly between frames; s is the shift in time at which
-the commands agree. Of several references a run meets the one whose commands it plays best. What the
-model has been given that the reference lacks (a weight that was found relative to it) is left out
+the commands agree. Of several references the one with the closest commands is used. An effect of
+the model that the reference lacks (a weight that was found relative to it) is left out
 of model(reference): an effect that makes the reference worse and the run better. Remaining doubts:
 - the camera: the noise of a difference, twice that of one run where frames meet, comes out of the
 replicates as it is;

@@ -150,9 +150,9 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
 def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
     """Return whether laws at once exclude the one law that was found.
 
-    Another law of its family is among them, and they leave only noise where it leaves more. What
-    imperfections may explain counts as left, because they can hide a second effect. None if no laws
-    can.
+    Another law of its family is among them, and they leave only noise where it leaves more. The
+    part that imperfections may explain counts as left, because they can hide a second effect. None
+    if no laws can.
     """
     if len(outcome.steps) != 1 or not outcome.fit.effects:
         return None

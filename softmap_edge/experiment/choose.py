@@ -10,16 +10,16 @@ believed, a block is worth
 
 over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson &
 Fedorov 1975). A has its fitted parameters, an effect that was not seen those of typical strength; C
-is the noise of the old runs and the model-form error, which is one function of the command
-over old runs and block: what only a changed condition shows counts. Of a pair the smaller of both
-directions holds. Effects that the library calls alike in one orientation (or under one load) are
-separated by blocks that change it and by no others: other differences are the form of the library's
-laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is
-worth, for each question that it settles, its separation a minute over that of the best block for
-this question. Blocks are first ranked by questions between two families of effects: a law is only
-worth asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames),
-which makes separations smaller, not larger; several blocks are taken to add nothing to each other.
-Pinned by tests/experiment/test_next_experiment.py.
+is the noise of the old runs and the model-form error, which is one function of the command over old
+runs and block: only what a changed condition shows counts. The smaller of both directions of a pair
+holds. Effects that the library calls alike in one orientation (or under one load) are separated by
+blocks that change it and by no others: other differences are the form of the library's laws.
+Alternatives are refitted in full, unseen effects against one linearised step. A block is worth, for
+each question that it settles, its separation a minute over that of the best block for this
+question. Blocks are first ranked by questions between two families of effects: a law is only worth
+asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames), which
+makes separations smaller, not larger; several blocks are taken to add nothing to each other. Pinned
+by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations

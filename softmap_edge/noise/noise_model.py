@@ -241,8 +241,8 @@ def rod_noise(
         t_seen: (K,) s.
         form_error: the model error (V, 3) mm.
         measured: noise from repeats, revisits or high frequencies.
-        repeats: scatter of poses that were seen again. Of the model error only the part that is
-            then a function of the commands counts; the rest is memory or noise.
+        repeats: scatter of poses that were seen again. Then only the part of the model error that
+            is a function of the commands counts; the rest is memory or noise.
     """
     clean = filled(residual)
     clean = clean - clean.mean(axis=0)

@@ -54,8 +54,8 @@ VISIBLE = 1e-3
 FORM = 0.025  # of the explained loss: laws closer than this differ by their model-form error only
 # share of at least so many folds that decides where the mean difference does not
 AGREE, FOLDS_THAT_AGREE = 0.85, 5
-# Of the loss above the noise: what an identified or unknown law must explain, and what it may leave
-# in all, or to its family.
+# Shares of the loss above the noise: what an identified or unknown law must explain, and what it
+# may leave in all, or to its family.
 SURE = 0.2
 # of what the best family explains: a law that does not reach must explain more, or it stands in for
 # another

@@ -4,8 +4,8 @@ For the demo and all hidden-effect tests.
 
 **This module never calls the effect library**, nor the linear fields, nor a model's prior. The body
 is solved by the finite elements on another mesh with a modulus up to 10 % off; weights are solved
-there too; all other effects are the separately written laws of `robot/emulated/laws.py`. What is
-seen are the template's material points, embedded in that solid.
+there too; all other effects are the separately written laws of `robot/emulated/laws.py`. The
+observed points are the template's material points, embedded in that solid.
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera
     noise─> run

@@ -173,7 +173,7 @@ class Jog:
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        # What the guard allows, so that arriving there counts.
+        # Within the guard's limits, so that the target can be reached.
         limits, at = self.robot.limits["servos"][servo], float(began[servo])
         low, high = (
             max(at - self.travel, min(at, limits["low"])),

@@ -63,7 +63,7 @@ def _has_more(pipe: int, seconds: float) -> bool:
 
 
 class Supervisor:
-    """What is heard of a loop, and who releases its servos when it can do so no more."""
+    """Reads the reports of a loop, and releases its servos when the loop cannot do so."""
 
     rig: Rig
     limits: LoopLimits

@@ -82,7 +82,7 @@ def following(slew: float) -> float:
     """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
 
     Real servos are behind by their delay at each speed: a limit below that drops the torque of a
-    healthy finger, and it must be homed again. What is really blocked pulls for some tenths of a
+    healthy finger, and it must be homed again. A really blocked servo pulls for some tenths of a
     second more, within its current cap.
     """
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))

@@ -1,6 +1,6 @@
-"""What the guard does and why, in words: of its states, its causes, and what it denies.
+"""Words for the guard's states, their causes, and the requests that it denies.
 
-Whatever shows them to somebody takes them from here. Pinned by tests/robot/test_servo_words.py.
+All commands and pages take them from here. Pinned by tests/robot/test_servo_words.py.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
 target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
-hand that goes, or a gesture, only ends it (`clutch`). Who holds nothing is released to the guard,
-which holds, then releases tension (docs/reference/safety.md). Pinned by
-tests/robot/test_teleop_drive.py through the real loop on emulated servos.
+hand that goes, or a gesture, only ends it (`clutch`). Without a held key the guard takes over: it
+holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
+through the real loop on emulated servos.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Hand observations, newest first: a thread finds landmarks in pictures, or UDP brings them.
 
-A sight replaces the one before; a reader slower than the camera misses some, and none waits. What
-ends it (camera gone, file over) is reported, not raised. Pinned by
-tests/robot/test_teleop_drive.py.
+A sight replaces the one before; a reader slower than the camera misses some, and none waits. Its
+end (camera gone, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
 """
 
 from __future__ import annotations

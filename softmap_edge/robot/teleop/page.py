@@ -1,7 +1,7 @@
 """The page on localhost: picture, hand, finger and guard; keyboard, mouse and enable key.
 
 Served from this package alone by `websockets` (BSD; its threaded server needs no event loop next to
-the loop that drives). Who has the link drives: its random token is in the part behind `#`, which no
+the loop that drives). The link gives access: its random token is in the part behind `#`, which no
 browser sends to anybody, and is asked of every connection. Host must be an address or localhost (a
 name that was bent to this computer, DNS rebinding, is refused) and Origin this very page. One page
 drives at a time, others watch; its key lapses by `keys.HeldKey`. Nothing is queued: a page is sent
