@@ -58,7 +58,7 @@ def test_mutants_are_named_without_their_places(prove):
         pytest.param(99, 0, 1, 0, 1, False, id="a survivor with one"),
         pytest.param(98, 0, 2, 0, 1, True, id="a reason counts once"),
         pytest.param(94, 0, 6, 50, 6, True, id="too many survive, unviable ones aside"),
-        pytest.param(0, 0, 0, 3, 0, True, id="nothing was judged"),
+        pytest.param(0, 0, 0, 3, 0, True, id="nothing was checked"),
     ],
 )
 def test_the_score_and_every_survivor_are_checked(
@@ -69,7 +69,7 @@ def test_the_score_and_every_survivor_are_checked(
         BASELINE,
         *(outcome(1, kind) for kind, count in counts.items() for _ in range(count)),
     ]
-    assert prove.judge(prove.names({"outcomes": outcomes}), Counter({NAME: explained})) == fails
+    assert prove.assess(prove.names({"outcomes": outcomes}), Counter({NAME: explained})) == fails
     said = capsys.readouterr().out
     assert f"{caught + late} of {caught + late + missed} mutants are caught" in said
     assert (
@@ -88,4 +88,4 @@ def test_a_run_without_results_is_a_failure(prove, monkeypatch, tmp_path, capsys
     old.parent.mkdir(parents=True)
     old.write_text("{}")
     assert prove.mutants(1, []) == 1
-    assert f"ended with {code} and judged nothing" in capsys.readouterr().out and not old.exists()
+    assert f"ended with {code} and checked nothing" in capsys.readouterr().out and not old.exists()

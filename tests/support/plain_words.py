@@ -8,6 +8,7 @@ explains.
 """
 
 import ast
+import functools
 import io
 import re
 import tokenize
@@ -152,11 +153,19 @@ def in_page(file: Path) -> Iterator[Finding]:
     yield from in_text("pages", str(file.relative_to(ROOT)), 1, text.replace("`", "_"))
 
 
+@functools.cache
 def findings() -> list[Finding]:
     """Return all findings of the repository."""
     code = [
         file
-        for folder in ("softmap_edge", "training/softmap_training", "benches", "examples")
+        for folder in (
+            "softmap_edge",
+            "training/softmap_training",
+            "benches",
+            "examples",
+            "rust",
+            "docs",
+        )
         for file in (ROOT / folder).rglob("*.py")
     ]
     tests = [file for file in (ROOT / "tests").rglob("*.py") if file.name not in QUOTING]
