@@ -41,8 +41,8 @@ def solve(
 ) -> Alignment:
     """Fit one pose to all groups and one to each; weight them by their information.
 
-    `motion` says whether the base moved; `measured`: the target points were measured one by one, as
-    with a ruler.
+    `motion` states whether the base moved; `measured`: the target points were measured one by one,
+    as with a ruler.
     """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))

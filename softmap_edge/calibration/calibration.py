@@ -89,7 +89,7 @@ def calibrate(
             paper.
 
     Returns:
-        Calibrated: the model with its calibration, the pairs, and what speaks against an affine
+        Calibrated: the model with its calibration, the pairs, and the evidence against an affine
         map.
 
     Raises:

@@ -141,7 +141,7 @@ def _as_if_seen(fits: Fits, field: Floats) -> Problem:
 
 
 def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
-    """Whether the run speaks against an effect with the numbers that the residual gives it."""
+    """Whether the run contradicts an effect with the numbers that the residual gives it."""
     problem, record = fits.problem, fits.problem.record
     space = problem.space((*fit.effects, effect))
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])

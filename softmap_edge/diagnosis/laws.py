@@ -76,7 +76,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What level 2 says of a family.
+    """The result of level 2 for a family.
 
     `law` is the law that stands for it, or a candidate: where the law is `open` because generic
     laws do as well, and where no law reaches and one explains most of what the family does. Without

@@ -1,7 +1,7 @@
 """The report of a diagnosis for a terminal, from its document. Text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number says its
-unit, and every error what it was measured on.
+Bars of one block share one scale, so that their lengths may be compared; every number has its unit,
+and every error what it was measured on.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def next_experiment(
 
     Returns:
         list: experiments, best first: by what separates families, then by all questions. Last what
-        no block settles, with what the library says of it. Empty where nothing is open.
+        no block settles, with the advice of the library. Empty where nothing is open.
 
     Raises:
         SoftmapError: the diagnosis is of another model or of other runs, or names effects that are
@@ -202,7 +202,7 @@ def _experiment(
 
 
 def _rest(world: Outcomes, questions: Sequence[OpenQuestion]) -> list[Experiment]:
-    """Return, for what no block settles, what the library says would show it."""
+    """Return, for questions that no block settles, the advice of the library."""
     rows: dict[str, Experiment] = {}
     tried = set(world.questions)
     for question in sorted(questions, key=lambda q: q.families is None):

@@ -214,7 +214,7 @@ def _strays(sheet: Sheet, name: str) -> bool:
 
 
 def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
-    """Whether a column has the name of a time, or of what a pattern says."""
+    """Whether a column has the name of a time, or of a pattern."""
     last = _bare(last_of(sheet, name))
     return pattern.search(last) is not None or (pattern is TIME_NAME and is_time_unit(last))
 

@@ -1,7 +1,7 @@
 """Write one self-contained HTML page about a comparison, two comparisons or a diagnosis.
 
 The text is in `templates/report.html`; this file gives it figures, words and pictures. Without
-matplotlib the page has no pictures and says how to get them. Pinned by tests/report/.
+matplotlib the page has no pictures and explains how to get them. Pinned by tests/report/.
 """
 
 from __future__ import annotations

@@ -71,14 +71,13 @@ class Controller(Supervisor):
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
     effects of its model, delays aside, from what was really sent. Entering starts the loop, checks
-    that the servos are what the rig says and that home was confirmed since they got power
-    (`proof.py`), and goes to READY. With `commissioning` it goes to CONNECTED, home is not asked
-    for, and small slow moves are all that is allowed (`jog.py`). Leaving releases tension and
-    switches torque off, whatever happened. With `record` all that the loop hears, decides and sends
-    goes to a file that must not exist (`recording.py`). A full disk ends the recording, not
-    the loop; `unrecorded` then holds the cause; leaving raises `RecordingBroken`. `tell` is called
-    with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked
-    for (`bus`).
+    that the servos match the rig and that home was confirmed since they got power (`proof.py`), and
+    goes to READY. With `commissioning` it goes to CONNECTED, home is not asked for, and small slow
+    moves are all that is allowed (`jog.py`). Leaving releases tension and switches torque off,
+    whatever happened. With `record` all inputs, decisions and outputs of the loop go to a file that
+    must not exist (`recording.py`). A full disk ends the recording, not the loop; `unrecorded` then
+    holds the cause; leaving raises `RecordingBroken`. `tell` is called with lines for the user:
+    registers rewritten by a start (`mended`), answers lost or not asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is
@@ -277,7 +276,7 @@ class Controller(Supervisor):
         Raises:
             ServoError: the loop does not answer; its servos were released from here.
         """
-        self._pressed = pressed  # before anything is sent: every order says it from now on
+        self._pressed = pressed  # before anything is sent: every order contains it from now on
         self._send()
         if not pressed:
             return

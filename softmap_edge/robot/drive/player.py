@@ -2,8 +2,8 @@
 
 The file's clock stands while the robot settles where the file rests, while the guard holds, and
 while the camera is gone; where something is to be done by hand the finger goes home, torque goes
-off, and the user says when to go on. A frame is taken at each capture of the file: the one nearest
-to it. However it ends, the commands and frames so far are kept. Pinned by
+off, and the user confirms when to go on. A frame is taken at each capture of the file: the one
+nearest to it. However it ends, the commands and frames so far are kept. Pinned by
 tests/robot/test_record_robot.py.
 """
 

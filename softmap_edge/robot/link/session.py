@@ -289,7 +289,7 @@ def _open(
     It is IPv4 where a host has both.
 
     Raises:
-        LinkError: it cannot; the line says `what`, and how to `mend` it.
+        LinkError: it cannot; the line states `what`, and how to `mend` it.
     """
     if not (1 if use is socket.socket.connect else 0) <= port <= 65535:
         raise LinkError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")

@@ -5,7 +5,7 @@
     udp = {port = 5006, key_file = "stop.key", timeout = 0.2}
 
 The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or
-does not beat, is pressed. docs/reference/safety.md says how to wire and use them. Pinned by
+does not beat, is pressed. docs/reference/safety.md explains how to wire and use them. Pinned by
 tests/robot/test_emergency.py.
 """
 

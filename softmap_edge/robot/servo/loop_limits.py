@@ -2,9 +2,9 @@
 
 The compiled guard checks it and keeps to it.
 
-docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about
-`home`. Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests
-of rust/servo/guard.
+docs/reference/safety.md explains each limit. Ticks are absolute; the window lies about `home`.
+Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests of
+rust/servo/guard.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLim
     """Return the limits of one servo by its model's data.
 
     Args:
-        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 <
+        model: its name, as in `servo_model`. home: ticks. window: ticks about home, LOW < 0 <
             HIGH.
 
     Raises:

@@ -52,7 +52,7 @@ class Rig:
     """A port, its baud rate, and the servos in the order of the commands.
 
     `ceiling` is what all of them are allowed at most, `emergency` the stops that the loop asks,
-    `made` says how each thing was found. `time` is that of the servos, `file` the one that it was
+    `made` is how each thing was found. `time` is that of the servos, `file` the one that it was
     read from; no file holds them.
 
     Raises:

@@ -70,7 +70,7 @@ STATES = {
     "ready": "Ready, torque is off",
     "engaged": "Driving",
     "hold": "Holding where it is; it releases tension soon",
-    "safe_stop": "Slackening: it goes straight, then torque goes off",
+    "safe_stop": "Releasing tension: it goes straight, then torque goes off",
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
@@ -247,7 +247,7 @@ def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | 
 
 
 def sentence(report: LoopReport) -> str:
-    """Return what the guard's newest report says, and why."""
+    """Return the guard's newest report in words, with its cause."""
     name = str(report.get("state", "off"))
     message = STATES.get(name, name)
     why = "" if name in QUIET else cause(report)
@@ -269,7 +269,7 @@ def limits(report: LoopReport) -> list[str]:
 
 
 def lost(report: LoopReport, why: str) -> str:
-    """Return why driving ended, where the guard's report does not say so, and what leads on."""
+    """Return why driving ended, where the guard's report lacks it, and the remedy."""
     state = str(report.get("state", "off"))
     again = "release the key and press it again"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):

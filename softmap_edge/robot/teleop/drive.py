@@ -232,7 +232,7 @@ class Drive:
         return sight
 
     def _holding(self, now: float) -> tuple[str, Controls]:
-        """Return who holds the key, and what counts: theirs, or what the first input says."""
+        """Return who holds the key, and the valid input: theirs, or the first one."""
         said = [(one.name, one.controls(now)) for one in self._inputs]
         for name, controls in said:
             if controls.held:

@@ -71,8 +71,8 @@ class Finder(Protocol):
 class HandSource(ABC):
     """The slot that a thread of its own fills; a context manager.
 
-    `gone` says in a line why nothing comes any more, `over` that a file came to its end. `.taken`
-    and `.hands` count pictures and those with the driving hand.
+    `gone` is a line on why nothing comes any more, `over` the end of a file. `.taken` and `.hands`
+    count pictures and those with the driving hand.
     """
 
     def __init__(self, name: str, view: View) -> None:

@@ -174,7 +174,7 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
 
 def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
     with archive.open(place) as stream:
-        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever the entry says of itself
+        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever size the entry declares
     if len(content) > LARGEST_NETWORK:
         raise TeleopError(
             f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does"

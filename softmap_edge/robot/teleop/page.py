@@ -151,7 +151,7 @@ class Page:
         self._hello, self._view = hello, view
 
     def controls(self, now: float) -> Controls:
-        """Return what the driving page says."""
+        """Return the newest message of the driving page."""
         return Controls(self._key.held(now), self._knob, self._source)
 
     def asked(self) -> str | None:
@@ -193,7 +193,7 @@ class Page:
         return None
 
     def _serve(self, connection: ServerConnection) -> None:
-        """Read what a page says; what it is sent goes by a thread of its own."""
+        """Read the messages of a page; another thread sends to it."""
         with self._lock:
             room = len(self._pages) < MOST_PAGES  # several may have been let in at once
             if room:
