@@ -62,7 +62,7 @@ def test_forces_are_the_slope_of_the_energy_and_the_tangent_is_theirs():
             cables,
             (pull > 0) * design.cable * np.einsum("bnkc,bnk->bc", cables, way),
         )
-        # What is left out of the tangent is of the order of one element's turn, here 0.1.
+        # The terms left out of the tangent are of the order of one element's turn, here 0.1.
         assert np.linalg.norm(change - reported) < 3e-3 * np.linalg.norm(reported)
 
 

@@ -1,4 +1,4 @@
-"""What a calibration is worth once it is found: kept in a bundle, refused if damaged, runs in ticks
+"""Use of a found calibration: kept in a bundle, refused if damaged, runs in ticks
 read through it.
 """
 

@@ -238,7 +238,7 @@ def test_the_command_takes_a_reference(tmp_path, capsys):
     )
     assert main([*argv[:3], str(tmp_path / "none.npz")]) == 2
     capsys.readouterr()
-    # What was added says what it is relative to, and what comes next is recorded twice.
+    # An added effect names its reference, and the next experiment is recorded twice.
     assert (
         main(
             ["add", "payload", "--from", str(tmp_path / "d.json"), "--out", str(tmp_path / "with")]

@@ -1,4 +1,4 @@
-"""What a finger may be asked: derived from its model, carried by its bundle, edited by hand, never
+"""Limits of a finger: derived from its model, carried by its bundle, edited by hand, never
 out of range.
 """
 

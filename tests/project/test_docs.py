@@ -55,7 +55,7 @@ def test_a_picture_that_needs_a_browser_is_left_as_it_is_without_one(tmp_path, m
 
 
 def test_pictures_that_take_the_time_of_a_robot_stay_small_and_are_shown():
-    """What they draw is tested by test_track.py and test_teleop_page.py."""
+    """test_track.py and test_teleop_page.py test the pictures."""
     assert callable(script(ROOT / "docs/figures_track.py").main)
     for name, page in (("track_s.svg", "track.md"), ("teleop.jpg", "teleop.md")):
         assert 10_000 < (ROOT / "docs/pictures" / name).stat().st_size < 150_000

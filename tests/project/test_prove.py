@@ -1,4 +1,4 @@
-"""What `rust/servo/prove.py` makes of the outcomes that cargo-mutants 27.1 writes; the run itself
+"""`rust/servo/prove.py` on outcomes as cargo-mutants 27.1 writes them; the run itself
 is `make prove`.
 """
 

@@ -1,4 +1,4 @@
-"""What setting up makes sure of is looked at by each start, homing and the doctor, and the command
+"""Each start, homing and the doctor check the set-up of the servos, and the command
 named mends it.
 """
 

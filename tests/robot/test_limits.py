@@ -259,7 +259,7 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
 
 
 def test_each_range_is_the_guard_s_own_for_every_reader(tmp_path):
-    """What a rig may say, and what a bundle may, the guard refuses nowhere by itself, and beyond it
+    """The guard accepts every allowed value of a rig and of a bundle, and beyond it
     all three do.
     """
     table = loop_limits([servo_limits(MODEL, 0, (-500, 500))])

@@ -202,7 +202,7 @@ def link(tmp_path):
 
 @pytest.mark.parametrize("which", ("any", "right"))
 def test_another_hand_over_udp_is_no_hand_either(link, which):
-    """What the eyes give is what `Drive` takes: all hands that may drive, and of them the own
+    """The output of the eyes is the input of `Drive`: all hands that may drive, and of them the own
     one.
     """
     sender, eyes_of = link

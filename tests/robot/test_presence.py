@@ -1,5 +1,5 @@
-"""Who answers and who does not: another rate, another id, an id that two share, pings only; each is
-named.
+"""Servos that answer and that do not: another rate, another id, an id that two share, pings only;
+each is named.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""What `softmap record` leaves when it is ended by a signal, killed, or out of disk: a cut loses
+"""Files of `softmap record` that is ended by a signal, killed, or out of disk: a cut loses
 its last second.
 """
 

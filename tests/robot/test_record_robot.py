@@ -128,8 +128,8 @@ def stood(file):
 
     Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an
     ordinary one, carries the bytes of a pseudo-terminal between them: where the computer is busy it
-    comes late, and for so long no servo is heard at all. What one servo does, or what the guard
-    finds besides, is no such fault.
+    comes late, and for so long no servo is heard at all. A fault of one servo, or another finding
+    of the guard, is no such fault.
     """
     periods = read_recording(file).periods
     end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)

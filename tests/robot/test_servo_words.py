@@ -1,4 +1,4 @@
-"""What the guard does, why, and what it denies, in words: one set of them, for every state and
+"""Words for the guard's actions, causes and denials: one set of them, for every state and
 cause.
 """
 

@@ -115,7 +115,7 @@ def test_a_video_is_played_through_the_full_chain(capsys, tmp_path):
 
 
 def test_landmarks_and_key_reach_the_other_computer():
-    """What the sender's loop sends is what the robot's eyes see; the key lapses with the
+    """The robot's eyes see the messages of the sender's loop; the key lapses with the
     connection.
     """
     key = bytes(range(32))

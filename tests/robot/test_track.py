@@ -267,7 +267,7 @@ def test_ctrl_c_says_that_torque_is_off_and_what_was_kept(tmp_path):
 
 
 def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypatch, capsys):
-    """What was not measured is not previewed as 0 s, and no figure is led on it."""
+    """An unmeasured delay is not previewed as 0 s, and no figure is driven with it."""
     monkeypatch.chdir(tmp_path)
     argv = [SOFTMAP, "track", "circle", "--sim", "--duration", "6", "--record", "t.mcap"]
 

@@ -24,7 +24,7 @@ learned = pytest.fixture(scope="module")(learned_from_rough)
 
 def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
     truth = arm()
-    # What is left is where the descent stops (1e-7 of the sum of squares), far below any camera's
+    # The rest is where the descent stops (1e-7 of the sum of squares), far below any camera's
     # noise.
     assert learned.error_mm < 1e-3
     np.testing.assert_allclose(learned.rod.numbers, truth.start, atol=1e-3, rtol=1e-3)
@@ -40,7 +40,7 @@ def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
 
 
 def test_without_freedom_the_same_rod_fails(run, learned):
-    """What the recovery is worth: the rough numbers as they are miss by far more."""
+    """The recovery is necessary: the rough numbers miss by far more."""
     rough = arm(**ROUGH)
     off = rough.layout.compiled(rough.start).evaluate(run.command) - run.markers.reshape(
         len(run.t), -1

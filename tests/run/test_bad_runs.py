@@ -271,7 +271,8 @@ def command(change):
     return lambda f: f | {"command": change(f["command"].copy())}
 
 
-# What no effect explains: nothing physical may be named, and the verdict says where to look.
+# Errors that no effect explains: nothing physical may be named, and the verdict names the place to
+# look.
 UNRELATED = {
     "constant commands": (command(lambda u: np.full_like(u, 5.0)), "the commands never change"),
     "a channel that is not logged": (command(lambda u: u * [1.0, 0.0]), "it never moves"),

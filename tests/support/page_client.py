@@ -1,4 +1,4 @@
-"""What tests of teleoperation's page share: a page that is served, a plain client, a network that
+"""Shared by tests of teleoperation's page: a page that is served, a plain client, a network that
 is slow.
 """
 
