@@ -7,7 +7,7 @@
 //! session, HMAC) while no heart beats, and sequence numbers must rise within it. A heart that
 //! stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is
 //! as old as it has been here, plus by how much later it came than the quickest did; clocks need
-//! not agree. Whatever else arrives is dropped. Its other end is
+//! not agree. All other datagrams are dropped. Its other end is
 //! `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
 
 use std::io::ErrorKind;
@@ -164,7 +164,7 @@ impl Heartbeat {
         let _ = self.socket.send_to(&datagram, to);
     }
 
-    /// What was sent for a heart that stopped counts no more.
+    /// Beats sent before it stopped no longer count.
     fn renew(&mut self) {
         (self.last, self.quickest) = (None, None);
         for byte in self.session.iter_mut().rev() {

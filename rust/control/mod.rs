@@ -47,7 +47,7 @@ const TRIES: usize = 9;
 /// s for which torque off is repeated at the end.
 const FAREWELL: f64 = 0.5;
 
-/// What a loop is made of.
+/// The configuration of a loop.
 pub struct Setup {
     pub port: String,
     pub baud: u32,
@@ -77,7 +77,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let port = Opened::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
     let simulated = port.simulated();
     let mut bus = Bus::new(port, setup.baud, SLACK);
-    let fast = found_as_said(&mut bus, &setup.members)?;
+    let fast = found_as_declared(&mut bus, &setup.members)?;
     let begun = bus.port().now();
     let drive = Drive::new(bus, &setup.members, fast, WATCHDOG);
     let mailbox = PipeMailbox::new(orders, plan.channels(), setup.stops);
@@ -167,7 +167,7 @@ fn patiently<T>(
 
 /// Refuse servos that differ from the rig, or whose torque is on; whether all can
 /// answer in one packet.
-fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
+fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
         let told = patiently(|| bus.ping(*id));
@@ -224,7 +224,7 @@ impl<L: Plan, R: Record> Farewell<L, R> {
             return;
         }
         let drive = &mut self.0.drive;
-        drive.ask_anew();
+        drive.ask_again();
         let until = monotonic() + (FAREWELL * 1e9) as u64;
         while monotonic() < until {
             // A port that is gone takes nothing; the servos' own watchdogs stop them then.

@@ -171,7 +171,7 @@ mod tests {
         assert!(third.heard && !third.deadman && third.emergency && third.request.is_none());
         assert!(
             mailbox.collect().emergency,
-            "pressed until it is told otherwise"
+            "pressed until another frame arrives"
         );
         write(
             &writer,

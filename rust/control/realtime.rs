@@ -6,7 +6,7 @@ use softmap_servo::urgent::urgent;
 /// Above ordinary threads, below those of the kernel.
 const PRIORITY: i32 = 50;
 
-/// What is not granted to this process, in sentences for the user.
+/// The rights that this process lacks, in sentences for the user.
 pub fn warnings() -> Vec<String> {
     let mut said = vec![];
     if !urgent(PRIORITY) {

@@ -23,7 +23,7 @@ use super::Ended;
 use super::period::{Period, name};
 use super::recording::{Recording, cause};
 
-/// What the documents are.
+/// The schema of the documents.
 const SCHEMA: &str = "softmap.loop/1";
 /// How often the thread looks at the ring.
 const LOOK: Duration = Duration::from_millis(5);
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_told_is_one_line_of_json() {
+    fn every_report_is_one_line_of_json() {
         let (ours, theirs) = pipe().unwrap();
         let text = "no\u{1b} \u{7f} \u{200b} \"€\" \n";
         assert!(say(&theirs, &json!({"unrecorded": text, "t": f64::NAN})));

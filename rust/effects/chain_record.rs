@@ -95,7 +95,7 @@ impl Chain {
         Ok(())
     }
 
-    /// What acts, (B, T, C), for parameters (B, P) on the commands `u` (T, C); sets run in
+    /// Effective commands (B, T, C) for parameters (B, P) on the commands `u` (T, C); sets run in
     /// parallel.
     ///
     /// `states` (B, S) are read and left where the record ends; empty, they begin in equilibrium

@@ -1,4 +1,4 @@
-//! What an effect declares about itself, and the four roles it can play.
+//! The declaration of an effect, and its four possible roles.
 //!
 //! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives
 //! the coefficients of named fields; a *sensing* effect moves what is seen; a *prior* effect
@@ -234,7 +234,7 @@ impl Parameter {
     }
 }
 
-/// What pages, screens, tests and fits know of an effect.
+/// The description of an effect for pages, screens, tests and fits.
 #[derive(Debug)]
 pub struct Declaration {
     pub name: &'static str,

@@ -66,14 +66,14 @@ impl SensingEffect for Lens {
         for (p, place) in points.chunks_exact_mut(3).zip(positions) {
             if *place {
                 let at = Vec3::from_slice(p);
-                (at + seen_beside(params[0], at, cameras)).write_to_slice(p);
+                (at + seen_away(params[0], at, cameras)).write_to_slice(p);
             }
         }
     }
 }
 
 /// By how much a point is seen away from its place, mm.
-fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
+fn seen_away(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
     let mut system = Mat3::from_diagonal(Vec3::splat(UNIQUE));
     let mut right = Vec3::ZERO;
     for pose in cameras {

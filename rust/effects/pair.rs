@@ -14,7 +14,7 @@ pub(super) const fn taut(doc: &'static str) -> Parameter {
     Parameter::new("taut", "1", 0.5, 0.5, 0.0, 1.0, doc)
 }
 
-/// What reaches the body of a command `x`.
+/// The part of a command `x` that reaches the body.
 #[inline]
 pub(super) fn lengthened(x: f64, [a, b]: [f64; 2], taut: f64) -> f64 {
     x - (taut * (a - b) + (1.0 - taut) * x.max(-b).min(a))

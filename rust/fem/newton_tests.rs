@@ -96,7 +96,7 @@ fn patch_test_a_linear_field_is_in_balance_inside_distorted_cells() {
 }
 
 #[test]
-fn tangent_of_the_whole_solid_agrees_with_finite_differences_and_woodbury_with_it() {
+fn tangent_of_the_full_solid_agrees_with_finite_differences_and_woodbury_with_it() {
     let solid = Solid::build(design(2, 6)).unwrap();
     let state = reach(
         &solid,

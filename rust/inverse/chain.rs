@@ -168,7 +168,7 @@ impl Inverse {
         &self.acts
     }
 
-    /// What would act in channel `a` if `u` were commanded `dt` seconds after the last one.
+    /// The effective command in channel `a` if `u` were commanded `dt` seconds after the last one.
     fn peek(&mut self, u: &[f64], dt: f64, a: usize) -> f64 {
         self.trial.copy_from_slice(&self.state);
         self.acts.copy_from_slice(u);

@@ -49,10 +49,10 @@ pub struct Reach {
     places: Vec<f64>,
 }
 
-/// What was found for one target.
+/// The solution for one target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// What must act (C,) mm.
+    /// Effective command (C,) mm.
     pub u: Vec<f64>,
     /// Where the tip then is.
     pub place: [f64; PLACE],
@@ -90,7 +90,7 @@ impl Reach {
             |c: &usize| !(low[*c].is_finite() && high[*c].is_finite() && low[*c] <= high[*c]);
         if let Some(c) = (0..channels).find(turned) {
             return Err(invalid(format!(
-                "bounds of command {c} are {} and {} mm; finite numbers, low first, are wanted",
+                "bounds of command {c} are {} and {} mm; expected finite numbers, low first",
                 low[c], high[c]
             )));
         }
@@ -127,7 +127,7 @@ impl Reach {
         (&self.low, &self.high)
     }
 
-    /// What must act so that the tip is nearest to `target`, a single point, or one that follows
+    /// The effective command with the tip nearest to `target`, a single point, or one that follows
     /// `from`.
     pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         self.search(&mut Search::new(self), target, from)

@@ -61,8 +61,8 @@ impl Predictor {
     ) -> Result<Predictor> {
         if prior.size() != 3 * positions.len() {
             return Err(invalid(format!(
-                "the prior has {} outputs, positions has {} entries; three outputs for each are \
-                wanted",
+                "the prior has {} outputs, positions has {} entries; expected three \
+                outputs for each",
                 prior.size(),
                 positions.len()
             )));

@@ -1,4 +1,4 @@
-//! What parameter sets with the same commands share: shapes at all frames, evaluated once.
+//! Data shared by parameter sets with the same commands: shapes at all frames, evaluated once.
 
 use super::Predictor;
 use super::job::Job;

@@ -1,4 +1,4 @@
-//! What acts on the shape, and how the frame answers small changes of it: all that a linearised
+//! Effective commands, and how the frame answers small changes of it: all that a linearised
 //! screening needs.
 //!
 //! `acting` is the chain alone, read at the seen times. `slopes` are central differences of full
@@ -12,7 +12,7 @@ use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 
 impl Predictor {
-    /// What acts, (B, K, C), at the seen times for parameters (B, P) on the commands `u` (T, C).
+    /// Effective commands (B, K, C) at seen times for parameters (B, P) on the commands `u` (T, C).
     pub fn acting(
         &self,
         chain: &Chain,

@@ -45,7 +45,7 @@ pub fn floats(
             .all(|(have, (_, want))| want.is_none_or(|want| want == *have));
     if !fits {
         return Err(
-            Error::Invalid(format!("{name} has shape {shape:?}, wanted {}", wanted())).into(),
+            Error::Invalid(format!("{name} has shape {shape:?}, expected {}", wanted())).into(),
         );
     }
     let view = array.as_array();

@@ -250,7 +250,7 @@ type Told = (
     bool,
 );
 
-/// What was decided in a period: state, cause, torque, goals.
+/// The decision of a period: state, cause, torque, goals.
 type Decided = (String, String, bool, Vec<i32>);
 
 /// Let a guard of `table` decide `periods` again; state, cause, torque, and goals of each.

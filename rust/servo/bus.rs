@@ -25,7 +25,7 @@ pub trait Port {
     fn discard(&mut self) -> Result<(), PortFault>;
 }
 
-/// What is wrong with a port.
+/// The fault of a port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PortFault {
     #[error("the port is gone: unplugged, or its adapter was reset")]
@@ -55,7 +55,7 @@ fn refusal(error: u8) -> &'static str {
     known.map_or("answered with an unknown error", |(_, meaning)| meaning)
 }
 
-/// What came of one servo.
+/// The answer of one servo.
 pub type Heard = Result<Answer, Fault>;
 
 /// An answer.

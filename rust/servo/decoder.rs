@@ -58,7 +58,7 @@ impl Default for Decoder {
     }
 }
 
-/// What stands at the beginning of what was received.
+/// The beginning of the received bytes.
 enum Found {
     /// A packet of so many bytes.
     Packet(usize),
@@ -84,7 +84,7 @@ impl Decoder {
         (self.start, self.end) = (0, 0);
     }
 
-    /// What was received and not read yet.
+    /// Bytes received and not read yet.
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.start..self.end]
     }

@@ -39,7 +39,7 @@ pub struct Drive<P> {
     heard: Vec<Heard>,
     feedback: Vec<Option<Feedback>>,
     health: Vec<Option<Health>>,
-    /// What was written last: whether torque is on, and the current in steps.
+    /// The last writes: whether torque is on, and the current in steps.
     torque: bool,
     currents: Vec<i16>,
     /// Looks in a row at which a servo had another watchdog or cap than was written.
@@ -73,7 +73,7 @@ impl<P: Port> Drive<P> {
         &mut self.bus
     }
 
-    /// What came of each servo the last time.
+    /// The last answer of each servo.
     pub fn heard(&self) -> &[Heard] {
         &self.heard
     }
@@ -99,7 +99,7 @@ impl<P: Port> Drive<P> {
     }
 
     /// Forget what the servos reported.
-    pub fn ask_anew(&mut self) {
+    pub fn ask_again(&mut self) {
         self.health.fill(None);
     }
 

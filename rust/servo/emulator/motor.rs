@@ -26,7 +26,7 @@ pub struct Motion {
     pub load: Vec<(f64, f64)>,
 }
 
-/// What is broken about a servo.
+/// The faults of a servo.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Broken {
     /// It never answers.

@@ -10,7 +10,7 @@ use super::{Axis, Cause, Denied, Input, Limits, Output, Request, State};
 /// Round-off that is forgiven, in ticks.
 const ROUND: f64 = 1e-6;
 
-/// What came out of a period, as an examiner may also make it up.
+/// The outputs of a period; an examiner may also invent them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Said {
     pub output: Output,

@@ -1,4 +1,4 @@
-//! What the examiner knows of one servo, and how old that is by the servo's own clock.
+//! The examiner's data on one servo, and their age by the servo's own clock.
 
 use super::{Feedback, Limits};
 

@@ -279,7 +279,7 @@ impl Guard {
         }
     }
 
-    /// What time brings.
+    /// Transitions that come with time.
     fn go_on(&mut self, trouble: bool) {
         let driven = self.driven();
         match self.state {

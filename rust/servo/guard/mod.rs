@@ -84,7 +84,7 @@ impl State {
     }
 }
 
-/// What a user asks for. What a state does not allow is denied: nothing happens.
+/// The requests of a user. A request that the state does not allow is denied: nothing happens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Request {
@@ -176,7 +176,7 @@ impl Cause {
         Cause::Tripped,
     ];
 
-    /// What is done about it.
+    /// The reaction to it.
     pub fn reaction(self) -> Reaction {
         match self {
             Cause::None | Cause::Asked => Reaction::None,
@@ -207,7 +207,7 @@ pub enum Denied {
     Undriven,
 }
 
-/// What is done about a cause; the later the graver.
+/// The reaction to a cause; the later the graver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reaction {
     None,
@@ -232,11 +232,11 @@ pub struct Feedback {
     pub voltage: f64,
     /// °C.
     pub temperature: f64,
-    /// What is asked for less often.
+    /// Readings that are asked for less often.
     pub health: Option<Health>,
 }
 
-/// What a servo says of itself.
+/// The health that a servo reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Health {
     /// Bits of its hardware error status.
@@ -246,7 +246,7 @@ pub struct Health {
     pub tripped: bool,
 }
 
-/// What came from the user's side in this period.
+/// The user's inputs in this period.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Message<'a> {
     pub deadman: bool,
@@ -270,7 +270,7 @@ pub struct Input<'a> {
     pub emergency: bool,
 }
 
-/// What is to be done now; goals and currents are asked of the guard.
+/// The actions for now; goals and currents are asked of the guard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Output {
     pub state: State,

@@ -59,7 +59,7 @@ pub struct Robot {
     pub now: u64,
     pub at: [i32; 2],
     pub said: Feedback,
-    /// What servo 2 answers instead: nothing, or its last answer.
+    /// The answer of servo 2 instead: none, or its last one.
     pub wrong: fn(&mut Feedback),
     pub mute: bool,
     pub stuck: bool,

@@ -1,4 +1,4 @@
-//! What is known of one servo, and what is wrong with it.
+//! State and faults of one servo.
 
 use super::limits::{Axis, Limits};
 use super::time::{Stamp, Time};
