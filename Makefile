@@ -12,7 +12,7 @@ RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.t
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
 
-# The package and the command `softmap` in .venv, compiled anew if a Rust file changed.
+# The package and the command `softmap` in .venv, compiled again if a Rust file changed.
 build: $(VENV)/.core
 
 # What compiles and what installs go side by side; then come the tests of Python.
@@ -50,7 +50,7 @@ SHARE ?= 1
 bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
-# Public data with known answers beside general methods; sets that are absent are skipped. Writes docs/benchmarks/outside.md as well.
+# Public data with known answers, compared with general methods; sets that are absent are skipped. Writes docs/benchmarks/outside.md as well.
 outside: $(VENV)/.bench
 	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m benches.outside --out $(OUT)/outside --page
 

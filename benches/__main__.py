@@ -43,7 +43,7 @@ def main() -> int:
         "--quick",
         action="store_true",
         help=(
-            "leave out what takes minutes: the 41×41 sweep, whole diagnoses, 1000 frames, the "
+            "leave out what takes minutes: the 41×41 sweep, full diagnoses, 1000 frames, the "
             "trunk robot's table"
         ),
     )
@@ -117,7 +117,7 @@ def newton_step() -> dict[str, object]:
     peer = NumpySolid(nodes, mesh.cells, finger.young_mpa, finger.poisson, mesh.fixed)
     bent = nodes + 0.02 * np.sin(nodes / 7.0) * (nodes[:, 2:] / nodes[:, 2].max())
     ours_s, peer_s = side_by_side(lambda: solid.newton_step(bent), lambda: peer.newton_step(bent))
-    return ratio("Newton step, 1204 nodes", ours_s, peer_s, "NumPy/SciPy", "wanted ≥ 4")
+    return ratio("Newton step, 1204 nodes", ours_s, peer_s, "NumPy/SciPy", "goal ≥ 4")
 
 
 def rollouts() -> dict[str, object]:
@@ -131,7 +131,7 @@ def rollouts() -> dict[str, object]:
     ours_s, peer_s = side_by_side(
         lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*own, u, t)
     )
-    return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
+    return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "goal ≥ 8")
 
 
 def nine_tendons():
@@ -172,7 +172,7 @@ def elastic_fit() -> dict[str, object]:
         "name": name,
         "value": time.perf_counter() - start,
         "unit": "s",
-        "wanted": "wanted ≤ 30",
+        "wanted": "goal ≤ 30",
     }
 
 

@@ -5,7 +5,7 @@ A silicone beam that nothing commands, under its weight, 52 g and 101 g.
 The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements
 with it. `drop` is the mean of the three tip markers along gravity (mm), `rotation` that of the
 plate that carries them (degrees), both from where a hand held the beam straight. The verdicts are
-`softmap diagnose` with the table of the fitted beam, which is not told that anything hangs there.
+`softmap diagnose` with the table of the fitted beam; the hanging load is not declared.
 `Ring` is what the beam does after the hand lets go: its frequency, and the weight at the tip that
 goes with it,
 
@@ -57,7 +57,7 @@ RINGS_FROM_S = (0.2, 0.4, 0.6)
 
 @dataclass(frozen=True)
 class Row:
-    """One recording beside its prediction: drop mm, rotation degrees."""
+    """One recording and its prediction: drop mm, rotation degrees."""
 
     run: str
     load_g: float
@@ -104,7 +104,7 @@ def fitted(runs: dict[str, Run]) -> FingerFit:
 
 
 def rows(beam: Finger, runs: dict[str, Run]) -> list[Row]:
-    """Return every recording beside what the finite elements predict."""
+    """Compare every recording with the prediction of the finite elements."""
     solid, found = Simulator(beam), []
     for name, run in runs.items():
         rest = np.asarray(run.marker_rest)

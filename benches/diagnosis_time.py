@@ -52,7 +52,7 @@ print(json.dumps({
 
 
 def rows(profile: bool = False) -> Iterator[dict[str, object]]:
-    """Yield one row of the bench for each diagnosis."""
+    """Yield one row of the benchmark for each diagnosis."""
     from softmap_edge.run.protocol import standard_protocol
     from softmap_edge.synthetic.finger import hide
 
@@ -62,9 +62,7 @@ def rows(profile: bool = False) -> Iterator[dict[str, object]]:
         for what, (hidden, wanted) in FINGERS.items():
             hide(hidden, 1).measure(standard_protocol()).save(folder / "run.npz")
             found = alone(folder / "finger", folder / "run.npz", profile)
-            yield row(
-                f"diagnosis of {what}, {found['frames']} frames", found, f"wanted ≤ {wanted:g}"
-            )
+            yield row(f"diagnosis of {what}, {found['frames']} frames", found, f"goal ≤ {wanted:g}")
         model, run, source = log()
         save_bundle(model, folder / "trunk")
         run.save(folder / "log.npz")
@@ -72,7 +70,7 @@ def rows(profile: bool = False) -> Iterator[dict[str, object]]:
         yield row(
             f"diagnosis of {found['rows']} rows × 6, {source}",
             found,
-            f"wanted ≤ {LOG_S:g}, ≤ {LOG_MB:g} MB",
+            f"goal ≤ {LOG_S:g}, ≤ {LOG_MB:g} MB",
         )
 
 

@@ -278,7 +278,7 @@ def _null(number: int, rng: np.random.Generator) -> Hidden:
 
 
 def identified(found: Diagnosis) -> str | None:
-    """Return what is wrong with a name that is said to be certain, where no name is right."""
+    """Return what is wrong with a name that is reported as certain, where no name is right."""
     return "a name is identified" if found.verdict == "identified" else None
 
 

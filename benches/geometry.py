@@ -55,7 +55,7 @@ def frames() -> dict[str, object]:
     """1000 frames of 10 000 points registered in one call, on two cores and on one."""
     one, two = (float(alone(threads, "--frames", str(FRAMES))) for threads in (1, 2))
     row = ratio(
-        f"registration of {FRAMES} frames on two cores", two, one, "on one core", "wanted ≥ 1.7"
+        f"registration of {FRAMES} frames on two cores", two, one, "on one core", "goal ≥ 1.7"
     )
     return row | {"value": two, "peer": one, "unit": "s"}
 
@@ -94,7 +94,7 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
     try:
         from pykdtree.kdtree import KDTree
     except ImportError:
-        trees = absent(name, ours, "pykdtree", "wanted ≥ 4.5, aim 6")
+        trees = absent(name, ours, "pykdtree", "goal ≥ 4.5, aim 6")
     else:
 
         def peer():
@@ -103,11 +103,11 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
         for distance, side in zip(peer(), ("to_cloud", "to_template")):
             # as far as single precision distinguishes them
             same(f"{name}, {side}", found[side][0], distance, 2e-4)
-        trees = ratio(name, *side_by_side(ours, peer, CLOCK), "pykdtree", "wanted ≥ 4.5, aim 6")
+        trees = ratio(name, *side_by_side(ours, peer, CLOCK), "pykdtree", "goal ≥ 4.5, aim 6")
     try:
         import torch
     except ImportError:
-        return [trees, absent(name, ours, "torch", "wanted ≥ 50")]
+        return [trees, absent(name, ours, "torch", "goal ≥ 50")]
     points = torch.tensor(template, dtype=torch.float32, requires_grad=True)
     seen = torch.tensor(cloud, dtype=torch.float32)
 
@@ -121,7 +121,7 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
     return [
         trees,
         ratio(
-            name, *side_by_side(ours, loop, CLOCK), "torch.cdist forward + backward", "wanted ≥ 50"
+            name, *side_by_side(ours, loop, CLOCK), "torch.cdist forward + backward", "goal ≥ 50"
         ),
     ]
 
@@ -144,14 +144,14 @@ def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
     try:
         from benches.peer_igl import Handles
     except ImportError:
-        row = absent(name, ours, "libigl", "wanted ≥ 5")
+        row = absent(name, ours, "libigl", "goal ≥ 5")
         return row | {"value": row["value"] / STEPS}
     peer = Handles(rest, triangles.astype(np.int64), ends, STEPS)
     # Of 20 mm: a third of these cotangent weights is below 1e-3, where ours are held and libigl's
     # go on below zero.
     same(name, ours(), peer.deformed(goals[ends]), 1.0)
     ours_s, peer_s = side_by_side(ours, lambda: peer.deformed(goals[ends]), CLOCK)
-    return ratio(name, ours_s / STEPS, peer_s / STEPS, "libigl", "wanted ≥ 5")
+    return ratio(name, ours_s / STEPS, peer_s / STEPS, "libigl", "goal ≥ 5")
 
 
 def halved(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,7 +184,7 @@ def registration(model, shapes: np.ndarray, clouds: list[np.ndarray]) -> dict[st
     ours_s, ours_mm = measured(lambda cloud: register(model, [cloud]).vertices[0])
     name, wanted = (
         f"registration of half a cloud, {ours_mm:.2f} mm off",
-        "wanted ≤ 250 ms, ≤ 0.45 mm",
+        "goal ≤ 250 ms, ≤ 0.45 mm",
     )
     row = {"name": name, "value": ours_s * 1e3, "unit": "ms", "error_mm": ours_mm, "wanted": wanted}
     try:

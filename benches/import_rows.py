@@ -110,7 +110,7 @@ def main() -> int:
             seconds, work, megabytes, _ = measure(folder)
             print(
                 f"{rows:>9} rows, {size:6.1f} MB: {seconds:6.2f} s ({work:.2f} s of work), "
-                f"{megabytes:6.0f} MB (wanted ≤ 30 s, ≤ 1024 MB)",
+                f"{megabytes:6.0f} MB (goal ≤ 30 s, ≤ 1024 MB)",
                 flush=True,
             )
     return 0

@@ -1,9 +1,9 @@
-"""Rows of inverse kinematics on the paper-sized network: letters, beside SciPy and the paper's way.
+"""Rows of inverse kinematics on the paper-sized network: letters, against SciPy and the paper.
 
 The peer that the promise of five times is about is `scipy.optimize.least_squares(method="lm")`,
 MINPACK's Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by
-differences: what whoever has the network and not the core would write. SciPy on the core's own
-passes and exact slopes is no peer but a part of ours; that row tells the search from the passes.
+differences: the usual code without the core. SciPy on the core's own passes and exact slopes is no
+peer but a part of ours; that row separates the cost of the search from that of the passes.
 There the ratio has an end: a waypoint costs nothing but passes, three or four with slopes (a Newton
 step of the 0.1 mm that one waypoint of this network is off leaves 0.006 mm, the next 2e-5), and
 SciPy's own are passes of the same core. SciPy stays mm away at a few waypoints in a hundred, in
@@ -60,7 +60,7 @@ def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
     peers: list[tuple[str, str, Callable[[], Floats]]] = [
         (
             "SciPy's LM, onnxruntime",
-            "wanted ≥ 5, aim ≤ 1 ms",
+            "goal ≥ 5, aim ≤ 1 ms",
             lambda: by_scipy(by_onnxruntime, differences, targets),
         ),
         (
@@ -85,7 +85,7 @@ def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
         "value": above,
         "unit": "mm",
     }
-    return [*rows, last | {"wanted": "wanted ≤ 2e-5 (round-off)"}]
+    return [*rows, last | {"wanted": "goal ≤ 2e-5 (round-off)"}]
 
 
 def letters(kinematics: Kinematics, waypoints: int = WAYPOINTS) -> Floats:

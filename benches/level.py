@@ -127,4 +127,4 @@ def rows(made_of: Made | None = None) -> list[dict[str, object]]:
     ours, theirs = side_by_side(grams, made_of.grams)
     frames, modes = made_of.residual.shape
     name = f"level 1, {made_of.count} columns, {frames} × {modes}, {len(made_of.folds)} folds"
-    return [ratio(name, ours, theirs, "NumPy", "wanted ≤ 200 ms on one core")]
+    return [ratio(name, ours, theirs, "NumPy", "goal ≤ 200 ms on one core")]

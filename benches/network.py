@@ -100,7 +100,7 @@ def paper_sized() -> PaperSized:
 
 
 def rows() -> list[dict[str, object]]:
-    """Return tip with slopes beside reading, and whole passes beside onnxruntime and torch."""
+    """Time tip with slopes against reading, and full passes against onnxruntime and torch."""
     import torch
 
     made, threads = paper_sized(), torch.get_num_threads()
@@ -122,13 +122,13 @@ def _tip(made: PaperSized) -> list[dict[str, object]]:
     ours, theirs = side_by_side(_often(lambda: tip.jacobian(u)), _often(read))
     name = f"tip with exact slopes, {tip.parameters / 1e6:.2f} million numbers"
     row = ratio(
-        name, ours / SOME, theirs / SOME, "reading them once", "wanted ratio ≥ 0.625 (time ≤ 1.6 ×)"
+        name, ours / SOME, theirs / SOME, "reading them once", "goal ratio ≥ 0.625 (time ≤ 1.6 ×)"
     )
     jacobian = torch_jacobian(made, index)
     slopes = np.asarray(jacobian(u[0]))
     same("slopes", np.asarray(tip.jacobian(u))[0], slopes, 1e-3)
     ours, theirs = side_by_side(_often(lambda: tip.jacobian(u)), lambda: jacobian(u[0]))
-    return [row, ratio("tip with exact slopes", ours / SOME, theirs, "torch", "wanted > 1")]
+    return [row, ratio("tip with exact slopes", ours / SOME, theirs, "torch", "goal > 1")]
 
 
 def _whole(made: PaperSized) -> list[dict[str, object]]:
@@ -151,7 +151,7 @@ def _whole(made: PaperSized) -> list[dict[str, object]]:
     ours, theirs = side_by_side(_often(lambda: core.evaluate(u)), _often(read))
     rows.append(
         ratio(
-            "whole pass of the paper's network",
+            "full pass of the paper's network",
             ours / SOME,
             theirs / SOME,
             "reading it once",
@@ -161,9 +161,7 @@ def _whole(made: PaperSized) -> list[dict[str, object]]:
     for name, peer in (("onnxruntime", lambda: ort(single)), ("torch", by_torch)):
         ours, theirs = side_by_side(_often(lambda: core.evaluate(u)), _often(peer))
         rows.append(
-            ratio(
-                "whole pass of the paper's network", ours / SOME, theirs / SOME, name, "wanted > 1"
-            )
+            ratio("full pass of the paper's network", ours / SOME, theirs / SOME, name, "goal > 1")
         )
     return rows
 

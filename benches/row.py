@@ -1,4 +1,4 @@
-"""The rows of the benchmarks: medians of alternating runs, ours beside a peer's."""
+"""The rows of the benchmarks: medians of alternating runs, ours and a peer's."""
 
 from __future__ import annotations
 

@@ -2,12 +2,12 @@
 
 A nine-tendon robot seen at its tip, its elastic rod and general regressors.
 
-Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out whole moves (the
-labels of the log, dealt out to ten folds, frames within 2 s apart left out); `unseen` is `val.csv`,
-moves of all three segments at once, which `train.csv` has none of. The regressors get the nine
-tendon lengths at unit variance, the tip as target and their settings from `trunk.py` but for the
-Gaussian process. The published simulator is quoted, not run. Times are of the processor, all cores
-together. `python -m benches.tdcr` (some minutes); `make data` brings the logs.
+Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out complete moves
+(the labels of the log, dealt out to ten folds, frames within 2 s apart left out); `unseen` is
+`val.csv`, moves of all three segments at once, which `train.csv` has none of. The regressors get
+the nine tendon lengths at unit variance, the tip as target and their settings from `trunk.py` but
+for the Gaussian process. The published simulator is quoted, not run. Times are of the processor,
+all cores together. `python -m benches.tdcr` (some minutes); `make data` brings the logs.
 """
 
 from __future__ import annotations

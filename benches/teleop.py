@@ -1,6 +1,6 @@
 """Rows of teleoperation: from a picture of a hand to the first loop period with its target.
 
-The whole chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand
+The full chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand
 frame, filter, map, the loop's process; from when the picture is due to the `now` of the period that
 hears the command, by the recording. `python -m benches.teleop` runs it alone.
 """
@@ -100,13 +100,13 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     ms = 1e3 * np.array(late)
     name = f"camera to tick, {len(sent)} pictures driven from"
     return [
-        _row(f"{name}: median", float(np.median(ms)), "ms", "wanted ≤ 60"),
+        _row(f"{name}: median", float(np.median(ms)), "ms", "goal ≤ 60"),
         _row(f"{name}: p95", float(np.quantile(ms, 0.95)), "ms", "stated"),
         _row(
             f"pictures with a hand, of {eyes.taken} seen; {account.ended[-30:]}",
             eyes.hands,
             "",
-            "wanted ≥ 600",
+            "goal ≥ 600",
         ),
         *[
             _row(f"driving ended: {why[:60]}", count, "", "0")

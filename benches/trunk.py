@@ -5,7 +5,7 @@ First the rod on the trunk robot, compared with general regressors.
 Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the
 trunk logs. Commands reach every model after the drive's delay and lag as the rod found them;
 encoders are un-held. The regressors get the nine marker coordinates as targets and inputs of unit
-variance: same frames, blocks and inputs for all. What the load changes is in `trunk_load.py`. Run
+variance: same frames, blocks and inputs for all. The effect of the load is in `trunk_load.py`. Run
 `python -m benches.trunk` (some minutes); `make data` brings the logs.
 """
 

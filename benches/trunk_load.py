@@ -30,7 +30,7 @@ FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.
 HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
 FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, validated after the second
 BLOCKS, GAP_S = 5, 2.0
-# Of the unloaded run: seconds kept from the rod, diagnosed, and kept from both.
+# Seconds of the unloaded run: kept from the rod, diagnosed, and kept from both.
 HALVES = {
     "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
     "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
@@ -66,7 +66,7 @@ def reference(free: Run) -> tuple[Model, Model]:
 
 
 def error(model: Model, run: Run) -> float:
-    """Return the RMS error in mm over the later frames; memory runs through the whole record."""
+    """Return the RMS error in mm over the later frames; memory runs through the complete record."""
     off = (model.predict(run) - run.markers)[run.t_seen >= LATER]
     return float(np.sqrt((off**2).sum(axis=2).mean()))
 

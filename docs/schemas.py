@@ -253,7 +253,7 @@ SCHEMAS: dict[str, Schema] = {
         },
         command_range=rows(SPAN, "low and high of each channel, in the command's unit"),
         gravity_reference=rows(number(), "in the base frame, in g", minItems=3, maxItems=3),
-        held_out_error_mm=number("the model's own error, mm RMS", minimum=0),
+        held_out_error_mm=number("the model error, mm RMS", minimum=0),
         held_out_error_per_g_mm=number("its error for a change of gravity by 1 g", minimum=0),
         stiffness_known=truth("false where loads have a nominal scale"),
         made_from=table({}),

@@ -2,7 +2,7 @@
 
 They are taken from `../shared/data` where that folder exists, else from the public commits below,
 and never trusted: every file must have the SHA-256 written here. Nothing of it belongs to this
-project; each set keeps its own licence, which is copied beside it. A set can be chosen by name:
+project; each set keeps its own licence, which is copied next to it. A set can be chosen by name:
 `python examples/fetch_data.py data trunk`.
 """
 
@@ -241,7 +241,7 @@ def _download(url: str, sha256: str) -> bytes:
 
 
 def _place(content: bytes, target: Path) -> None:
-    """Write a file so that it is there whole or not at all."""
+    """Write a file atomically: complete or not at all."""
     part = target.with_name(target.name + ".part")
     part.write_bytes(content)
     part.replace(target)

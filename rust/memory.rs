@@ -1,5 +1,5 @@
 //! How much memory one answer may take, asked before it is allocated: an allocation that fails ends
-//! the whole process.
+//! the process.
 
 use crate::error::{Result, invalid};
 

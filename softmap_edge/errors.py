@@ -168,7 +168,7 @@ def no_effect(name: str, known: Iterable[str]) -> str:
 
 
 def brief(fault: BaseException) -> str:
-    """Return what another library's exception says, as at most 160 characters of one line."""
+    """Return the message of another library's exception, as at most 160 characters of one line."""
     return " ".join(str(fault).split())[:160]
 
 

@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def folder_is_left_as_it_was():
-    """Whoever goes to another folder comes back: the next test of the worker would begin there."""
+    """Restore the working folder after each test: the next test of the worker would begin there."""
     before = os.getcwd()
     yield
     left = os.getcwd()

@@ -5,7 +5,7 @@ Each case gives one small JSON.
 python -m benches.bank --share 0.1            a tenth of the development seeds
 python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set
                                               (docs/benchmarks/bank.md)
-python -m benches.bank --make  only make the cases; --judge: only score those that are made
+python -m benches.bank --make  only make the cases; `--judge`: only score those that are made
 python -m benches.bank --table                print the table of the rows that exist
 python -m benches.bank --set FORM=0.1 --out OTHER       score with another constant of decision.py,
                                                         for the next line

@@ -1,11 +1,11 @@
 """Scores of the diagnoses of cases, and their table: goal, measured, 95 % interval, n.
 
-A law counts as named if it has the largest share of what is claimed and stands alone: every rival
-set holds it, or holds in its place a structural equivalent under the conditions of the run
+A law counts as named if it has the largest share of the explained error and stands alone: every
+alternative holds it, or in its place a structural equivalent under the conditions of the run
 (`alike`: what the registry declares, not what a diagnosis says). Two hidden laws that are each
 other's equivalents need one name. A law that the library does not have, or that this model cannot
-express, is told as *not in the library*. A run is *flagged* if something unknown is said to be
-left, or if the measurement is said to be at fault in a way that no effect names. Intervals are
+express, is reported as *not in the library*. A run is *flagged* if the diagnosis reports an unknown
+error, or a fault of the measurement that no effect names. Intervals are
 Wilson's:
 
     (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
@@ -27,7 +27,7 @@ Row = Mapping[str, Any]
 
 
 def alike(registry: Sequence[Row], orientations: int, roll: bool = True) -> dict[str, set[str]]:
-    """Return what cannot be told from each effect where no load is declared, itself included.
+    """Return what cannot be distinguished from each effect without a declared load, with itself.
 
     `orientations` of the run, and whether it shows the `roll` of the body.
     """
@@ -55,7 +55,7 @@ def judged(
     """Return what a diagnosis `document` reports on a finger with `hidden`; what is right.
 
     `alike` are the structural equivalents of each effect, `expressible` what this model can have of
-    the library, `also` what the hidden laws do beside what they are called by: may be named, need
+    the library, `also` what the hidden laws do besides their names: may be named, need
     not be.
     """
     groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]

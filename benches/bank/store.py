@@ -1,8 +1,8 @@
 """The files of a case: its runs, and the truth about it. Diagnosis and scoring read them.
 
     ROOT/<case>/truth.json    hidden laws, right answers, displacement of the finger, `made_by`
-    ROOT/<case>/first.npz     the run that is diagnosed        whole.npz   a second one, for rivals
-    ROOT/<case>/judge.npz  a run of another kind  twin.npz  the same of the finger without the law
+    ROOT/<case>/first.npz     the run that is diagnosed        `whole.npz` a second one, of `rivals`
+    ROOT/<case>/`judge.npz`  a run of another kind  twin.npz  the same of the finger without the law
     ROOT/<case>/taught.npz    runs from which a model is learned (`taught_2.npz` of other size and
                               speed)
 

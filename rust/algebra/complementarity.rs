@@ -1,6 +1,6 @@
 //! The linear complementarity problem: z ≥ 0, w = M z − q ≥ 0, z·w = 0, for a positive definite M.
 //!
-//! What pulls only, or pushes only: cables and contacts. Solved by the primal-dual active set
+//! One-sided forces: cables pull, contacts push. Solved by the primal-dual active set
 //! method (Hintermüller, Ito & Kunisch 2002), by projected Gauss–Seidel should that cycle.
 
 use crate::algebra::dense;

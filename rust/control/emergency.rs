@@ -1,14 +1,14 @@
-//! The emergency stop beside the orders' own flag: a line of the computer, a heartbeat from another
+//! Emergency stops next to the flag in the orders: a line of the computer, a heartbeat from another
 //! one, or both.
 //!
-//! Asked once a period, without waiting and without allocation. What cannot be read is pressed: a
+//! Asked once a period, without waiting and without allocation. An unreadable input is pressed: a
 //! broken wire, a chip that is gone, a heart that does not beat. The guard does the rest (torque
 //! off at once, FAULT until acknowledged).
 
 use super::gpio::Line;
 use super::heartbeat::Heartbeat;
 
-/// The inputs that a bench has.
+/// The inputs that a rig has.
 #[derive(Default)]
 pub struct Emergency {
     button: Option<Button>,

@@ -3,11 +3,11 @@
 //!
 //! A beat is BEAT bytes, little-endian: mark `SMB1`, flags (u8, 1: pressed), session (16 bytes),
 //! sequence number (u64), the sender's clock (u64 ns) and HMAC-SHA256 of all that under a shared
-//! key. The session is ours: to whoever signs rightly under another one it is offered (mark `SMC1`,
+//! key. The session is ours: a sender that signs correctly under another one gets it (mark `SMC1`,
 //! session, HMAC) while no heart beats, and sequence numbers must rise within it. A heart that
 //! stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is
 //! as old as it has been here, plus by how much later it came than the quickest did; clocks need
-//! not agree. Whatever else arrives is dropped. Its other end is
+//! not agree. All other datagrams are dropped. Its other end is
 //! `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
 
 use std::io::ErrorKind;
@@ -146,7 +146,7 @@ impl Heartbeat {
         apart.saturating_sub(least).max(0) as u64
     }
 
-    /// Tell whoever has the key what to sign under; a failure is asked for again with the next
+    /// Send the session to the sender that has the key; after a failure again with the next
     /// beat.
     fn offer(&self, to: SocketAddr) {
         let mut datagram = [0; OFFER];
@@ -164,7 +164,7 @@ impl Heartbeat {
         let _ = self.socket.send_to(&datagram, to);
     }
 
-    /// What was sent for a heart that stopped counts no more.
+    /// Beats sent before it stopped no longer count.
     fn renew(&mut self) {
         (self.last, self.quickest) = (None, None);
         for byte in self.session.iter_mut().rev() {
@@ -304,7 +304,7 @@ mod tests {
         }
         sender.beat(&[8; 32], 6, 50 * MS, 0); // of another key
         sender.beat(&KEY, 4, 50 * MS, 0); // an old number
-        sender.beat(&KEY, 6, 50 * MS, 2); // a flag that nobody knows
+        sender.beat(&KEY, 6, 50 * MS, 2); // an unknown flag
         std::thread::sleep(Duration::from_millis(10));
         assert!(!heart.pressed(60 * MS) && heart.pressed(102 * MS));
 

@@ -3,8 +3,8 @@
 //!
 //! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that
 //! does what may take long: it writes reports (and the recording) from a ring that the loop never
-//! waits for. When the orders' pipe closes, whoever sent them is gone: hold, slacken, torque off.
-//! SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too, torque off is sent
+//! waits for. When the orders' pipe closes, the sender is gone: hold, release tension, torque off.
+//! SIGINT and SIGTERM do so at once. Whatever ends the loop, a panic too, torque off is sent
 //! last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and
 //! tests/robot/test_nobody_watches.py.
 
@@ -42,25 +42,25 @@ use report::{Last, Reporter, Ring};
 const WATCHDOG: f64 = 100.0;
 /// Entries that the reporting thread may lag behind: seconds, at any rate.
 const RING: usize = 4096;
-/// Questions that are repeated before a servo is said not to answer.
+/// Questions that are repeated before a servo is reported as silent.
 const TRIES: usize = 9;
 /// s for which torque off is repeated at the end.
 const FAREWELL: f64 = 0.5;
 
-/// What a loop is made of.
+/// The configuration of a loop.
 pub struct Setup {
     pub port: String,
     pub baud: u32,
     pub members: Vec<Member>,
     pub limits: Limits,
-    /// The emergency stops of the bench, beside the one in the orders.
+    /// The emergency stops of the rig, next to the one in the orders.
     pub stops: Emergency,
     /// A file that the loop is recorded to, and the JSON document that says what it was made of.
     pub record: Option<(PathBuf, String)>,
 }
 
 /// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must
-/// be proved anew.
+/// be confirmed again.
 pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<bool> {
     let servos = setup.members.len();
     if servos != setup.limits.axes.len() {
@@ -77,7 +77,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let port = Opened::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
     let simulated = port.simulated();
     let mut bus = Bus::new(port, setup.baud, SLACK);
-    let fast = found_as_said(&mut bus, &setup.members)?;
+    let fast = found_as_declared(&mut bus, &setup.members)?;
     let begun = bus.port().now();
     let drive = Drive::new(bus, &setup.members, fast, WATCHDOG);
     let mailbox = PipeMailbox::new(orders, plan.channels(), setup.stops);
@@ -118,7 +118,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
 /// Why a loop ended, for the last report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// Whoever sent orders is gone.
+    /// The sender of the orders is gone.
     Alone,
     /// A signal came.
     Signal,
@@ -165,9 +165,9 @@ fn patiently<T>(
     answer
 }
 
-/// Refuse servos that are not what they are said to be, or whose torque is on; whether all can
+/// Refuse servos that differ from the rig, or whose torque is on; whether all can
 /// answer in one packet.
-fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
+fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
         let told = patiently(|| bus.ping(*id));
@@ -215,7 +215,7 @@ fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     Ok(fast)
 }
 
-/// Torque off is the last that the servos hear; whether it was said.
+/// Send torque off as the last message to the servos; whether it was sent.
 struct Farewell<L: Plan, R: Record>(Control<Opened, L, PipeMailbox, R>, bool);
 
 impl<L: Plan, R: Record> Farewell<L, R> {
@@ -224,7 +224,7 @@ impl<L: Plan, R: Record> Farewell<L, R> {
             return;
         }
         let drive = &mut self.0.drive;
-        drive.ask_anew();
+        drive.ask_again();
         let until = monotonic() + (FAREWELL * 1e9) as u64;
         while monotonic() < until {
             // A port that is gone takes nothing; the servos' own watchdogs stop them then.

@@ -9,7 +9,7 @@ use serde::Serialize;
 use softmap_servo::control::Entry;
 use softmap_servo::guard::Feedback;
 
-/// What was decided, and of each servo where it is sent and what it senses.
+/// The decision, and the goal and the readings of each servo.
 #[derive(Serialize)]
 pub struct Period {
     state: String,
@@ -64,7 +64,7 @@ impl Period {
     }
 }
 
-/// What each servo said of one thing.
+/// One reading of each servo.
 pub fn sensed<T>(
     entry: &Entry,
     servos: usize,

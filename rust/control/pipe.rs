@@ -1,12 +1,12 @@
 //! Orders through a pipe, as frames of one size: little-endian, so that Python packs them with
 //! `struct`.
 //!
-//! flags (u8: 1 deadman, 2 emergency, 4 command) · request (u8, 0 none) · 6 zeros · sent (u64 ns) ·
-//! command (C f64, mm)
+//! flags (u8: 1 enable key, 2 emergency, 4 command) · request (u8, 0 none) · 6 zeros ·
+//! sent (u64 ns) · command (C f64, mm)
 //!
-//! The newest command wins. A deadman that was released in any frame is released, an emergency stop
+//! The newest command wins. An enable key released in any frame is released, an emergency stop
 //! that was pressed in any is pressed (until a later frame without it); each request counts, one a
-//! period. The bench's own emergency stops are asked too.
+//! period. The emergency stops of the rig are read too.
 
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
@@ -38,10 +38,10 @@ pub struct PipeMailbox {
 
 impl PipeMailbox {
     /// Read from `pipe`, commands of `channels` numbers; `stops` are the emergency stops of the
-    /// bench.
+    /// rig.
     pub fn new(pipe: OwnedFd, channels: usize, stops: Emergency) -> PipeMailbox {
         if let Ok(flags) = fcntl_getfl(&pipe) {
-            // Were it refused, the loop would wait for orders: then it holds, and slackens.
+            // If this fails, the loop waits for orders: then it holds and releases tension.
             let _ = fcntl_setfl(&pipe, flags | OFlags::NONBLOCK);
         }
         PipeMailbox {
@@ -55,7 +55,7 @@ impl PipeMailbox {
         }
     }
 
-    /// Whether whoever sent orders is gone.
+    /// Whether the sender of the orders is gone.
     pub fn closed(&self) -> bool {
         self.closed
     }
@@ -171,7 +171,7 @@ mod tests {
         assert!(third.heard && !third.deadman && third.emergency && third.request.is_none());
         assert!(
             mailbox.collect().emergency,
-            "pressed until it is told otherwise"
+            "pressed until another frame arrives"
         );
         write(
             &writer,

@@ -161,7 +161,7 @@ mod tests {
         assert!(Map::new(vec![0.0; 4], vec![0.0; 2], vec![0.0; 2], None, 0.01).is_err());
     }
 
-    /// What acts when a slow figure is asked for, through ticks that are whole: the worst error,
+    /// The effective command of a slow figure, rounded to whole ticks: the worst error,
     /// mm.
     #[test]
     fn through_a_play_what_acts_is_what_was_asked_to_a_tick() {

@@ -1,4 +1,4 @@
-//! Real-time priority where the system grants it; what it did not grant is told, not hidden.
+//! Real-time priority where the system grants it; a refusal is reported, not hidden.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use softmap_servo::urgent::urgent;
@@ -6,7 +6,7 @@ use softmap_servo::urgent::urgent;
 /// Above ordinary threads, below those of the kernel.
 const PRIORITY: i32 = 50;
 
-/// What is not granted to this process, in sentences for the user.
+/// The rights that this process lacks, in sentences for the user.
 pub fn warnings() -> Vec<String> {
     let mut said = vec![];
     if !urgent(PRIORITY) {

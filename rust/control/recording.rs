@@ -1,8 +1,8 @@
 //! A recording of the loop: plain MCAP, a JSON message a period, that a cut of power leaves
 //! readable to its last second.
 //!
-//! Topic `/setup`, once: what the loop was made of. Topic `/loop`, a period: all that the guard was
-//! told and what it said, so that a recording replays bit for bit (numbers are written in full;
+//! Topic `/setup`, once: the configuration of the loop. Topic `/loop`, a period: all inputs of the
+//! guard and its outputs, so that a recording replays bit for bit (numbers are written in full;
 //! what is not finite is null, which the guard refuses alike). No chunks and no compression: a file
 //! cut anywhere gives every message before the cut. Source of the format: MCAP, Foxglove,
 //! https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and tests/robot/test_live.py.
@@ -144,12 +144,12 @@ impl Reading {
         })
     }
 
-    /// Whether whoever wrote it has closed it.
+    /// Whether the writer has closed it.
     pub fn ended(&self) -> bool {
         self.ended
     }
 
-    /// Add to `found` the messages that are whole and new; an error where what follows them is
+    /// Add to `found` the messages that are complete and new; an error if the bytes after them are
     /// damaged.
     pub fn more(&mut self, found: &mut Vec<Message>) -> Result<()> {
         let damaged = |fault: McapError| match fault {
@@ -171,7 +171,7 @@ impl Reading {
                 LinearReadEvent::ReadRequest(bytes) => {
                     let room = self.records.insert(bytes.max(AT_ONCE));
                     match self.file.read(room) {
-                        // It may grow: the reader is not told that this is the end.
+                        // It may grow: the reader gets no end of file here.
                         Ok(0) => return Ok(()),
                         Ok(count) => self.records.notify_read(count),
                         Err(fault) => break fault.to_string(),
@@ -230,7 +230,7 @@ pub fn read(path: &Path) -> Result<Vec<Message>> {
     Ok(found)
 }
 
-/// Why a write failed: the text of the operating system, which the writer's own error leaves out.
+/// Why a write failed: the text of the operating system, which the writer's error leaves out.
 pub fn cause(fault: &McapError) -> String {
     match fault {
         McapError::Io(cause) => cause.to_string(),
@@ -287,7 +287,7 @@ fn schema_of(servos: usize, commands: usize) -> Value {
     json!({"type": "object", "properties": properties})
 }
 
-/// All that the guard was told in a period, and what it said.
+/// All inputs and outputs of the guard in a period.
 #[derive(Serialize)]
 struct Told {
     now: u64,
@@ -308,7 +308,7 @@ struct Told {
     period: Period,
 }
 
-/// What servos said of themselves, asked for less often.
+/// The health of the servos, read less often.
 #[derive(Serialize)]
 struct Examined {
     hardware: Vec<Option<u8>>,

@@ -1,4 +1,4 @@
-//! What the loop did, out of a ring to whoever reads the reports: a JSON document a line, some
+//! Reports of the loop, from a ring to their reader: a JSON document a line, some
 //! thirty a second.
 //!
 //! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and
@@ -23,7 +23,7 @@ use super::Ended;
 use super::period::{Period, name};
 use super::recording::{Recording, cause};
 
-/// What the documents are.
+/// The schema of the documents.
 const SCHEMA: &str = "softmap.loop/1";
 /// How often the thread looks at the ring.
 const LOOK: Duration = Duration::from_millis(5);
@@ -87,13 +87,13 @@ impl Record for Ring {
     }
 }
 
-/// What is said last.
+/// The last report.
 pub struct Last {
     pub ended: Ended,
     pub timing: Timing,
     /// Entries that were not reported.
     pub lost: u64,
-    /// Ids of servos that have not said that they have no torque.
+    /// Ids of servos that have not reported that they have no torque.
     pub kept: Vec<u8>,
 }
 
@@ -206,7 +206,7 @@ fn unrecorded(fault: &McapError) -> serde_json::Value {
     json!({"schema": SCHEMA, "unrecorded": cause(fault)})
 }
 
-/// Write a line that fits into the pipe whole; false if there is no room for it now.
+/// Write a line that fits into the pipe completely; false if there is no room for it now.
 fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
     // A document whose keys are texts can always be written.
     let mut line = serde_json::to_vec(document).unwrap_or_default();
@@ -214,7 +214,7 @@ fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
     write(pipe, &line) != Err(Errno::AGAIN)
 }
 
-/// What a report says of a period beside what a recording says too.
+/// The part of a report that a recording of the period lacks.
 #[derive(Serialize)]
 struct Told<'a> {
     schema: &'static str,
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_told_is_one_line_of_json() {
+    fn every_report_is_one_line_of_json() {
         let (ours, theirs) = pipe().unwrap();
         let text = "no\u{1b} \u{7f} \u{200b} \"€\" \n";
         assert!(say(&theirs, &json!({"unrecorded": text, "t": f64::NAN})));

@@ -4,7 +4,7 @@
 //! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample
 //! and lasts `width·at`. The cable that pulls against s is longer by |s|; what that does to the
 //! command is in `pair.rs`: `taut` 0 for cables that only pull and hang loose at home, 1 for a pair
-//! that is held taut or takes compression, where the whole channel is shifted. An instant has no
+//! that is held taut or takes compression, where the full channel is shifted. An instant has no
 //! slope to follow, and how long a record is is not known to an effect; so the ramp begins as wide
 //! as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip
 //! per channel. Limit: one slip; several are several ramps that one of them averages.

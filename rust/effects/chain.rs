@@ -176,7 +176,7 @@ impl Chain {
     pub fn check(&self, params: &[f64]) -> Result<()> {
         if params.len() != self.width {
             return Err(invalid(format!(
-                "{} parameters wanted, got {}",
+                "{} parameters expected, got {}",
                 self.width,
                 params.len()
             )));
@@ -214,7 +214,7 @@ impl Chain {
         })
     }
 
-    /// Refuse what goes sample by sample where a user's effect maps whole records only. A control
+    /// Refuse steps sample by sample where a user's effect maps complete records only. A control
     /// loop asks this first.
     pub fn stepwise(&self) -> Result<()> {
         let whole = |link: &&Link| matches!(link.effect.law, Law::Record(_));
@@ -225,7 +225,7 @@ impl Chain {
             .map(name)
             .map_or(Ok(()), |name| {
                 Err(invalid(format!(
-                    "'{name}' is a Python effect: it maps whole records and has no state to start, \
+                    "'{name}' is a Python effect: it maps full records and has no state to start, \
                  step or continue, so not in the control loop; write it in Rust, see \
                  docs/do/own_effect.md"
                 )))

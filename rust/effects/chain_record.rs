@@ -1,4 +1,4 @@
-//! Whole records through a chain, for many parameter sets at once: what acts at every sample, or at
+//! Full records through a chain, for many parameter sets at once: what acts at every sample, or at
 //! the seen times only.
 
 use super::{Chain, HEAD, Link};
@@ -37,7 +37,7 @@ impl Reader<'_> {
 }
 
 impl Chain {
-    /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium
+    /// Advance a full record (T, C) in place, effect by effect; where it begins, from equilibrium
     /// with `held` (C,).
     fn advance(
         &self,
@@ -95,7 +95,7 @@ impl Chain {
         Ok(())
     }
 
-    /// What acts, (B, T, C), for parameters (B, P) on the commands `u` (T, C); sets run in
+    /// Effective commands (B, T, C) for parameters (B, P) on the commands `u` (T, C); sets run in
     /// parallel.
     ///
     /// `states` (B, S) are read and left where the record ends; empty, they begin in equilibrium

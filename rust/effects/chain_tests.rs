@@ -1,4 +1,4 @@
-//! What every chain keeps: a record may be split, answers stay bounded, a batch is its members.
+//! Invariants of every chain: a record may be split, answers stay bounded, a batch is its members.
 
 use super::*;
 use crate::effects::Conditions;
@@ -103,7 +103,7 @@ fn sets_that_begin_alike_act_as_each_by_itself() {
 }
 
 #[test]
-fn names_sort_themselves_and_mistakes_are_told() {
+fn names_sort_themselves_and_mistakes_are_reported() {
     let names = |list: &[&str]| list.iter().map(|name| name.to_string()).collect::<Vec<_>>();
     let chain = Chain::new(&names(&["mount", "backlash", "gain"]), 2).unwrap();
     assert_eq!(chain.names(), ["gain", "backlash", "mount"]);

@@ -2,9 +2,9 @@
 //! of the robot.
 //!
 //! A frame that is stamped t shows what was at `t − late`: commands, loads and all. Either sign; a
-//! late stamp looks like `latency`, and nothing that a run holds can tell them apart, while an
+//! late stamp looks like `latency`, and no data of a run can distinguish them, while an
 //! early one is no latency. s. Frames before the first sample show the first command. Limit: one
-//! shift for the whole run; clocks that drift apart are none.
+//! shift for the complete run; clocks that drift apart are none.
 
 use super::declaration::*;
 

@@ -2,7 +2,7 @@
 
 use crate::error::{Result, invalid};
 
-/// What the world is like at one sample.
+/// The surroundings at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Context {
     /// Time, s, and time since the sample before, s (0 at the very first).
@@ -14,7 +14,7 @@ pub struct Context {
     pub load: f64,
     /// °C; NaN where the run has none.
     pub temperature: f64,
-    /// Of a frame: time since the first frame that is seen, s; 0 for a command.
+    /// Time of a frame since the first seen frame, s; 0 for a command.
     pub seen_for: f64,
 }
 

@@ -1,8 +1,8 @@
-//! Coupling: what one channel is told moves the others too.
+//! Coupling: the command of one channel moves the others too.
 //!
 //! `x_i = u_i + Σ_j factor_ij·u_j`, `j ≠ i`, without memory. Up to four channels every ordered pair
 //! has a factor; with more only neighbours have (`Each::Pair`), so that their number grows with the
-//! channels as that of `gain` does and not with its square: tendons lead past those beside them.
+//! channels as that of `gain` does and not with its square: tendons lead past their neighbours.
 //! Limit: a robot whose neighbours have far numbers hides the rest.
 
 use super::conditions::Context;

@@ -1,4 +1,4 @@
-//! What an effect declares about itself, and the four roles it can play.
+//! The declaration of an effect, and its four possible roles.
 //!
 //! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives
 //! the coefficients of named fields; a *sensing* effect moves what is seen; a *prior* effect
@@ -234,7 +234,7 @@ impl Parameter {
     }
 }
 
-/// What pages, screens, tests and fits know of an effect.
+/// The description of an effect for pages, screens, tests and fits.
 #[derive(Debug)]
 pub struct Declaration {
     pub name: &'static str,
@@ -277,7 +277,7 @@ pub trait ChannelEffect: Sync {
     /// Advance one sample: `x` (C,) goes in and comes out changed.
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context);
 
-    /// Advance a whole record `samples` (T, C) in place. The loop is compiled once per effect, with
+    /// Advance a full record `samples` (T, C) in place. The loop is compiled once per effect, with
     /// `step` inside it.
     fn rollout(
         &self,
@@ -298,10 +298,10 @@ pub trait ChannelEffect: Sync {
     }
 }
 
-/// A change of the command numbers that sees a whole record at once: a user's own (`own.rs`). It
+/// A change of the commands that maps a complete record at once: a user's own (`own.rs`). It
 /// has no state to pass on.
 pub trait RecordEffect: Sync {
-    /// Change a whole record `samples` (T, C) in place, T and C at least 1. It begins in
+    /// Change a complete record `samples` (T, C) in place, T and C at least 1. It begins in
     /// equilibrium with its first sample.
     fn rollout(
         &self,

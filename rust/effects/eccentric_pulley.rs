@@ -82,7 +82,7 @@ impl ChannelEffect for EccentricPulley {
     fn check(&self, params: &[f64]) -> Result<()> {
         match params.last() {
             Some(radius) if *radius < 1e-3 => Err(invalid(format!(
-                "eccentric_pulley.radius is {radius} mm; a spool of at least 0.001 mm is wanted"
+                "eccentric_pulley.radius is {radius} mm; a spool has at least 0.001 mm"
             ))),
             _ => Ok(()),
         }

@@ -66,14 +66,14 @@ impl SensingEffect for Lens {
         for (p, place) in points.chunks_exact_mut(3).zip(positions) {
             if *place {
                 let at = Vec3::from_slice(p);
-                (at + seen_beside(params[0], at, cameras)).write_to_slice(p);
+                (at + seen_away(params[0], at, cameras)).write_to_slice(p);
             }
         }
     }
 }
 
-/// By how much a point is seen beside its place, mm.
-fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
+/// By how much a point is seen away from its place, mm.
+fn seen_away(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
     let mut system = Mat3::from_diagonal(Vec3::splat(UNIQUE));
     let mut right = Vec3::ZERO;
     for pose in cameras {
@@ -89,8 +89,8 @@ fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
         let beside = bent * (q.x * x + q.y * y);
         let ray = q.x * x + q.y * y + q.z * z + beside;
         let square = ray.length_squared();
-        // The distance of p + shift from the ray: that of (shift − beside), since the ray goes
-        // through p + beside.
+        // The distance of p + shift from the ray: that of (shift − `beside`), since the ray goes
+        // through p + `beside`.
         let across = |v: Vec3| v - v.dot(ray) / square * ray;
         let [along_x, along_y, along_z] = Vec3::AXES.map(across);
         system += Mat3::from_cols(along_x, along_y, along_z);

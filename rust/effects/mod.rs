@@ -1,6 +1,6 @@
 //! Effects: each declared once, in a file of its own; the list below is the registry.
 //!
-//! To add one, write `NAME.rs` beside the others with `pub static EFFECT: Effect` and put its name
+//! To add one, write `NAME.rs` next to the others with `pub static EFFECT: Effect` and put its name
 //! in the list below. Chains, fits, the effects page and the tests loop over the list.
 
 mod chain;

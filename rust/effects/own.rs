@@ -1,4 +1,4 @@
-//! Effects that a user adds while the program runs: a list beside the library's.
+//! Effects that a user adds while the program runs: a list next to the library's.
 //!
 //! One name stands for one effect: a name that is taken is refused until it is forgotten. A chain
 //! keeps the effects that it was composed with, whatever is forgotten later; so their few hundred
@@ -35,8 +35,8 @@ pub fn register(declaration: Declaration, law: Box<dyn RecordEffect>) -> Result<
             .all(|x| x.is_finite());
         if !(finite && p.low < p.high && p.low <= p.start && p.start <= p.high) {
             return Err(invalid(format!(
-                "{name}.{} has null {}, start {}, low {}, high {}; finite numbers with low <= \
-                 start <= high and low < high are wanted",
+                "{name}.{} has null {}, start {}, low {}, high {}; expected finite numbers with \
+                 low <= start <= high and low < high",
                 p.name, p.null, p.start, p.low, p.high
             )));
         }

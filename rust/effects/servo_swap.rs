@@ -69,7 +69,7 @@ fn exchanged(at: usize, channels: usize) -> (usize, usize) {
     (first, first + 1 + rest)
 }
 
-/// What a case does.
+/// The fault of a case.
 enum Case {
     Nothing,
     Turned(usize),

@@ -60,7 +60,7 @@ pub static EFFECT: Effect = Effect {
 struct TendonCreep;
 
 impl ChannelEffect for TendonCreep {
-    /// What each cable has followed, and the command before.
+    /// The past of each cable, and the command before.
     fn state_size(&self, channels: usize) -> usize {
         3 * channels
     }
@@ -117,7 +117,7 @@ fn advance(params: &[f64], [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]
     }
 }
 
-/// What reaches the body of a command, of cables with these losses.
+/// The part of a command that reaches the body through cables with these losses.
 #[inline]
 fn shortened(loss: &[f64], taut: f64, x: f64, state: &[f64]) -> f64 {
     lengthened(x, [loss[0] * state[0], loss[1] * state[1]], taut)

@@ -68,7 +68,7 @@ impl Series {
         ] {
             if length != wanted {
                 return Err(invalid(format!(
-                    "{name} has {length} numbers, wanted {wanted}"
+                    "{name} has {length} numbers, expected {wanted}"
                 )));
             }
         }

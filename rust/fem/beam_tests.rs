@@ -99,7 +99,7 @@ fn tetrahedra_and_bricks_agree_in_a_large_bend() {
         let state = reach(&solid, &[], Vec3::Z, 0.12 * Vec3::X);
         end_moves(&solid, &state)
     });
-    // Half the length sideways; what is left is the bricks' own error, which falls with their size.
+    // Half the length sideways; the rest is the error of the bricks, which falls with their size.
     assert!(
         fine > 20.0 && (coarse / fine - 1.0).abs() < 0.02,
         "{coarse} {fine}"

@@ -158,7 +158,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         (g, v, first, scale)
     }
 
-    /// One Gauss point: beside its forces the blocks μ J^(−2/3) [(∇N_a·∇N_b) I − 2/3 (v_a g_bᵀ +
+    /// One Gauss point: besides its forces the blocks μ J^(−2/3) [(∇N_a·∇N_b) I − 2/3 (v_a g_bᵀ +
     /// g_a v_bᵀ) + I₁ (2/9 g_a g_bᵀ + 1/3 g_b g_aᵀ)] + p J (g_a g_bᵀ − g_b g_aᵀ).
     fn add_point(
         &self,

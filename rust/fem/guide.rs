@@ -7,7 +7,7 @@
 //! rings in space, which is the wider average. The weights are smooth in the guide's place (no jump
 //! between elements) and reproduce linear fields, so that rest position and rigid motion are exact,
 //! also for a guide in a hollow channel. Units: mm, rad. Limits: in layers guides stay in their
-//! rest layer, so a channel must not run sideways; elsewhere a guide more than two rings (3 mm)
+//! rest layer, so a channel must not run sideways; without them a guide more than two rings (3 mm)
 //! outside the solid is refused.
 
 use super::Vec3;

@@ -56,7 +56,7 @@ pub struct Solver<'a> {
     /// Whether the factor in `work` belongs to the last state that was reached, or to one a short
     /// step away.
     fresh: bool,
-    /// Set from elsewhere to stop before the next iteration.
+    /// Set by another thread to stop before the next iteration.
     stop: Option<&'a AtomicBool>,
 }
 

@@ -96,7 +96,7 @@ fn patch_test_a_linear_field_is_in_balance_inside_distorted_cells() {
 }
 
 #[test]
-fn tangent_of_the_whole_solid_agrees_with_finite_differences_and_woodbury_with_it() {
+fn tangent_of_the_full_solid_agrees_with_finite_differences_and_woodbury_with_it() {
     let solid = Solid::build(design(2, 6)).unwrap();
     let state = reach(
         &solid,
@@ -188,7 +188,7 @@ fn a_slack_cable_is_no_cable() {
         Solid::build(design(2, 8)).unwrap(),
         Solid::build(alone).unwrap(),
     );
-    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slackens too
+    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slacks the cables too
     let all = reach(&four, &[6.0, -4.0, -6.0, -4.0], gravity, Vec3::ZERO);
     let single = reach(&one, &[6.0], gravity, Vec3::ZERO);
     let tension: Vec<f64> = four

@@ -11,7 +11,7 @@ const SPACING: f64 = 0.04;
 #[derive(Debug, Clone)]
 pub enum Route {
     /// `(z, radius)` pairs, z ascending, at an angle about z that turns evenly with z by `turn` on
-    /// the whole way.
+    /// the full length.
     Formula {
         angle: f64,
         turn: f64,

@@ -3,7 +3,7 @@
 //!
 //! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight
 //! (consistent, ρ g) and a tip load spread over the last tenth of the height, with a slope where it
-//! acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
+//! acts at another height. Its residual and tangent are assembled and solved in `work.rs`.
 
 use super::Vec3;
 use super::cable::{Cable, Drive};

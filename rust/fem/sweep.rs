@@ -38,7 +38,7 @@ pub struct Configuration {
 pub struct Simulation {
     pub solid: Solid,
     pub points: Points,
-    /// What cable t is told (shortening or tension) per unit of command c: `drive[t][c]`.
+    /// Commanded shortening or tension of cable t per unit of command c: `drive[t][c]`.
     pub drive: Vec<Vec<f64>>,
 }
 

@@ -188,7 +188,7 @@ fn rms(a: &[Vec3], b: &[Vec3]) -> f64 {
 }
 
 /// By how much (mm RMS) the fields miss a changed design that is solved again, of how much it moves
-/// the points; the worst ratio over some commands beside the displacement that was best answered.
+/// the points; the worst ratio over some commands, and the displacement of the best answer.
 fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
     let (s, mut change) = (small(3, 12, None), loads(&[]));
     change[field] = by;
@@ -270,7 +270,7 @@ fn solved_again(cases: Vec<(usize, f64, f64)>) {
 #[test]
 fn a_body_at_rest_takes_the_shape_of_its_changed_design() {
     // Without weight or pull: an arc whose tip is 2 mm aside, a roll of 6° at the tip, and a
-    // modulus that nobody sees.
+    // modulus that no effect shows.
     let still = |field: usize, by: f64| {
         let s = small(2, 8, None);
         let found = s.fields(

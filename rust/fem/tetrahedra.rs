@@ -1,4 +1,4 @@
-//! Meshes of tetrahedra made elsewhere: checked, promoted to ten nodes, refined.
+//! Imported meshes of tetrahedra: checked, promoted to ten nodes, refined.
 //!
 //! Four-node cells lock; each gets a node at the middle of every edge, shared with its neighbours.
 //! Refining splits a cell into eight at its mid-edges (Bey 1995), the octahedron in its middle

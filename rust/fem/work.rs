@@ -77,7 +77,7 @@ impl<'a> Work<'a> {
     }
 
     /// Residual alone at a state; whether the same cables pull as at the assembled one, so that its
-    /// factor still tells.
+    /// factor is still valid.
     pub fn balance(&mut self, x: &[Vec3], load: &Load) -> bool {
         let solid = self.solid;
         self.residual.fill(0.0);

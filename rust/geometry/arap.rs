@@ -142,7 +142,7 @@ impl Arap {
         }
     }
 
-    /// What the edges want of each vertex: Σ_j w_ij (R_i + R_j)(r_i − r_j).
+    /// The target sum of the edges at each vertex: Σ_j w_ij (R_i + R_j)(r_i − r_j).
     pub fn wanted(&self, turns: &[Quaternion], mut to: impl FnMut(usize, Vec3)) {
         let turns: Vec<_> = turns.iter().map(|q| rotation(*q)).collect();
         for i in 0..self.rest.len() {
@@ -186,7 +186,7 @@ impl Held<'_> {
         }
     }
 
-    /// The whole energy, mm².
+    /// The full energy, mm².
     pub fn energy(&self, pose: &Pose, goals: &[Vec3]) -> f64 {
         let held = pose.places.iter().zip(goals).zip(&self.strength);
         let held = held

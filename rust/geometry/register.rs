@@ -10,8 +10,8 @@
 //! three vertices) along the normal n_k of the surface there, with Tukey weights ω_k whose width
 //! falls. So what was not seen asks for nothing, and outliers let go. The base is held where the
 //! clamp holds it. Each round takes new feet, weights and rotations, then solves for all vertices
-//! at once; the plane term couples x, y and z. What a round, unmarked finger does about its own
-//! axis no cloud tells. mm. Published objective for comparison: `paper.rs`.
+//! at once; the plane term couples x, y and z. The roll of a round, unmarked finger about its own
+//! axis cannot be identified. mm. Published objective for comparison: `paper.rs`.
 
 use super::arap::Arap;
 use super::robust::{OF_MEDIAN, median, tukey};

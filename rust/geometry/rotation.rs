@@ -296,7 +296,7 @@ mod tests {
 
     #[test]
     fn a_saddle_is_left() {
-        // A first order method lingers beside this one for 236 rounds.
+        // A first-order method takes 236 rounds next to this one.
         let a = [
             [
                 -0.4621942037270377,

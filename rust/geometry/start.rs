@@ -27,7 +27,7 @@ const MOVED: usize = 600;
 const BEST: usize = 3;
 /// Shapes farther apart are others, mm RMS.
 const OTHER: f64 = 3.0;
-/// What keeps a step small where the cloud tells nothing of a command, of the largest curvature.
+/// Damping where the cloud does not identify a command, as a share of the largest curvature.
 const DAMPING: f64 = 1e-6;
 
 /// A command, its shape, and how well it fits: mean Tukey cost, 0 to 1.

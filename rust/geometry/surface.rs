@@ -6,7 +6,7 @@ use crate::error::{Result, invalid};
 use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 
-/// What a look starts from stands so far off the surface, mm, so that it is not in its own way.
+/// A ray starts so far off the surface, mm, so that its own triangle does not block it.
 const OFF: f64 = 1e-3;
 
 /// From where it is asked which triangles can be seen at all: so many directions about z, at these
@@ -81,8 +81,8 @@ impl Surface {
         !self.mesh.intersects_local_ray(&ray, 1.0)
     }
 
-    /// The triangles that can be seen from beside or above (z), from far away, whatever the order
-    /// of their corners: not the walls of a cavity, nor what stands on the bench. All, where none
+    /// The triangles that can be seen from the side or above (z), from far away, whatever the order
+    /// of their corners: not the walls of a cavity, nor what stands on the table. All, where none
     /// is.
     pub fn shown(&self) -> Vec<usize> {
         let looks: Vec<Vec3> = (0..AROUND)

@@ -3,7 +3,7 @@
 //!
 //! Play and slack have no slope, so nothing is divided by one: each command is moved away from the
 //! last one until what would act (one sample of the chain, remembering nothing) has passed what is
-//! wanted, and that bracket is closed by halving and by secants. Of all commands that do, the
+//! requested, and that bracket is closed by halving and by secants. Of all commands that do, the
 //! nearest to the last one is taken, so that inside a play nothing moves. Commands that act on each
 //! other are taken in turns until they agree. A delay and a lag cannot be inverted, what they ask
 //! for lies in the past: they are left out here and previewed along a known path. After `new`
@@ -14,7 +14,7 @@
 use crate::effects::{Chain, Context};
 use crate::error::{Result, invalid};
 
-/// mm within which what would act is what is wanted: a hundredth of a tick.
+/// mm within which the effective command equals the target: a hundredth of a tick.
 const CLOSE: f64 = 2e-5;
 /// Rounds through all commands, and halvings of one bracket.
 const ROUNDS: usize = 12;
@@ -85,8 +85,8 @@ impl Inverse {
         Ok(made)
     }
 
-    /// The same with commands that stay while what acts is off by no more than `band` mm. Whoever
-    /// rounds commands needs one of as much as that: else half a tick too far asks for the whole
+    /// The same with commands that stay while what acts is off by no more than `band` mm. A caller
+    /// that rounds commands needs a band as wide: else half a tick too far asks for the full
     /// play back.
     pub fn with_band(self, band: f64) -> Inverse {
         Inverse {
@@ -168,7 +168,7 @@ impl Inverse {
         &self.acts
     }
 
-    /// What would act in channel `a` if `u` were commanded `dt` seconds after the last one.
+    /// The effective command in channel `a` if `u` were commanded `dt` seconds after the last one.
     fn peek(&mut self, u: &[f64], dt: f64, a: usize) -> f64 {
         self.trial.copy_from_slice(&self.state);
         self.acts.copy_from_slice(u);
@@ -241,7 +241,7 @@ impl Inverse {
         if beyond > 0.0 {
             return; // at its bound
         }
-        // The nearest place is wanted: the first at which nothing is short any more.
+        // The nearest place is the target: the first at which nothing is short any more.
         for k in 0..HALVINGS {
             let width = (far - near).abs();
             if width <= 1e-9 || (short <= CLOSE && beyond >= -CLOSE && width <= CLOSE) {

@@ -1,4 +1,4 @@
-//! Commands that make what is wanted act, for every channel effect of the library.
+//! Commands whose effective command is the target, for every channel effect of the library.
 
 use super::{CLOSE, Inverse};
 use crate::allocations::allocations;
@@ -32,7 +32,7 @@ fn wanted(k: usize) -> [f64; 2] {
     [3.0 * (1.3 * t).sin(), 2.0 * (2.6 * t + 0.4).sin()]
 }
 
-/// How far off what acts is from what is wanted along the figure, in a chain stepped beside.
+/// Error of the effective command along the figure, in a second chain stepped in parallel.
 fn worst(names: &[&str]) -> f64 {
     let mut inverse = inverse(names);
     let (chain, params) = chain(names);
@@ -125,7 +125,7 @@ fn inside_a_play_nothing_moves_and_a_still_goal_stays_still() {
     inverse.command(&[1.0, 0.0], DT, &mut command);
     let acts = inverse.passed(&command, DT)[0];
     assert!((command[0] - 1.2).abs() < 1e-4 && (acts - 1.0).abs() < 2.0 * CLOSE);
-    // 10 nm of noise asks for no move, and what is wanted back 0.01 mm takes the whole play.
+    // 10 nm of noise asks for no move, and a target 0.01 mm back takes the full play.
     let before = command;
     inverse.command(&[acts + 1e-5, 1e-5], DT, &mut command);
     assert_eq!(command, before);

@@ -21,7 +21,7 @@ const SPREAD: (f64, f64) = (1e-8, 1e-4);
 const STEPS: usize = 20;
 const RATE: f64 = 1e-3;
 
-/// What must act for each of `targets` (T, 3), one after the other.
+/// The effective commands for each of `targets` (T, 3), one after the other.
 pub fn path(reach: &Reach, targets: &[f64]) -> Vec<Found> {
     let mut found: Vec<Found> = vec![];
     for target in targets.chunks_exact(PLACE) {

@@ -24,15 +24,15 @@ pub const REACHED: f64 = 1e-4;
 /// step.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
-/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint
+/// Damping at the begin of a search, as a share of the largest slope: at a start, at the waypoint
 /// before.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds from each start of a search that begins anew: the way to a place within reach takes three
+/// Rounds from each start of a search that begins again: to a place within reach it takes three
 /// or four.
 const BRIEF: usize = 12;
-/// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
+/// Starts of a search that begins again, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
 const APART: f64 = 0.1;
 /// Places that are looked at beforehand: a grid for few commands, else points that fill space.
@@ -49,10 +49,10 @@ pub struct Reach {
     places: Vec<f64>,
 }
 
-/// What was found for one target.
+/// The solution for one target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// What must act (C,) mm.
+    /// Effective command (C,) mm.
     pub u: Vec<f64>,
     /// Where the tip then is.
     pub place: [f64; PLACE],
@@ -90,7 +90,7 @@ impl Reach {
             |c: &usize| !(low[*c].is_finite() && high[*c].is_finite() && low[*c] <= high[*c]);
         if let Some(c) = (0..channels).find(turned) {
             return Err(invalid(format!(
-                "bounds of command {c} are {} and {} mm; finite numbers, low first, are wanted",
+                "bounds of command {c} are {} and {} mm; expected finite numbers, low first",
                 low[c], high[c]
             )));
         }
@@ -127,7 +127,7 @@ impl Reach {
         (&self.low, &self.high)
     }
 
-    /// What must act so that the tip is nearest to `target`, a single point, or one that follows
+    /// The effective command with the tip nearest to `target`, a single point, or one that follows
     /// `from`.
     pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         self.search(&mut Search::new(self), target, from)

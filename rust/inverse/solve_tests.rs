@@ -102,7 +102,7 @@ fn a_path_costs_a_few_looks_a_waypoint_and_does_not_jump() {
 #[test]
 fn what_is_out_of_reach_ends_at_the_nearest_place_with_its_distance() {
     let reach = finger(ALL);
-    // Beyond a corner of the bounds, and beside an edge: the nearest of a million places is no
+    // Beyond a corner of the bounds, and next to an edge: the nearest of a million places is no
     // nearer.
     for target in [
         [60.0, 50.0, 60.0],

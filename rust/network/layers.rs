@@ -2,7 +2,7 @@
 //!
 //! Weights are packed [rows/32][columns][32], so that one pass reads them once, in order; a number
 //! of each column is broadcast against them, and all sums of a block stay in registers (`GROUP`).
-//! Every sum goes over its inputs in order, however many columns stand beside it, so that a command
+//! Every sum goes over its inputs in order, however many columns a batch has, so that a command
 //! has the same numbers alone and in a batch.
 
 use pulp::Simd;
@@ -136,8 +136,8 @@ impl Linear {
         }
     }
 
-    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or beside
-    /// it.
+    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or added
+    /// to it.
     #[inline(always)]
     fn group<S: Simd, const N: usize, const V: usize, const B: usize>(
         &self,

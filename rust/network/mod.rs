@@ -267,7 +267,7 @@ impl Network {
         }
     }
 
-    /// The slopes (M, C) at `u`, and the outputs where they are wanted; one pass where there are up
+    /// The slopes (M, C) at `u`, and the outputs where requested; one pass where there are up
     /// to seven channels.
     fn slopes(&self, u: &[f64], mut values: Option<&mut [f64]>, slopes: &mut [f64]) {
         let channels = self.channels;

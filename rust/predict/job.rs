@@ -8,7 +8,7 @@ use crate::shape::Shape;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// What bends: a prior and its fields.
+/// The body: a prior and its fields.
 #[derive(Clone)]
 pub struct Body {
     pub prior: Arc<dyn Shape>,
@@ -16,7 +16,7 @@ pub struct Body {
     pub fields: Arc<Fields>,
 }
 
-/// What one call works on.
+/// The job of one call.
 pub struct Job<'a> {
     pub chain: &'a Chain,
     pub params: &'a [f64],

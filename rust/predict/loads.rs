@@ -1,4 +1,4 @@
-//! What loads the body in one call, and bodies of their own for loads that recur.
+//! The loads of the body in one call, and bodies of their own for loads that recur.
 //!
 //! A run declares few directions of gravity and few weights, and most shape effects add the same at
 //! every frame: hundreds of frames of a set share their coefficients. Under loads that recur the
@@ -55,7 +55,7 @@ impl Loaded {
 /// Bodies that were made.
 pub type Kept = Mutex<HashMap<Key, Arc<Loaded>>>;
 
-/// What loads a set at a frame: nothing, loads that recur by the number of their body, or others.
+/// The loads of a set at a frame: none, loads that recur by the number of their body, or others.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Load {
     Nothing,
@@ -63,7 +63,7 @@ pub enum Load {
     Other,
 }
 
-/// What acts in a call.
+/// The loads of a call.
 pub struct Acting {
     /// (B, K)
     of: Vec<Load>,
@@ -72,7 +72,7 @@ pub struct Acting {
 }
 
 impl Acting {
-    /// What loads a set at a frame.
+    /// The loads of a set at a frame.
     pub fn of(&self, b: usize, k: usize) -> Load {
         self.of[b * self.frames + k]
     }
@@ -84,7 +84,7 @@ impl Acting {
 }
 
 impl Predictor {
-    /// What acts on all sets at all frames.
+    /// The loads of all sets at all frames.
     pub(super) fn loads(&self, job: &Job, sets: usize) -> Result<Acting> {
         let (mut of, mut bodies) = (Vec::with_capacity(sets * job.frames), vec![]);
         let mut numbers: HashMap<Key, Load> = HashMap::new();

@@ -61,8 +61,8 @@ impl Predictor {
     ) -> Result<Predictor> {
         if prior.size() != 3 * positions.len() {
             return Err(invalid(format!(
-                "the prior has {} outputs, positions has {} entries; three outputs for each are \
-                wanted",
+                "the prior has {} outputs, positions has {} entries; expected three \
+                outputs for each",
                 prior.size(),
                 positions.len()
             )));
@@ -140,7 +140,7 @@ impl Predictor {
     }
 
     /// The same without the loads that a run declares: for a prior whose fields have no known
-    /// scale. Gravity still tells the effects which way a weight pulls.
+    /// scale. Gravity still gives the effects the direction of a weight.
     pub fn without_declared_loads(self) -> Predictor {
         Predictor {
             declared: false,

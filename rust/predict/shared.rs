@@ -1,4 +1,4 @@
-//! What parameter sets with the same commands share: shapes at all frames, evaluated once.
+//! Data shared by parameter sets with the same commands: shapes at all frames, evaluated once.
 
 use super::Predictor;
 use super::job::Job;
@@ -16,7 +16,7 @@ pub struct Shapes {
 
 impl Shapes {
     /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the
-    /// whole, loads included.
+    /// complete shape, loads included.
     pub fn copy(
         &self,
         predictor: &Predictor,

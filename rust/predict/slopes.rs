@@ -1,7 +1,7 @@
-//! What acts on the shape, and how the frame answers small changes of it: all that a linearised
+//! Effective commands, and how the frame answers small changes of it: all that a linearised
 //! screening needs.
 //!
-//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of whole
+//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of full
 //! frames (prior, fields, cables, sensing) over the acting command. Their steps are the caller's:
 //! where tendons fall slack under a load the true slope jumps within some hundredths of a
 //! millimetre, and says nothing about a change of half a millimetre.
@@ -12,7 +12,7 @@ use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 
 impl Predictor {
-    /// What acts, (B, K, C), at the seen times for parameters (B, P) on the commands `u` (T, C).
+    /// Effective commands (B, K, C) at seen times for parameters (B, P) on the commands `u` (T, C).
     pub fn acting(
         &self,
         chain: &Chain,

@@ -43,7 +43,7 @@ pub fn still(
             chain.channels()
         )));
     }
-    // What is missing is said here, at home and to both sides of it; elsewhere it would be left
+    // A missing field is reported here, at home and to both sides of it; later it would be left
     // out.
     let relaxed = vec![0.0; chain.remembered()];
     let mut loaded = false;

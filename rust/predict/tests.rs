@@ -81,7 +81,7 @@ fn slopes_are_those_of_the_shape_and_what_acts_is_what_the_chain_gives() {
 }
 
 #[test]
-fn absent_fields_and_foreign_chains_are_told() {
+fn absent_fields_and_foreign_chains_are_reported() {
     let chain = Chain::new(&["payload".to_string()], 1).unwrap();
     let body = predictor(&[]);
     let error = |params: f64, gravity, load| {

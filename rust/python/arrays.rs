@@ -45,14 +45,14 @@ pub fn floats(
             .all(|(have, (_, want))| want.is_none_or(|want| want == *have));
     if !fits {
         return Err(
-            Error::Invalid(format!("{name} has shape {shape:?}, wanted {}", wanted())).into(),
+            Error::Invalid(format!("{name} has shape {shape:?}, expected {}", wanted())).into(),
         );
     }
     let view = array.as_array();
     let data = view
         .as_slice()
         .map_or_else(|| view.iter().copied().collect(), <[f64]>::to_vec);
-    // Whole chunks without a branch in them: fits ask again and again with records of tens of
+    // Full chunks without a branch in them: fits ask again and again with records of tens of
     // thousands of numbers.
     let finite = |part: &[f64]| part.iter().fold(true, |all, value| all & value.is_finite());
     if data.chunks(CHUNK).all(finite) {

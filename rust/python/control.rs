@@ -208,7 +208,7 @@ impl PyReading {
         Ok(PyReading { reading })
     }
 
-    /// The messages (topic, ns, bytes) that are whole and new, and whether whoever wrote it has
+    /// The messages (topic, ns, bytes) that are complete and new, and whether the writer has
     /// closed it.
     fn more<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Message<'py>>, bool)> {
         let mut found = vec![];
@@ -238,7 +238,7 @@ pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Vec<Message<'_>
 /// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware,
 /// torque, tripped).
 type Sensed = (i32, u16, Option<f64>, f64, f64, Option<(u8, bool, bool)>);
-/// A period: now, feedback, whether the deadman was pressed if it was heard, targets, whether they
+/// A period: now, feedback, whether the enable key was pressed if known, targets, whether they
 /// are new, request, emergency.
 type Told = (
     u64,
@@ -250,7 +250,7 @@ type Told = (
     bool,
 );
 
-/// What was decided in a period: state, cause, torque, goals.
+/// The decision of a period: state, cause, torque, goals.
 type Decided = (String, String, bool, Vec<i32>);
 
 /// Let a guard of `table` decide `periods` again; state, cause, torque, and goals of each.

@@ -151,7 +151,7 @@ impl PyChain {
         self.column(py, |p| p.instant)
     }
 
-    /// What acts (B, T, C) mm for params (B, P) on u (T, C) mm at t (T,) s; channel effects only.
+    /// Effective (B, T, C) mm for params (B, P) on u (T, C) mm at t (T,) s; channel effects only.
     #[pyo3(signature = (params, u, t, gravity=None, load=None, temperature=None, state=None))]
     fn rollout<'py>(
         &self,
@@ -235,7 +235,7 @@ impl PyChain {
         Ok((x.into_pyarray(py), state.into_pyarray(py)))
     }
 
-    /// What would act (C,) mm if u were commanded now; remembers nothing.
+    /// The effective command (C,) mm if u were commanded now; remembers nothing.
     #[pyo3(signature = (params, state, u, dt, t, gravity=None, load=None, temperature=None))]
     fn peek<'py>(
         &self,
@@ -322,7 +322,7 @@ impl PyChain {
 }
 
 impl PyChain {
-    /// What acts (B, T, C) and the states (B, S) at the end.
+    /// Effective commands (B, T, C) and the states (B, S) at the end.
     fn records<'py>(
         &self,
         py: Python<'py>,
@@ -371,7 +371,7 @@ impl PyChain {
     /// Parameters (B, P).
     pub(super) fn sets(&self, params: Value<'_, '_>) -> PyResult<Floats> {
         let width = self.chain.width();
-        // Without parameters there is nothing to tell one set from another.
+        // Without parameters all sets are the same.
         let sets = (width == 0).then_some(1);
         if let Some(groups) = tied(&self.chain) {
             let given = floats("params", params, &[("B", sets), ("P", None)])?;

@@ -44,7 +44,7 @@ pub struct Solid {
 
 #[pymethods]
 impl Solid {
-    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if
+    /// `drive[t][c]` is the command of tendon t per unit of command c: mm of shortening, or N if
     /// `by_tension`. `change` says by how much the body differs from the rest: names and amounts of
     /// the fields of a design.
     #[new]

@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 
 type Row<'py> = Bound<'py, PyArray1<f64>>;
 type Rows<'py> = Bound<'py, PyArray2<f64>>;
-/// What acts (T, C), the tip there (T, 3), mm to the targets (T,), how often the tip was asked
+/// Effective commands (T, C), the tip (T, 3), mm to the targets (T,), how often the tip was asked
 /// (T,).
 type Path<'py> = (Rows<'py>, Rows<'py>, Row<'py>, Bound<'py, PyArray1<i64>>);
 
@@ -52,7 +52,7 @@ impl PyReach {
         ))
     }
 
-    /// What acts (T, C) so that the tip is nearest to each of `targets` (T, 3), one after the
+    /// Effective commands (T, C) with the tip nearest to each of `targets` (T, 3), one after the
     /// other, the first after `start` (C,): also places (T, 3), distances (T,) mm, and how often
     /// the tip was asked (T,). `published` is the paper's way.
     #[pyo3(signature = (targets, start=None, published=false))]

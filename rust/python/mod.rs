@@ -28,7 +28,7 @@ use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::import_exception;
 use pyo3::prelude::*;
 
-// Of the package's family, so that whoever catches SoftmapError catches these too.
+// Subclasses of SoftmapError, so that a handler of it catches these too.
 import_exception!(softmap_edge.errors, CoreError);
 import_exception!(softmap_edge.errors, NoEquilibriumError);
 

@@ -150,7 +150,7 @@ impl PyPredictor {
         out.into_pyarray(py).reshape(shape)
     }
 
-    /// What acts (B, K, C) at the seen times for params (B, P) on inputs.
+    /// Effective commands (B, K, C) at the seen times for params (B, P) on inputs.
     fn acting<'py>(
         &self,
         py: Python<'py>,

@@ -98,7 +98,7 @@ pub fn servo_registers<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
     Ok(told)
 }
 
-/// A bus of servos at a serial port, for setting up; nobody else can open the port meanwhile.
+/// A bus of servos at a serial port, for setting up; no other program can open the port meanwhile.
 #[pyclass(name = "ServoBus", module = "softmap_edge._core", frozen)]
 pub struct PyServoBus {
     bus: Mutex<Option<Bus<Opened>>>,

@@ -14,7 +14,7 @@ use crate::response::loads::{FIELDS, LOADS, MODULI};
 use crate::response::second_order::{MOST_TENDONS, Second};
 use crate::shape::grid::Nodes;
 
-/// What a body has beside its fields.
+/// What a body has besides its fields.
 #[derive(Clone)]
 pub struct Answer {
     pub cables: Option<Cables>,

@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn a_cable_falls_slack_between_two_nodes_where_it_does() {
-        // One cable that is told u mm and gives 1 mm a N: p = u/(1/20 + 1), 20 u where it hangs.
+        // One cable, commanded by u mm, that gives 1 mm a N: p = u/(1/20 + 1), 20 u where it hangs.
         let told = |u: f64| if u > 0.0 { u / 1.05 } else { 20.0 * u };
         let axis = vec![-3.0, -1.0, 2.0, 3.0, 5.0];
         let pull: Vec<f64> = axis.iter().map(|u| told(*u)).collect();

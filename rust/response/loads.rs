@@ -1,9 +1,9 @@
-//! What moves a body beside its commands, and what it is called: dead loads, and changes of its
+//! Names of what moves a body besides its commands: dead loads, and changes of its
 //! design.
 //!
 //! Every prior answers by *fields*: displacement per unit of each at constant tension of its
 //! cables. The simulator computes them, a rod has its own, shape effects give their coefficients;
-//! all of them mean the order and the units that stand here: gravity on the whole body (per 1 g)
+//! all of them mean the order and the units that stand here: gravity on the full body (per 1 g)
 //! and a force on its tip (per 1 N), along the axes of the base; then, per unit, the logarithm of
 //! the modulus in each of [`HATS`] stretches of the body, and by how much that logarithm rises from
 //! the axis to the +x and the +y side; the deflection of the tip at rest towards x and y (1 mm, an

@@ -16,7 +16,7 @@
 //! its modulus linearly. On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 %
 //! and more are missed without; a section half as stiff to 9 to 18 %, 25 to 60 % and more without
 //! (tests/model/test_second_level.py). Limits: curvature at rest, twist and routing, and pushes,
-//! stay linear beside it.
+//! stay linear with it.
 
 use crate::error::{Result, invalid};
 use crate::response::loads::{LOADS, MODULI};

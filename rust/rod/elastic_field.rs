@@ -10,7 +10,7 @@
 //! meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to that balance,
 //! ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to
 //! θ⁰, which no tendon feels; it is 1 mm at the end of a straight rod. Tendons turned about the
-//! axis pull elsewhere: the slopes of `elastic_slopes.rs` by their angles. Limits: tendons that
+//! axis pull off it: the slopes of `elastic_slopes.rs` by their angles. Limits: tendons that
 //! pull are those of the unloaded pose; arcs have no sides and no twist.
 
 use super::elastic::{ElasticRod, along};

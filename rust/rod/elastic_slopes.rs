@@ -76,7 +76,7 @@ impl ElasticRod {
         }
         turns
     }
-    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` beside the axis moves along
+    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` off the axis moves along
     /// `aside` (mm).
     fn moved(&self, equilibrium: &Equilibrium, j: usize, aside: [f64; 2]) -> Vec<f64> {
         let (stretch, row) = (equilibrium.stretch[j], self.row(j));

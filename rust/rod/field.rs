@@ -83,7 +83,7 @@ impl RodField {
             Load::TipForce => (chords.points[chords.points.len() - 1] - at).cross(force),
             Load::Weight => {
                 // First moment of what hangs beyond: the rest of this chord about its middle, then
-                // whole chords.
+                // full chords.
                 let rest = chords.lengths[k] * (1.0 - s);
                 let mut arm = rest * (chords.at(k, 0.5 * (1.0 + s)) - at);
                 for j in k + 1..chords.lengths.len() {

@@ -1,4 +1,4 @@
-//! What the loop's tests share, here (`control_tests.rs`) and without the crate's insides
+//! Shared code of the loop's tests, here (`control_tests.rs`) and without the crate's insides
 //! (`tests/allocations.rs`): two XL330 at 2000 ticks, ready to be driven, a plan of 280 ticks a mm,
 //! and limits that suit both.
 
@@ -80,7 +80,7 @@ pub fn emulator() -> Emulator {
     Emulator::new(servos.to_vec(), BAUD, 5)
 }
 
-/// What drives them once they are set up.
+/// The drive once they are set up.
 pub fn drive<P: Port>(mut bus: Bus<P>) -> Drive<P> {
     for id in IDS {
         let driven = (X_SERIES.operating_mode, mode::CURRENT_BASED_POSITION);

@@ -25,7 +25,7 @@ pub trait Port {
     fn discard(&mut self) -> Result<(), PortFault>;
 }
 
-/// What is wrong with a port.
+/// The fault of a port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PortFault {
     #[error("the port is gone: unplugged, or its adapter was reset")]
@@ -55,7 +55,7 @@ fn refusal(error: u8) -> &'static str {
     known.map_or("answered with an unknown error", |(_, meaning)| meaning)
 }
 
-/// What came of one servo.
+/// The answer of one servo.
 pub type Heard = Result<Answer, Fault>;
 
 /// An answer.
@@ -207,7 +207,7 @@ impl<P: Port> Bus<P> {
         }
     }
 
-    /// Write `data` to the registers from `address` on of everybody; nobody answers.
+    /// Write `data` to the registers from `address` on of every servo; none answers.
     pub fn write_all(&mut self, address: u16, data: &[u8]) -> Result<(), Fault> {
         let mut buffer = [0; LONGEST];
         let mut packet = Packet::new(&mut buffer, BROADCAST, instruction::WRITE);
@@ -249,7 +249,7 @@ impl<P: Port> Bus<P> {
         self.ask(id, instruction::CLEAR, &[&CLEAR_TURNS], &mut [])
     }
 
-    /// Write `data` (one `size` after another) to each of `ids`; nobody answers.
+    /// Write `data` (one `size` after another) to each of `ids`; none answers.
     pub fn sync_write(
         &mut self,
         ids: &[u8],

@@ -73,7 +73,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
 }
 
 #[test]
-fn refusals_are_told_by_what_they_mean() {
+fn refusals_are_reported_by_their_meaning() {
     let mut bus = engaged(&[1]);
     let refused = |error| Err(Fault::Refused(error));
     assert_eq!(
@@ -229,7 +229,7 @@ fn a_terminal_that_slept_takes_it_for_no_silence_of_the_master() {
 }
 
 #[test]
-fn answers_that_nothing_here_asked_for_are_counted_and_late_ones_are_told_apart() {
+fn unrequested_answers_are_counted_and_late_ones_are_distinguished() {
     let mut bus = bus(&[1, 2]);
     assert_eq!(bus.ping(1), Ok((1200, 46)));
     // Another program on the same wire: its answers are waiting when the next question is sent.

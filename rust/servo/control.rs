@@ -25,7 +25,7 @@ pub trait Plan {
     fn passed(&mut self, ticks: &[i32], period: f64);
 }
 
-/// What came from the user since the last period.
+/// Messages of the user since the last period.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Orders {
     /// Something was heard.
@@ -42,11 +42,11 @@ pub struct Orders {
 
 /// Where orders come from.
 pub trait Mailbox {
-    /// What has come, without waiting.
+    /// The messages so far, without waiting.
     fn collect(&mut self) -> Orders;
 }
 
-/// All of one period: what the guard was told and what it said. A recording of it replays bit for
+/// All of one period: inputs and outputs of the guard. A recording of it replays bit for
 /// bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {

@@ -39,7 +39,7 @@ fn a_day_s_work_from_off_to_slack() {
 }
 
 #[test]
-fn a_user_who_says_nothing_more_is_held_then_slackened() {
+fn a_silent_user_is_held_then_tension_is_released() {
     let mut bench = engaged();
     bench.mailbox.0 = Orders::default();
     let held = until(&mut bench, State::Hold, 1.0);

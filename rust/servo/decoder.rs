@@ -1,6 +1,6 @@
 //! Packets of Dynamixel Protocol 2.0, found in a stream of bytes that may hold anything.
 //!
-//! A header is believed only once its whole packet is there and the checksum agrees; else the
+//! A header is accepted only once its full packet is there and the checksum agrees; else the
 //! search goes on one byte behind it, so that junk never hides what follows. As no packet holds a
 //! header (byte stuffing), a packet that another one begins in was cut short and is given up at
 //! once. A length beyond what is expected is no packet. Nothing is allocated, and no byte is looked
@@ -58,11 +58,11 @@ impl Default for Decoder {
     }
 }
 
-/// What stands at the beginning of what was received.
+/// The beginning of the received bytes.
 enum Found {
     /// A packet of so many bytes.
     Packet(usize),
-    /// More has to come before anything can be said.
+    /// More bytes have to come first.
     Open,
     /// So many bytes belong to nothing.
     Junk(usize),
@@ -84,12 +84,12 @@ impl Decoder {
         (self.start, self.end) = (0, 0);
     }
 
-    /// What was received and not read yet.
+    /// Bytes received and not read yet.
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.start..self.end]
     }
 
-    /// The next packet of at most `longest` bytes, if one is whole.
+    /// The next packet of at most `longest` bytes, if one is complete.
     pub fn next(&mut self, longest: usize) -> Option<Received<'_>> {
         let size = loop {
             match self.look(longest.min(LONGEST)) {

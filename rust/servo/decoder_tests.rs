@@ -77,7 +77,7 @@ proptest! {
         let found = all(&mut decoder, LONGEST);
         let ids: Vec<u8> = found.iter().map(|packet| packet.0).filter(|id| *id != 3).collect();
         prop_assert_eq!(ids, vec![4, 5]);
-        // A shorter length may meet a checksum by chance; nobody asked for that many bytes.
+        // A shorter length may meet a checksum by chance; no request was for that many bytes.
         let believed = found.iter().find(|packet| packet.0 == 3);
         prop_assert!(believed.is_none_or(|packet| matches!(place, 5 | 6) && packet.2.len() != data.len() + 1));
     }
@@ -98,7 +98,7 @@ fn a_packet_cut_short_gives_way_to_the_next_at_once() {
 }
 
 #[test]
-fn a_length_that_nobody_asked_for_is_not_waited_for() {
+fn a_length_of_no_request_is_not_waited_for() {
     let mut decoder = Decoder::default();
     decoder.push(&[0xFF, 0xFF, 0xFD, 0x00, 1, 200, 0]);
     assert!(decoder.next(20).is_none() && decoder.damaged == 1);
@@ -230,7 +230,7 @@ fn without_a_header_a_checksum_makes_no_packet() {
 }
 
 #[test]
-fn the_longest_packet_has_room_beside_what_a_read_brings_more() {
+fn the_longest_packet_fits_with_a_further_read() {
     let longest = status(1, &[7; LONGEST - HEAD - 4]);
     assert_eq!(longest.len(), LONGEST);
     let next = status(2, &[9; 300]);

@@ -2,8 +2,8 @@
 //! model needs.
 //!
 //! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off
-//! is written until each servo has said that it has none. The bus watchdog runs while torque is on:
-//! a servo that hears nothing stops by itself. Nobody answers such writes, so that a cap or a
+//! is written until each servo has reported that it has none. The bus watchdog runs under torque:
+//! a servo that hears nothing stops by itself. No servo answers such writes, so that a cap or a
 //! watchdog may be lost on the wire: both are read back and written again.
 
 use crate::bus::{Answer, Bus, Fault, Heard, Port};
@@ -39,7 +39,7 @@ pub struct Drive<P> {
     heard: Vec<Heard>,
     feedback: Vec<Option<Feedback>>,
     health: Vec<Option<Health>>,
-    /// What was written last: whether torque is on, and the current in steps.
+    /// The last writes: whether torque is on, and the current in steps.
     torque: bool,
     currents: Vec<i16>,
     /// Looks in a row at which a servo had another watchdog or cap than was written.
@@ -73,7 +73,7 @@ impl<P: Port> Drive<P> {
         &mut self.bus
     }
 
-    /// What came of each servo the last time.
+    /// The last answer of each servo.
     pub fn heard(&self) -> &[Heard] {
         &self.heard
     }
@@ -84,7 +84,7 @@ impl<P: Port> Drive<P> {
         self.alert
     }
 
-    /// Whether each servo has said, when it was examined last, that it has no torque.
+    /// Whether each servo reported, when it was examined last, that it has no torque.
     pub fn released(&self) -> bool {
         self.health.iter().all(without_torque)
     }
@@ -98,8 +98,8 @@ impl<P: Port> Drive<P> {
             .collect()
     }
 
-    /// What servos have said of themselves counts no more.
-    pub fn ask_anew(&mut self) {
+    /// Forget what the servos reported.
+    pub fn ask_again(&mut self) {
         self.health.fill(None);
     }
 
@@ -240,7 +240,7 @@ impl<P: Port> Drive<P> {
     }
 }
 
-/// Whether a servo has said that it has no torque.
+/// Whether a servo has reported that it has no torque.
 fn without_torque(health: &Option<Health>) -> bool {
     health.is_some_and(|health| !health.torque)
 }

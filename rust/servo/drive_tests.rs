@@ -59,7 +59,7 @@ fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
 }
 
 #[test]
-fn a_watchdog_that_tripped_under_a_loop_that_died_is_told_while_it_holds_and_then_cleared() {
+fn a_watchdog_that_tripped_under_a_dead_loop_is_reported_while_it_holds_and_then_cleared() {
     let mut drive = alone(1200);
     let tripped = |drive: &mut Drive<Virtual>| {
         drive.examine().unwrap();
@@ -103,7 +103,7 @@ fn a_silent_servo_takes_the_others_answers_with_it_once_only() {
         assert_eq!(heard(&mut drive), [false, true]);
     }
     drive.command(false, &[2000; 2], &[None; 2]).unwrap();
-    drive.ask_anew();
+    drive.ask_again();
     drive.examine().unwrap();
     assert_eq!(drive.unreleased(), [1], "the other has said it");
     mute(&mut drive, false);

@@ -20,7 +20,7 @@ pub const HIGHEST_ID: u8 = 252;
 /// Bytes of the longest packet that is written or read here; the official SDK has the same limit.
 pub const LONGEST: usize = 1024;
 
-/// What a packet asks for, or `STATUS` as an answer.
+/// The instruction of a packet, or `STATUS` for an answer.
 pub mod instruction {
     pub const PING: u8 = 0x01;
     pub const READ: u8 = 0x02;
@@ -121,7 +121,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Write a whole packet with `parameters`.
+/// Write a complete packet with `parameters`.
 pub fn packet<'a>(
     buffer: &'a mut [u8],
     id: u8,
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_packet_that_does_not_fit_is_refused_whole() {
+    fn a_packet_that_does_not_fit_is_refused_completely() {
         let whole = packet(&mut [0; 64], 1, WRITE, &[0xFF, 0xFF, 0xFD, 7])
             .unwrap()
             .len();

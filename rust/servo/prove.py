@@ -4,7 +4,7 @@ mutants (`make prove`).
     python rust/servo/prove.py coverage | mutants [--jobs N] [--of FILE.rs ...]
 
 Needs cargo-llvm-cov and cargo-mutants, which the Makefile installs. A mutant that survives must
-stand in survivors.toml with the reason why no test can tell it from the code. Standard library
+stand in survivors.toml with the reason why no test can distinguish it. Standard library
 only.
 """
 
@@ -29,7 +29,7 @@ DRIVE = [
     "drive.rs",
     "bus.rs",
     "control.rs",
-]  # told, not asked for: they wait for ports, clocks and faults of the system
+]  # reported, not required: they wait for ports, clocks and faults of the system
 SCORE = 0.95
 FUZZ = "400000"  # periods of the guard's fuzz a mutant: a second instead of ten
 # times what the tests took without a mutant, and MINUTE: a mutant that loops for ever is ended
@@ -82,7 +82,7 @@ def coverage() -> int:
     return int(missing > 0)
 
 
-def judge(outcomes: list[dict[str, str]], explained: Counter[str]) -> int:
+def assess(outcomes: list[dict[str, str]], explained: Counter[str]) -> int:
     """Print the score and every survivor without a reason; 0 if the score is high enough and there
     is none.
 
@@ -101,7 +101,7 @@ def judge(outcomes: list[dict[str, str]], explained: Counter[str]) -> int:
     score = caught / viable if viable else 0.0
     print(
         f"{caught} of {viable} mutants are caught ({100 * score:.1f} %), {caught - late} by a "
-        f"test that fails and {late} by time-out; {100 * SCORE:.0f} % are wanted"
+        f"test that fails and {late} by time-out; {100 * SCORE:.0f} % are required"
     )
     print(f"{survivors.total()} survive, {unexplained.total()} of them unexplained")
     for outcome in outcomes:
@@ -134,7 +134,7 @@ def names(document: dict[str, object]) -> list[dict[str, str]]:
 
 
 def mutants(jobs: int, only: list[str]) -> int:
-    """Let the tests judge each mutant of guard and codec."""
+    """Run the tests on each mutant of guard and codec."""
     files = [part for name in only or CODEC + GUARD for part in ("-f", f"rust/servo/{name}")]
     out = ROOT / "target" / "mutants"
     shutil.rmtree(out, ignore_errors=True)
@@ -161,7 +161,7 @@ def mutants(jobs: int, only: list[str]) -> int:
     )
     if code not in FOUND:
         print(
-            f"cargo-mutants ended with {code} and judged nothing: the tests fail without a "
+            f"cargo-mutants ended with {code} and checked nothing: the tests fail without a "
             "mutant, or it cannot run"
         )
         return 1
@@ -170,7 +170,7 @@ def mutants(jobs: int, only: list[str]) -> int:
     explained = Counter(
         {entry["mutant"]: entry.get("times", 1) for entry in listed if entry["why"].strip()}
     )
-    return judge(names(document), explained)
+    return assess(names(document), explained)
 
 
 def main() -> int:

@@ -39,7 +39,7 @@ const fn ram(name: &'static str, address: u16, size: u16) -> Register {
     }
 }
 
-const fn told(name: &'static str, address: u16, size: u16) -> Register {
+const fn reported(name: &'static str, address: u16, size: u16) -> Register {
     Register {
         writable: false,
         ..ram(name, address, size)
@@ -137,7 +137,7 @@ pub const X_SERIES: Layout = Layout {
     torque_enable: ram("torque enable", 64, 1),
     led: ram("LED", 65, 1),
     status_return: ram("status return level", 68, 1),
-    hardware_error: told("hardware error status", 70, 1),
+    hardware_error: reported("hardware error status", 70, 1),
     position_d: ram("position D gain", 80, 2),
     position_i: ram("position I gain", 82, 2),
     position_p: ram("position P gain", 84, 2),
@@ -149,14 +149,14 @@ pub const X_SERIES: Layout = Layout {
     profile_acceleration: ram("profile acceleration", 108, 4),
     profile_velocity: ram("profile velocity", 112, 4),
     goal_position: ram("goal position", 116, 4),
-    realtime_tick: told("realtime tick", 120, 2),
-    moving: told("moving", 122, 1),
-    present_pwm: told("present PWM", 124, 2),
-    present_current: told("present current", 126, 2),
-    present_velocity: told("present velocity", 128, 4),
-    present_position: told("present position", 132, 4),
-    present_voltage: told("present input voltage", 144, 2),
-    present_temperature: told("present temperature", 146, 1),
+    realtime_tick: reported("realtime tick", 120, 2),
+    moving: reported("moving", 122, 1),
+    present_pwm: reported("present PWM", 124, 2),
+    present_current: reported("present current", 126, 2),
+    present_velocity: reported("present velocity", 128, 4),
+    present_position: reported("present position", 132, 4),
+    present_voltage: reported("present input voltage", 144, 2),
+    present_temperature: reported("present temperature", 146, 1),
 };
 
 /// Operating modes (register 11).
@@ -175,7 +175,7 @@ pub const HARDWARE_ERRORS: [(u8, &str); 5] = [
     (0x20, "overload"),
 ];
 
-/// What a status says of an instruction (its lower seven bits).
+/// The status of an instruction (its lower seven bits).
 pub const STATUS_ERRORS: [(u8, &str); 7] = [
     (1, "could not process the packet"),
     (2, "does not know the instruction"),

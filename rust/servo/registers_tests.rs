@@ -27,7 +27,7 @@ fn registers_lie_behind_one_another_and_what_is_kept_lies_before_torque() {
                 writable: !read_only,
                 ..kept(name, address, size)
             },
-            (false, true) => told(name, address, size),
+            (false, true) => reported(name, address, size),
             (false, false) => ram(name, address, size),
         };
         assert_eq!(made, *register);

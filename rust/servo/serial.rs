@@ -40,7 +40,7 @@ pub fn monotonic() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// An open serial port. Nobody else can open it meanwhile, by TIOCEXCL and by an advisory lock.
+/// An open serial port. No other program can open it: TIOCEXCL and an advisory lock prevent it.
 pub struct Serial {
     file: OwnedFd,
 }

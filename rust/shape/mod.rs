@@ -21,7 +21,7 @@ use std::sync::Arc;
 #[derive(Debug, Default)]
 pub struct Work {
     pub doubles: Vec<f64>,
-    /// What a sum adds.
+    /// The terms of a sum.
     more: Vec<f64>,
 }
 

@@ -2,7 +2,7 @@
 //! share.
 //!
 //! How the weights a_m follow from a command is the family's own business (`table.rs`,
-//! `scattered.rs`); here they are expanded to the M numbers, and the whole is seen through linear
+//! `scattered.rs`); here they are expanded to the M numbers, and the result is seen through linear
 //! maps (vertices → features).
 
 use crate::error::{Result, invalid};

@@ -99,8 +99,8 @@ impl Scattered {
         }
         if let Some(c) = scale.iter().position(|s| s.is_nan() || *s < SMALLEST_SCALE) {
             return Err(invalid(format!(
-                "the scale of channel {c} of a scattered family is {}, at least {SMALLEST_SCALE:e} \
-                is wanted",
+                "the scale of channel {c} of a scattered family is {}, expected at least \
+                {SMALLEST_SCALE:e}",
                 scale[c]
             )));
         }

@@ -4,11 +4,11 @@
     diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both
         together
 
-A residual is a function of the command alone. What depends on how a command was reached it cannot
-learn, and what it can stands in for physics only under the conditions of its runs; so it comes
-last, and stays only where it surely lowers the error on blocks that were left out. Alternatives to
-what is added are reported: they fit these runs as well. Calibration is fitted without the effects,
-so that gain, offset or coupling found after it may be a correction of it. Units: mm. Pinned by
+A residual is a function of the command alone. It cannot learn how a command was reached, and it
+replaces physics only under the conditions of its runs. So it comes last, and stays only where it
+surely lowers the error on blocks that were left out. Alternatives to what is added are reported:
+they fit these runs as well. Calibration is fitted without the effects, so that gain, offset or
+coupling found after it may be a correction of it. Units: mm. Pinned by
 tests/adaptation/test_adaptation.py.
 """
 
@@ -177,7 +177,7 @@ def adapt(
     shown = [_shown(base, one, say) for one in runs]
     found = _missing(base, shown, say) if physics else None
     better = base if found is None else found.model
-    say("learning what is left, as a smooth field of the command")
+    say("learning the unexplained error as a smooth field of the command")
     added = better.chain_names != base.chain_names
     rest, residual = _rest(better, shown, added)
     kept = rest is not None and residual["gain_in_se"] > SURE

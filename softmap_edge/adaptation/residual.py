@@ -1,4 +1,4 @@
-"""A residual: a smooth static correction over the command, learned from a run.
+"""A residual: a smooth static function of the command, learned from a run.
 
 It is on top of a model and its effects.
 
@@ -7,7 +7,7 @@ It is on top of a model and its effects.
 
 What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u)
 are radial basis functions of the commands that act, smoothed as much as lowers the error on what is
-left out (`sweep/scattered.py`). It knows nothing of direction, speed, orientation or load: it
+left out (`sweep/scattered.py`). It does not depend on direction, speed, orientation or load: it
 stands in for every static effect under the conditions of its run, and distinguishes none of them.
 Points that the prior holds still stay where they are. A residual belongs to the effects that it was
 learned with: when those change it is dropped, and diagnoses take it out

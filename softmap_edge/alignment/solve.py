@@ -3,9 +3,9 @@
     Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape
         six numbers: turns, then shifts
     T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model's own error, as large as what is left there,
+    shape: model and robot differ at home; the model error, as large as the misfit there,
         correlated along it;
-           of base points, what is left over the coordinates that the pose did not take (3 N − 6),
+           of base points, the misfit over the coordinates that the pose did not take (3 N − 6),
            each point for itself
 
 Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many
@@ -41,8 +41,8 @@ def solve(
 ) -> Alignment:
     """Fit one pose to all groups and one to each; weight them by their information.
 
-    `motion` says whether the base moved; `measured`: the target points were measured one by one, as
-    with a ruler.
+    `motion` states whether the base moved; `measured`: the target points were measured one by one,
+    as with a ruler.
     """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))
@@ -58,8 +58,8 @@ def solve(
     pose, _ = robust(*flat, sigma.ravel(), seen.ravel())
     check_mirror(*flat, sigma.ravel(), seen.ravel(), pose, what)
     tukey = refined(groups.source, groups.target, sigma, seen, pose)[1]
-    # What wanders between visits, as the tip of a robot with play does, says little of the base;
-    # and points of one place along the body are off together, so that many of them say no more than
+    # Points that wander between visits, as the tip of a robot with play does, locate the base
+    # poorly; and points of one place along the body err together, so that many of them count like
     # one.
     wander = _wander(groups, tukey > 0, pose)
     tukey = refined(groups.source, groups.target, np.sqrt(sigma**2 + wander**2), seen, pose)[1]

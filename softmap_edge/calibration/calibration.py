@@ -10,7 +10,7 @@ its rest; of several that where the model acts least. Another home changes b onl
 of the encoders where the model takes positions and the run has them, else those commanded. Left
 out: commands at the end of the model's range, what hangs slack, frames in motion where dwells are
 enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is constant in all shapes (a
-wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
+wrong frame, a wrong length) bends A and b; look at the misfit of the shapes. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -89,7 +89,7 @@ def calibrate(
             paper.
 
     Returns:
-        Calibrated: the model with its calibration, the pairs, and what speaks against an affine
+        Calibrated: the model with its calibration, the pairs, and the evidence against an affine
         map.
 
     Raises:

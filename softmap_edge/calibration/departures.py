@@ -167,7 +167,7 @@ def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats
 
     It is in standard deviations of an observed command.
 
-    None where what is left out leaves too few to fit.
+    None where too few remain to fit.
     """
     off = np.zeros(held.u.shape)
     for test in parts:

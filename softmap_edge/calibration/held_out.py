@@ -38,7 +38,7 @@ class HeldOut:
     Also which are `observed`.
 
     `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where
-    they were asked for; `frames` are the numbers of the frames of each. `still` says whether they
+    they were asked for; `frames` are the numbers of the frames of each. `still` states whether they
     are dwells.
     """
 

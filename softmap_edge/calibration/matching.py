@@ -55,11 +55,11 @@ LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matc
 class Matches:
     """The commands (K, C) whose shapes are nearest to K frames; NaN where a frame shows too little.
 
-    `covariance` (K, C, C) of each, from the noise and from what is left, section by section.
-    `mae_mm` (K,) is the mean absolute error that is left, over the coordinates of the points seen.
-    `edge` (K,) marks commands at the end of the model's range, beyond which the true one may lie.
-    `observed` (K, C) says which commands move the shape there: where both tendons of a pair hang
-    slack, the command between them is a guess, with the variance of the full range.
+    `covariance` (K, C, C) of each, from the noise and from the misfit, section by section. `mae_mm`
+    (K,) is the mean absolute error after the fit, over the coordinates of the points seen. `edge`
+    (K,) marks commands at the end of the model's range, beyond which the true one may lie.
+    `observed` (K, C) marks the commands that move the shape there: where both tendons of a pair
+    hang slack, the command between them is a guess, with the variance of the full range.
     """
 
     command: Floats

@@ -52,7 +52,7 @@ LARGER = 4.0  # times as far as the commands say, or as little: no gain is that 
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
 # of the expected motion: in all, and along it; a play of 1.9 half ranges exceeds 0.05
 STILL, ALONG = 0.08, 0.02
-MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
+MOTION = 0.04  # of the body's length: less motion (RMS) does not identify its cause
 NEARLY = 0.1  # of the motion: explained as well as by another cause
 FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
 MENDED = 0.3  # of the error that gravity the other way round must leave at most
@@ -65,13 +65,13 @@ GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command g
 # times the scatter while it is not held, less what is linear in the command: else the model is that
 # wrong
 MORE = 1.2
-# of what a step of the command usually moves, below which a frame says nothing about the command
+# of what a step of the command usually moves, below which a frame does not identify the command
 SEEN = 0.3
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
 
 def declaration_remarks(model: Model, run: Run) -> list[str]:
-    """Return remarks on what a run says about itself."""
+    """Return remarks on the declarations of a run."""
     found = [f"{text}" for text in doubts_of_time(np.asarray(run.t, float))]
     if run.robot is not None and run.robot != model.robot:
         found.append(
@@ -324,7 +324,7 @@ def _at_the_clamp(
 
 
 def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """What is declared as gravity points the way in which things fall."""
+    """Report a declared gravity that points against the way in which things fall."""
     if run.gravity is None:
         return
     other = np.asarray(model.predict(replace(run, gravity=-run.gravity)))
@@ -411,7 +411,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
     """Report commands logged at their extreme while the body moves on: the log may be clipped.
 
-    What is left there, along the slope of the points over this command, is by how much the command
+    The misfit there, along the slope of the points over this command, is by how much the command
     went on. An effect leaves the same whenever a command is held, or goes with the time that it is
     held for. A clipped one goes on by more or less each time, or as far as it gets at the speed at
     which it came and went.
@@ -508,5 +508,5 @@ def _unexplained(columns: Floats, values: Floats) -> Floats:
 
 
 def spread(left: Floats, visible: Mask) -> float:
-    """Return the RMS mm of what is left (K, N, 3) about its mean over these frames."""
+    """Return the RMS mm of the misfit (K, N, 3) about its mean over these frames."""
     return float(np.sqrt(np.sum(centred(left, visible) ** 2) / max(int(visible.sum()), 1)))

@@ -47,11 +47,11 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     (`collinear.Collinear`, `text`). `home_known` is whether 0 can be home (`advice.home_unknown`).
     `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they
     count as not visible. `unanswered` is a sentence where commands and motion contradict each
-    other, else None; such a run is not sound. `can_tell` and `cannot_tell` are lists of `{about,
-    tells, text, remedy, minutes}` (`advice.Word`). A `model` with a calibration converts the ticks
-    of the run to commands. Raises CalibrationError if it belongs to other servos. `frame_clock` is
-    how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or
-    None.
+    other, else None; such a run is not sound. `can_tell` and `cannot_tell` are lists of
+    `advice.Word` as `{about, tells, text, remedy, minutes}`. A `model` with a calibration converts
+    the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
+    `frame_clock` is how the clock of the frames runs against that of the commands
+    (`frame_clock.FrameClock`), or None.
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
     run, depthless = (run, "") if run.points is None else with_depth(run)

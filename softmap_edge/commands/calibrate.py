@@ -54,7 +54,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="TICKS",
         help=(
-            "the ticks that the bench calls home, one a servo; the run's rest (dwelt at most "
+            "the home ticks of the rig, one a servo; the run's rest (dwelt at most "
             "often) without it"
         ),
     )
@@ -70,9 +70,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="match to the nearest shape of a grid and no further, as the paper",
     )
-    parser.add_argument(
-        "--plot", metavar="FILE.svg", help="draw matched pairs and what is left of them"
-    )
+    parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and their misfit")
 
 
 def calibrate(args: CalibrateOptions) -> int:

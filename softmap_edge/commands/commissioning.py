@@ -19,7 +19,7 @@ from softmap_edge.robot.servo.terminal import terminal, wait_for_release
 
 
 def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare `--hold`, the same wherever a deadman is; `more` says what else it does."""
+    """Declare `--hold`, the same wherever there is an enable key; `more` is further help."""
     parser.add_argument(
         "--hold",
         action="store_true",
@@ -49,7 +49,7 @@ def announce(args: JsonOption, what: str, hand: Deadman) -> None:
 def confirm(question: str, instead: str) -> bool:
     """Ask a question on the terminal until the answer is yes or no; no answer is a no.
 
-    A key that is still held is no answer: it is waited for. `instead` is the option that says it
+    A key that is still held is no answer: it is waited for. `instead` is the option that gives it
     where there is no terminal.
 
     Raises:

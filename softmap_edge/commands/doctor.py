@@ -24,7 +24,7 @@ class DoctorOptions:
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `doctor`."""
     parser.add_argument(
-        "--rig", metavar="rig.toml", help="ask the servos of this bench too; nothing moves"
+        "--rig", metavar="rig.toml", help="ask the servos of this rig too; nothing moves"
     )
     parser.add_argument("--bundle", metavar="DIR", help="look at this bundle too")
     parser.add_argument("--camera", metavar="N|/dev/…", help="take a picture of this camera")

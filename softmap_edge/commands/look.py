@@ -108,7 +108,7 @@ def effects_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def effects(args: EffectsOptions) -> int:
-    """List the effects that the library knows, show one, or write the template of a user's own."""
+    """List the effects of the library, show one, or write the template of a user's own."""
     if args.name == "new":
         return _new(args)
     load_own(args)

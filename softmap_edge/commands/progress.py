@@ -12,7 +12,7 @@ from softmap_edge.files.printable import printable, raw
 
 _WIDTH, _LEFT = 30, 14
 PACE = 3.0  # s of work from which the remaining time is estimated
-QUIET = 8.0  # s without a word after which long work says that it goes on
+QUIET = 8.0  # s without a word after which long work reports that it goes on
 
 
 class Ticker:
@@ -37,8 +37,8 @@ class Ticker:
 class Bar:
     """Call it with (what, share in 0…1); it redraws one terminal line and clears it at the end.
 
-    Once `what` has taken a while it says how long the rest takes at that pace, what was done before
-    not counted.
+    Once `what` has taken a while it prints how long the rest takes at that pace, what was done
+    before not counted.
     """
 
     def __init__(self, silent: bool = False, clock: Callable[[], float] = time.monotonic) -> None:

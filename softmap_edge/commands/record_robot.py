@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from softmap_edge.commands.experiment import RecordOptions
 
 INTERRUPTED = 130
-LOOP = ".loop.mcap"  # ends the name of the loop's recording beside the run, until that is written
+LOOP = ".loop.mcap"  # suffix of the loop's recording next to the run, until the run is written
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
@@ -275,7 +275,7 @@ def _checked(args: RecordOptions) -> None:
 
 @contextlib.contextmanager
 def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
-    """Give the bench and what sees it."""
+    """Give the robot and what sees it."""
     if args.emulated:
         hidden = ",".join(args.hide)
         with emulated(model, hidden, 1 if args.seed is None else args.seed) as bench:

@@ -166,7 +166,7 @@ def plain_map(model: Model) -> Calibration:
 def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
     """Enter `robot`, with a key of the terminal as its emergency stop.
 
-    Once Ctrl-C has ended it, report what is left.
+    Once Ctrl-C has ended it, report the results.
     """
     try:
         robot.tell, robot.at_terminal = to_stderr, True

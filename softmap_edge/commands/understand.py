@@ -389,7 +389,7 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
     else:
         print(
             f"{found}\n{args.out}: build its model with `softmap build {args.out}`, then diagnose "
-            "what is left"
+            "the rest of the error"
         )
     before, after = found.frame_fitted_mm, found.finger_fitted_mm
     return int(before is not None and after is not None and after > before)

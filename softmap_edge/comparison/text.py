@@ -2,8 +2,8 @@
 
 Text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number says its
-unit, and every error what it was measured on.
+Bars of one block share one scale, so that their lengths may be compared; every number has its unit,
+and every error what it was measured on.
 """
 
 from __future__ import annotations

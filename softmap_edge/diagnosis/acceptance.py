@@ -39,8 +39,8 @@ def falls_on(
     FALL_NEXT by default.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing.
-    Then the share is of the complete loss. `laws` says that laws were found before, whose form is
-    off as well.
+    Then the share is of the complete loss. `laws`: laws were found before, whose form is off as
+    well.
     """
     fall, total = difference(before, after), float(before.sum())
     least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
@@ -75,7 +75,7 @@ def accepted(
     if static and not beyond_ordinary(ranking, state):
         return False
     record = state.body.record
-    # What imperfections of the robot leave of a model's own error is noise to a memory too.
+    # The model error that imperfections of the robot do not explain is noise to a memory too.
     if record.error_is_noise and (
         row.family.kind in ("static", "time") or state is not state.without_background()
     ):
@@ -175,7 +175,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
     level_mm = min(left, rule.ORDINARY * motion_mm(record))
-    return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
+    return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment states
 
 
 def motion_mm(record: Record) -> float:

@@ -3,8 +3,8 @@
 They are static effects that look like it and do not contradict the run.
 
 A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis
-names them. If they do not, a static field of its size is no evidence, since it may be the model's
-own error or an effect (`problem_of`: form error in the same directions; a rod's error is noise).
+names them. If they do not, a static field of its size is no evidence, since it may be
+model error or an effect (`problem_of`: model-form error in the same directions; a rod's is noise).
 Effects that show in memory, orientation or load are then found as without it.
 
 This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have
@@ -32,7 +32,7 @@ from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
 
-OWN = 1.5  # times the model's own error that a residual must be to hide anything
+OWN = 1.5  # times the model error that a residual must be to hide anything
 HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
 LOOKED_AT = 8  # effects that are compared with the residual: those that fit it best
 AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
@@ -79,7 +79,7 @@ class ResidualConfounds:
         if self.left_mm <= self.own_mm:
             return (
                 f"{size}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to "
-                f"{self.own_mm:.2f} mm RMS may be its own error"
+                f"{self.own_mm:.2f} mm RMS may be model error"
             )
         return (
             f"{size}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it "
@@ -127,7 +127,7 @@ def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
 def _as_if_seen(fits: Fits, field: Floats) -> Problem:
     """Return the problem in which `field` (K, F) mm is the only error of the model.
 
-    It has no form error for it.
+    It has no model-form error for it.
     """
     problem = fits.problem
     record: Record = copy(problem.record)
@@ -141,7 +141,7 @@ def _as_if_seen(fits: Fits, field: Floats) -> Problem:
 
 
 def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
-    """Whether the run speaks against an effect with the numbers that the residual gives it."""
+    """Whether the run contradicts an effect with the numbers that the residual gives it."""
     problem, record = fits.problem, fits.problem.record
     space = problem.space((*fit.effects, effect))
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])

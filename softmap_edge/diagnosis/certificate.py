@@ -5,14 +5,13 @@
 chi²₁ is that of the withheld frames under everything found, with numbers fitted to the other
 frames. chi²₀ is the same without the claim, all other numbers maximised on the withheld frames
 themselves (universal inference: Wasserman, Ramdas, Balakrishnan 2020, doi:10.1073/pnas.1922664117).
-Both are whitened with noise, the model's own error and the robot's ordinary imperfections, at the
+Both are whitened with noise, the model error and the robot's ordinary imperfections, at the
 level that the search estimates, in the covariance. φ is the dispersion of the other frames, at
 least 1 except for a rod.
 
-The split alone makes noise harmless, but a model's own error is the same in all blocks. Whatever k
-numbers are fitted, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 -
-T)^(-k/2). With T and the last term e stays an e-value even if the claim was fitted to just this
-error.
+The split alone makes noise harmless, but a model error is the same in all blocks. For any k fitted
+numbers, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). With
+T and the last term e stays an e-value even if the claim was fitted to just this error.
 
 The search sees all frames: names cost data. Its choice is paid for by counting. Every set of r
 claims among N candidates, and each member of it, is a hypothesis with an e-value, zero where it was
@@ -179,7 +178,7 @@ def _split(outcome: Outcome, kept: Withheld) -> Problem:
 
     They are fitted to the others or to themselves.
 
-    Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
+    Ordinary imperfections are smooth in the commands like the model error, and add to it.
     """
     problem = copy(outcome.body.problem)
     larger = 1.0 + (outcome.body.ordinary_mm / max(problem.record.form_mm, 1e-9)) ** 2

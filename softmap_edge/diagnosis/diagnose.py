@@ -93,7 +93,7 @@ def diagnose(
             are dropped.
         effects: names of the candidates; all of the registry by default.
         progress: hears one line per stage.
-        reference: a run of the same commands that stands for the model's own error (paired replay):
+        reference: a run of the same commands that stands for the model error (paired replay):
             what acts alike in both cancels out, and every error is relative to it. Several, where
             runs (or `held_out`) play other commands: each takes the one whose commands agree.
 
@@ -128,7 +128,7 @@ def diagnose(
     demoted: list[str] = []
     if other is not None:
         fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
-    else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
+    else:  # model-form error can hide what a static effect does wrong on unseen blocks; mm show it
         fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
         if demoted:  # what stood in its place is looked for again
             outcome = search(
@@ -328,7 +328,7 @@ def _searched(
     """Search a record for what its model lacks.
 
     What a residual had learned is an effect if laws of the library explain it. Only if they do not
-    may it be the model's own error. A map that was learned with --static is solved again, if a law
+    may it be the model error. A map that was learned with --static is solved again, if a law
     of memory then explains the run.
     """
     if record.static is not None and not record.error_is_noise:
@@ -385,7 +385,7 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
 
     None if it is meaningful.
 
-    It does where the other frames show it too: by far more than the model's own error.
+    It does where the other frames show it too: by far more than the model error.
     """
     coverage = record.model.coverage
     if (
@@ -408,7 +408,7 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
     others = (
         ""
         if near is None
-        else f"; in the others it is {near:.2f} mm off, with an own error of {own:.2f} mm"
+        else f"; in the others it is {near:.2f} mm off, with a model error of {own:.2f} mm"
     )
     return (
         f"{count} of {len(record)} frames are unlike what '{record.model.robot}' was learned "

@@ -86,7 +86,7 @@ def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
 def unseen(moved: float, size: float) -> str | None:
     """Return why a signature is not seen, if so.
 
-    It has a `size` in standard deviations and moves the body by `moved` mm.
+    It has a `size` in standard deviations and an effect size of `moved` mm RMS.
     """
     if moved < VISIBLE_MM:
         return (

@@ -55,7 +55,7 @@ class Certificate:
     """Evidence for a claim from blocks that took no part in fitting its numbers.
 
     `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least
-    `log10_needed`. `reason` says why there is no e-value.
+    `log10_needed`. `reason` is why there is no e-value.
     """
 
     log10_e: float | None = None

@@ -164,7 +164,7 @@ class Fit:
     x: Floats
     cost: float
     chi2: float
-    modes: Floats  # (K, M) residual in units of noise, form error not yet removed
+    modes: Floats  # (K, M) residual in units of noise, model-form error not yet removed
 
     @cached_property
     def predicted(self) -> Floats:
@@ -204,7 +204,7 @@ class ProjectedFeatures:
 
 
 class Problem:
-    """A record with noise and form error: shared by all fits and validations of a diagnosis."""
+    """A record with noise and model-form error, for all fits and validations of a diagnosis."""
 
     def __init__(
         self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None
@@ -416,7 +416,7 @@ class Problem:
     def fold_losses(self, predictions: Floats) -> Floats:
         """Return held-out losses (folds,) of each fold's own prediction on its test frames.
 
-        Every frame counts for itself, with noise and form error in its variance.
+        Every frame counts for itself, with noise and model-form error in its variance.
         """
         spread = np.sqrt(1.0 + self.whitener.form)
         modes = [

@@ -157,7 +157,7 @@ def starts(problem: Problem, effect: str) -> list[Floats]:
     """Return scaled starts of an effect: as declared, other signs, log scales, in time.
 
     Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at
-    home, where the slope on one side says nothing about the other.
+    home, where the slope on one side does not determine the other.
     """
     space = problem.space((effect,), free=(effect,))
     if space.integer.any():

@@ -73,7 +73,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What level 2 says of a family.
+    """The result of level 2 for a family.
 
     `law` is the law that stands for it, or a candidate: where the law is `open` because generic
     laws do as well, and where no law reaches and one explains most of what the family does. Without
@@ -331,8 +331,8 @@ class _Asked:
     def _main(self, laws: list[Law], explained: float) -> Law | None:
         """Return the member that explains most of the family; the form of its law may be off.
 
-        A rod's own error is part of its noise: there, shares of a memory are too unsure for a
-        candidate.
+        The model error of a rod is part of its noise: there, shares of a memory are too unsure for
+        a candidate.
         """
         if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None

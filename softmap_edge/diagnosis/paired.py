@@ -3,17 +3,16 @@
     seen'(t) = seen(t) - [reference(t + s) - model(reference)(t + s)]
 
 What the model misses on the reference at the same place of the replay (same command, same past) is
-taken off what is seen, so that its own error cancels out, and so does every effect that acts alike
-in both runs. The reference is read linearly between frames; s is the shift in time at which the
-commands agree. Of several references a run meets the one whose commands it plays best. What the
-model has been given that the reference lacks (a weight that was found relative to it) is left out
-of model(reference): an effect that makes the reference worse and the run better. What is left to
-doubt:
+taken off what is seen, so that its model error cancels out, and so does every effect that acts
+alike in both runs. The reference is read linearly between frames; s is the shift in time at which
+the commands agree. Of several references the one with the closest commands is used. An effect of
+the model that the reference lacks (a weight that was found relative to it) is left out
+of model(reference): an effect that makes the reference worse and the run better. Remaining doubts:
 - the camera: the noise of a difference, twice that of one run where frames meet, comes out of the
 replicates as it is;
-- a table: KEPT of its form error. Where an effect moves the acting command by 1-2 of 32 mm, an
-  error that varies over 0.4 of the range changes by about a sixth; and what another gravity or load
-  adds to it;
+- a table: KEPT of its model-form error. Where an effect moves the acting command by 1-2 of 32 mm,
+  an error that varies over 0.4 of the range changes by about a sixth; and what another gravity or
+  load adds to it;
 - a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a -
   cov(a, b)) of the residuals a of the reference and b of the run, what the reference does not share
   with the run, twice.
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 AGREE = 0.01  # of the range of the commands: RMS difference up to which two runs play the same
-KEPT = 0.2  # of a table's form error that a change of condition leaves
+KEPT = 0.2  # of a table's model-form error that a change of condition leaves
 GAPS = 3.0  # median periods of the reference: it is not read across longer gaps
 LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have seen too
 GRID = 200_000  # rows at most that are looked at for the shift in time
@@ -84,7 +83,7 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
 
     Returns:
         tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm,
-        NaN where the reference has no data; and the form error (V, 3) mm that is left of the
+        NaN where the reference has no data; and the model-form error (V, 3) mm that remains of the
         model's own.
 
     Raises:
@@ -291,7 +290,7 @@ def _read(at: Floats, t: Floats, values: Floats) -> Floats:
 
 
 def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:
-    """Return what is left (V, 3) mm of the model's own error in the difference of the runs."""
+    """Return the model error (V, 3) mm that remains in the difference of the runs."""
     if not record.error_is_noise:
         mine, theirs = record.form_error, reference.form_error
         return np.asarray(np.sqrt((KEPT * theirs) ** 2 + np.maximum(mine**2 - theirs**2, 0.0)))

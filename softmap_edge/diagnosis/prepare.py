@@ -1,4 +1,4 @@
-"""What a search needs first: candidate effects, and a run with its noise and form error.
+"""What a search needs first: candidate effects, and a run with its noise and model-form error.
 
 Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 """
@@ -110,8 +110,8 @@ def candidates_of(
         and orientations(record.state.gravity) == 1
     ):
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load
-        # differ by less than its form error, and a tilt of gravity is an offset. The simpler member
-        # stands for the family.
+        # differ by less than its model-form error, and a tilt of gravity is an offset. The simpler
+        # member stands for the family.
         block, minutes = known["gravity"].experiment
         impossible.append(
             Untestable(
@@ -128,7 +128,7 @@ def candidates_of(
 def problem_of(
     record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True
 ) -> Problem:
-    """Measure the noise (if not given), set up the form error, whiten along candidates.
+    """Measure the noise (if not given), set up the model-form error, whiten along candidates.
 
     It is along their signatures.
 
@@ -154,7 +154,7 @@ def problem_of(
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
-        # it may be the model's own error or an effect: allow for both
+        # it may be the model error or an effect: allow for both
         if residual and record.static is not None:
             form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))

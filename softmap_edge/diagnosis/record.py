@@ -297,8 +297,8 @@ class Record:
 
         `weights` are (F, M).
 
-        Tables give the forms at once, at a fraction of the price. What senses moves points, and
-        knows no forms.
+        Tables give the forms at once, at a fraction of the price. Sensing effects move points, and
+        have no forms.
         """
         forms = self.model.through(weights, self.run)
         senses = effects_that("sensing")

@@ -1,10 +1,10 @@
 """Runs that taught the model: what the model holds already, and what such a run can still show.
 
-A learned model was fitted to its runs. What was static in the robot then is part of its static map,
-so these runs show no static effect. `softmap learn` also puts the memory that it finds into the
-chain (`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has
-bent the static map, so each law is fitted with the map solved again (`Record.remapped`,
-`families.State`). Pinned by tests/diagnosis/test_taught.py.
+A learned model was fitted to its runs. Its static map contains the static effects of that time, so
+these runs show no static effect. `softmap learn` also puts the memory that it finds into the chain
+(`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has bent the
+static map, so each law is fitted with the map solved again (`Record.remapped`, `families.State`).
+Pinned by tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The report of a diagnosis for a terminal, from its document. Text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number says its
-unit, and every error what it was measured on.
+Bars of one block share one scale, so that their lengths may be compared; every number has its unit,
+and every error what it was measured on.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _effect_lines(row: Document, place_unit: str) -> list[str]:
             else [f"probability {percent(row['probability'])} (fitted)"]
         ),
         f"{percent(row.get('share'))} of the explained error",
-        f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
+        f"effect size {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
     lines = [head, *folded(" · ".join(facts), 6)]
@@ -111,11 +111,6 @@ def _effect_lines(row: Document, place_unit: str) -> list[str]:
         bound = "   at its bound" if value.get("at_bound") else ""
         lines.append(f"      {label:<26} {parameter(value)}{bound}")
     return [*lines, *(part for line in [*again(row), *confirmed(row)] for part in folded(line, 6))]
-
-
-def moved_by(unit: str) -> str:
-    """The name of the moved quantity, in a report whose figures have this unit."""
-    return "the body" if unit == PLACES else "the output"
 
 
 def again(row: Document) -> list[str]:

@@ -142,9 +142,9 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
 def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
     """Return whether laws at once exclude the one law that was found.
 
-    Another law of its family is among them, and they leave only noise where it leaves more. What
-    imperfections may explain counts as left, because they can hide a second effect. None if no laws
-    can.
+    Another law of its family is among them, and they leave only noise where it leaves more. The
+    part that imperfections may explain counts as left, because they can hide a second effect. None
+    if no laws can.
     """
     if len(outcome.steps) != 1 or not outcome.fit.effects:
         return None
@@ -219,7 +219,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    # a family without a law explains the form error of another law too
+    # a family without a law explains the model-form error of another law too
     form = rule.FORM * max(1, outcome.open)
     return (
         fewer

@@ -1,6 +1,6 @@
 """The words of a diagnosis: its verdict, its sentence, and doubts about what it names.
 
-Every error says mm RMS, and fitted or held out. Pinned by tests/report/test_report.py.
+Every error is in mm RMS, and marked fitted or held out. Pinned by tests/report/test_report.py.
 """
 
 from __future__ import annotations

@@ -10,16 +10,16 @@ believed, a block is worth
 
 over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson &
 Fedorov 1975). A has its fitted parameters, an effect that was not seen those of typical strength; C
-is the noise of the old runs and the model's form error, which is one function of the command over
-old runs and block: what only a changed condition shows counts. Of a pair the smaller of both
-directions holds. Effects that the library calls alike in one orientation (or under one load) are
-separated by blocks that change it and by no others: other differences are the form of the library's
-laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is
-worth, for each question that it settles, its separation a minute over that of the best block for
-this question. Blocks are first ranked by questions between two families of effects: a law is only
-worth asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames),
-which makes separations smaller, not larger; several blocks are taken to add nothing to each other.
-Pinned by tests/experiment/test_next_experiment.py.
+is the noise of the old runs and the model-form error, which is one function of the command over old
+runs and block: only what a changed condition shows counts. The smaller of both directions of a pair
+holds. Effects that the library calls alike in one orientation (or under one load) are separated by
+blocks that change it and by no others: other differences are the form of the library's laws.
+Alternatives are refitted in full, unseen effects against one linearised step. A block is worth, for
+each question that it settles, its separation a minute over that of the best block for this
+question. Blocks are first ranked by questions between two families of effects: a law is only worth
+asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames), which
+makes separations smaller, not larger; several blocks are taken to add nothing to each other. Pinned
+by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def next_experiment(
 
     Returns:
         list: experiments, best first: by what separates families, then by all questions. Last what
-        no block settles, with what the library says of it. Empty where nothing is open.
+        no block settles, with the advice of the library. Empty where nothing is open.
 
     Raises:
         SoftmapError: the diagnosis is of another model or of other runs, or names effects that are
@@ -202,7 +202,7 @@ def _experiment(
 
 
 def _rest(world: Outcomes, questions: Sequence[OpenQuestion]) -> list[Experiment]:
-    """Return, for what no block settles, what the library says would show it."""
+    """Return, for questions that no block settles, the advice of the library."""
     rows: dict[str, Experiment] = {}
     tried = set(world.questions)
     for question in sorted(questions, key=lambda q: q.families is None):

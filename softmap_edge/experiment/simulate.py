@@ -3,8 +3,8 @@
 They are predicted in a block of commands that is not recorded yet.
 
 `Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs;
-`answers` simulates a block and says what the wrong answer would leave of the right one (`choose.py`
-has the formula). Predictions are those of the diagnosis itself: records, noise and form error,
+`answers` simulates a block and gives the error that the wrong answer would leave (`choose.py` has
+the formula). Predictions are those of the diagnosis itself: records, noise and model-form error,
 whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
 """
 
@@ -460,7 +460,7 @@ def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> 
 
 
 def _blank_record(model: Model, setting: Setting) -> Record:
-    """Return a record of two frames at home, that knows the parameters of any chain."""
+    """Return a record of two frames at home, with the parameters of any chain."""
     limits = Limits.of(model.command_range, model.command_unit)
     made = plan([BLOCKS["home revisits"]], limits, setting)
     blank = _blank(model, made, None, setting)

@@ -1,6 +1,6 @@
 """The solid of a finger: a round tapered body, a plain block, or an imported mesh of tetrahedra.
 
-Each knows its part of `finger.toml`, makes its cells in the compiled core, and names another mesh
+Each reads its part of `finger.toml`, makes its cells in the compiled core, and names another mesh
 of the same solid. The base frame has its origin at the centre of the clamped base and z to the tip;
 what lies at z = 0 or below is held.
 """

@@ -1,9 +1,10 @@
-"""Make a model from a finger: sweep, fields, compression to modes, and a measured form error.
+"""Make a model from a finger: sweep, fields, compression to modes, and a measured model-form error.
 
-The form error is measured, not assumed: commands off the grid, solved on another mesh with the
-modulus 10 % up and 10 % down, against the table; per feature and over the vertices. For an imported
-mesh the other mesh is the refined one, eight times the cells: it is solved at a few commands only,
-from the equilibria of the first, and its difference is added to that of the modulus in squares.
+The model-form error is measured, not assumed: commands off the grid, solved on another mesh with
+the modulus 10 % up and 10 % down, against the table; per feature and over the vertices. For an
+imported mesh the other mesh is the refined one, eight times the cells: it is solved at a few
+commands only, from the equilibria of the first, and its difference is added to that of the modulus
+in squares.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def build_model(
     simulator = simulator_of(finger)
     grid_axes(finger, steps)
     handles_of(finger, simulator.template.vertices)
-    # the form error needs it: what cannot be built is refused before the sweep
+    # the model-form error needs it: what cannot be built is refused before the sweep
     Simulator(finger.other_mesh())
     sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)
@@ -132,7 +133,7 @@ def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
 def from_sweep(
     finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES
 ) -> Model:
-    """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
+    """Compress a sweep of `finger` to a table model; add its fields and its model-form error."""
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, sweep.command, sweep.pull)])]
     table = compressed(sweep.axes, sweep.vertices.reshape(len(sweep.command), -1), modes)
@@ -187,9 +188,9 @@ def from_sweep(
         },
         arrays=BundleArrays(prior, fields),
     )
-    report("form error", 0.0)
+    report("model-form error", 0.0)
     error, vertex_error, grown = form_error(model, finger, simulator)
-    report("form error", 1.0)
+    report("model-form error", 1.0)
     limits = derived(model, finger.young_mpa)
     return replace(
         model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown, safety=limits

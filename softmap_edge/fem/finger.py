@@ -212,7 +212,7 @@ class Finger:
         )
 
     def other_mesh(self) -> Finger:
-        """Return the same finger on another mesh, finer where allowed, for the form error."""
+        """Return the same finger on another mesh, finer where allowed, for the model-form error."""
         return replace(self, solid=self.solid.other_mesh())
 
     def to_toml(self) -> str:

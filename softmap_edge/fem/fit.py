@@ -56,7 +56,7 @@ FRAME_DWELLS = 3  # fewer shapes do not separate the frame from the finger
 SANDWICH = 8
 ITERATIONS = 6
 STEP = 0.08  # of x: a tenth of the usual range, far above the solver's tolerance
-SEEN = 0.5  # of the half range: a deviation above it says that the run does not see the number
+SEEN = 0.5  # of the half range: above this deviation the run does not identify the number
 # independent numbers of a dwell: a section's features say nearly the same as its neighbours'
 EVIDENCE = 6.0
 FLOOR_MM = 0.02  # no residual is trusted below it

@@ -419,7 +419,7 @@ def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
 def longest_rise(t: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which rows (rows,) form the longest series of rising times.
 
-    It is what is left when stray times are taken out; O(n log n).
+    It is the longest that remains when stray times are taken out; O(n log n).
 
     Args:
         t: (rows,) s, finite.

@@ -488,7 +488,7 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
 
 
 def label_of(sheet: Sheet) -> str | None:
-    """Return the column that says which part of the protocol a row belongs to."""
+    """Return the column with the part of the protocol that a row belongs to."""
     for name, texts in sheet.texts.items():
         if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
             continue

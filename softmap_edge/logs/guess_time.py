@@ -149,8 +149,8 @@ def _single(sheet: Sheet) -> str | None:
 def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
     """Return which values of a column that is named as a counter are no whole numbers.
 
-    A column that is whole in fewer than half of its rows counts nothing: it is left to its values,
-    but for one of frames.
+    A column with whole numbers in fewer than half of its rows is no counter: it is left to its
+    values, but for one of frames.
     """
     known = _known(sheet, name)
     if not (len(known) and sheet.header and _called_so(sheet, name, _COUNTERS)):
@@ -214,7 +214,7 @@ def _strays(sheet: Sheet, name: str) -> bool:
 
 
 def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
-    """Whether a column has the name of a time, or of what a pattern says."""
+    """Whether a column has the name of a time, or of a pattern."""
     last = _bare(last_of(sheet, name))
     return pattern.search(last) is not None or (pattern is TIME_NAME and is_time_unit(last))
 

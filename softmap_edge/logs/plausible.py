@@ -340,7 +340,7 @@ def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
 
 
 def is_base(label: str) -> bool:
-    """Whether a marker's name says that it sits on the clamp and not on the robot."""
+    """Whether a marker sits on the clamp and not on the robot, by its name."""
     return bool(re.search(r"base|clamp|mount|ground|frame", label, re.IGNORECASE))
 
 

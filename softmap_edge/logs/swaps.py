@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-BRIDGED = 0.5  # s without a sight of a marker after which its last place says nothing
+BRIDGED = 0.5  # s without a sight of a marker after which its last place is of no use
 _CLEAR = (
     # of the distance between two markers: what a marker may have moved when it is distinguished
     # from the other

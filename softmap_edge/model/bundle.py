@@ -9,8 +9,8 @@ prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattere
                 scale, power and
                 the rest as a table), or a rod with the `coverage_…` of the commands that it was
                 learned from
-template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a
-                body without a mesh;
+template.npz    rest points, triangles, tip, per-feature model-form error; section, along and
+                angle of a body without a mesh;
                 handles, where not all vertices are
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer
                 commands; `second_…`
@@ -433,7 +433,8 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     features = len(model.structure.positions)
     if model.form_error.shape != (features, 3):
         raise BundleError(
-            f"{folder.name}: form error of shape {model.form_error.shape}, expected ({features}, 3)"
+            f"{folder.name}: model-form error of shape {model.form_error.shape}, "
+            f"expected ({features}, 3)"
         )
     names, params = load_chain(folder)
     nameless = [

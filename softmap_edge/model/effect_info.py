@@ -17,8 +17,8 @@ class Parameter:
 
     `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers
     are equal unless they are split. Where the data require it, a fit goes beyond `high`: to
-    `half_ranges` of the command, or to the weight that moves the body by so many of its `lengths`.
-    An `instant` is a time of the run, in seconds.
+    `half_ranges` of the command, or to the weight that displaces the body by so many of its
+    `lengths`. An `instant` is a time of the run, in seconds.
     """
 
     name: str

@@ -68,7 +68,7 @@ class Model:
     chain_names: tuple[str, ...] = ()
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Document = field(default_factory=dict)
-    error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
+    error_per_g_mm: float = 0.0  # growth of the model error for each g away from the reference
     arrays: BundleArrays | None = field(default=None, repr=False)
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None

@@ -1,11 +1,11 @@
 """Limits of a finger's commands (`safety.toml` in its bundle), in its units, each with its source.
 
-A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`).
-`derived` takes them from the model: the window is where the simulation (or the run that taught) has
-been, tension and strain are the largest that it holds there. The strain is that of the surface's
-triangles against their rest, λ − 1 of the larger principal stretch; inside a body that bends it is
-smaller. A limit that neither gives is a choice, and `assumes` lists it. Pinned by
-tests/model/test_safety.py.
+The `rig.toml` of the robot is the ceiling; these limits can only tighten it
+(`robot/servo/limits.py`). `derived` takes them from the model: the window is where the simulation
+(or the run that taught) has been, tension and strain are the largest that it holds there. The
+strain is that of the surface's triangles against their rest, λ − 1 of the larger principal stretch;
+inside a body that bends it is smaller. A limit that neither gives is a choice, and `assumes` lists
+it. Pinned by tests/model/test_safety.py.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     u = A (ticks − home) + b  ticks = home + round(A⁻¹ (u − b))  (Data Alignment, the SoftMap paper)
 
-A in command units a tick, b what acts while the servos stand at `home`; home is a choice of the
-bench, b goes with it. A calibration is somebody else's file: shapes, finiteness, size and whether A
+A in command units a tick, b what acts while the servos stand at `home`; home belongs to the
+rig, b goes with it. A calibration is somebody else's file: shapes, finiteness, size and whether A
 has an inverse are checked each time. `converted` is the one place where the ticks of a run become
 commands. Pinned by tests/calibration/test_ticks.py.
 """

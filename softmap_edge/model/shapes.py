@@ -152,7 +152,7 @@ class NetworkArrays:
 
 @dataclass(frozen=True, eq=False)
 class TrainedOver:
-    """The model's own error, `form_error` (V, 3) and of vertices, mm, without a trained prior's."""
+    """The model error, `form_error` (V, 3) and of vertices, mm, without a trained prior's."""
 
     form_error: Floats
     vertex_error_mm: float

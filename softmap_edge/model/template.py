@@ -1,6 +1,6 @@
 """The template of a bundle, `template.npz`, checked.
 
-It holds points at rest, triangles, tip, form error, body and handles.
+It holds points at rest, triangles, tip, model-form error, body and handles.
 
 Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and
 tests/model/test_mutated_files.py.

@@ -1,9 +1,9 @@
-"""The noise model: camera noise, and the model's own error as a nuisance.
+"""The noise model: camera noise, and the model error as a nuisance.
 
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
     Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the
        high-frequency part
-    G  form error of the model: its own held-out error per feature, correlated along the body
+    G  model-form error of the model: its own held-out error per feature, correlated along the body
     K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing
        commands), times
        1 + a·a' of two frames: a is the error that grows with the lean of the base, another one in
@@ -52,8 +52,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RANK = 64  # largest rank of the kernel over commands
-KERNEL_LENGTH = 0.4  # of the command range: form error of a sweep varies over about half a range
-BODY_LENGTH = 0.35  # of the body: how far form error is correlated along it
+KERNEL_LENGTH = 0.4  # of the command range: the error of a sweep varies over about half a range
+BODY_LENGTH = 0.35  # of the body: how far model-form error is correlated along it
 ENOUGH = 15  # degrees of freedom below which replicates are not trusted
 MODES = 24  # largest number of spatial modes kept
 FLOOR = 1e-3  # mm: no camera is better than this
@@ -239,10 +239,10 @@ def rod_noise(
     Args:
         residual: measured minus predicted features (K, F) mm.
         t_seen: (K,) s.
-        form_error: the model's own error (V, 3) mm.
+        form_error: the model error (V, 3) mm.
         measured: noise from repeats, revisits or high frequencies.
-        repeats: scatter of poses that were seen again. Of the model error only the part that is
-            then a function of the commands counts; the rest is memory or noise.
+        repeats: scatter of poses that were seen again. Then only the part of the model error that
+            is a function of the commands counts; the rest is memory or noise.
     """
     clean = filled(residual)
     clean = clean - clean.mean(axis=0)
@@ -263,7 +263,7 @@ def rod_noise(
         )
         # what is never seen has no repeatable part
         own = np.where(known.any(axis=0), np.minimum(own, static), own)
-        source = "the repeatable part of the model's own error"
+        source = "the repeatable part of the model error"
     inflation = max(1.0, 2.0 * tau / period)
     fast = float(np.trace(measured.covariance))
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))
@@ -371,7 +371,7 @@ class Whitener:
         return np.asarray(np.where(np.isfinite(difference), difference, 0.0) @ self.project.T)
 
     def shrink(self, modes: Floats, kernel: Kernel | None = None) -> Floats:
-        """Return `modes` (..., K, M) with the form error's directions scaled down.
+        """Return `modes` (..., K, M) with the model-form error's directions scaled down.
 
         These are directions over the commands.
         """
@@ -401,7 +401,7 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
 
     Args:
         noise: noise of one frame.
-        form: covariance (F, F) mm² of the model's own error; zeros switch it off.
+        form: covariance (F, F) mm² of the model error; zeros switch it off.
         signatures: feature differences (S, K, F) mm that candidates would make; their span is what
             is looked at.
         kernel: kernel over the commands of the frames.

@@ -1,7 +1,7 @@
 """Write one self-contained HTML page about a comparison, two comparisons or a diagnosis.
 
 The text is in `templates/report.html`; this file gives it figures, words and pictures. Without
-matplotlib the page has no pictures and says how to get them. Pinned by tests/report/.
+matplotlib the page has no pictures and explains how to get them. Pinned by tests/report/.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from softmap_edge.diagnosis.text import (
     alternative_name,
     confirmed,
     ladder_steps,
-    moved_by,
     parameter,
     servo_row,
     untestable_rows,
@@ -181,7 +180,6 @@ class ReportPage:
     about: str
     cards: list[Card]
     unit: str
-    moved_by: str
     install: str | None
     families_title: str
     families: list[ShownFamily]
@@ -215,7 +213,6 @@ def _page(story: Story) -> ReportPage:
         about=" · ".join(_about(story)),
         cards=_cards(story),
         unit=story.unit,
-        moved_by=moved_by(story.unit),
         install=install,
         families_title=TITLE,
         families=[_family(row, document) for row in document.get("families") or []],

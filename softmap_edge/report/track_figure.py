@@ -42,7 +42,7 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         _reach(left, kinematics, across, up)
         plan = course.plan
         target = plan.targets[course.counts]
-        left.plot(target[:, across], target[:, up], color=INK, linewidth=2.4, label="wanted")
+        left.plot(target[:, across], target[:, up], color=INK, linewidth=2.4, label="target")
         if seen and tracked is not None:
             left.plot(
                 tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen"

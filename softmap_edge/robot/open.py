@@ -41,10 +41,10 @@ class Bench:
 
 
 def read_bench(path: str | Path, model: Model) -> Bench:
-    """Return the bench of a rig file, ready to be driven with the finger of `model`.
+    """Return the robot of a rig file, ready to be driven with the finger of `model`.
 
     Raises:
-        ServoError: something is not known that driving needs; the line says what.
+        ServoError: something that driving needs is unknown; the line names it.
     """
     known = calibration_of(model)  # asked first: the bundle is what a user mends first
     rig = read_rig(path)
@@ -61,18 +61,18 @@ def open_robot(
     axes: str = "xyz",
     record: str | Path | None = None,
 ) -> Controller:
-    """Return the robot of a bench, which is driven from entering to leaving it (`with`).
+    """Return the robot of a rig, which is driven from entering to leaving it (`with`).
 
     Args:
-        rig: the file of the bench, as `softmap servo setup` writes it.
+        rig: the file of the rig, as `softmap servo setup` writes it.
         model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are
             compensated.
         axes: that count for `robot.kinematics`.
-        record: a file for all that the loop hears, decides and sends.
+        record: a file for all inputs, decisions and outputs of the loop.
 
     Raises:
         BundleError: no such bundle, or a damaged one.
-        ServoError: something is not known that driving needs; the line says what. On entering: as
+        ServoError: something that driving needs is unknown; the line names it. On entering: as
             `Controller`.
     """
     bench = read_bench(rig, model if isinstance(model, Model) else load_bundle(model))

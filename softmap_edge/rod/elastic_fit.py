@@ -9,10 +9,10 @@ Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is pred
 without it. A fold is a part of the run's `block` labels (dealt out in turn, so that no fold holds
 all of one kind of move), else a block of time. Uncertainty: the larger of what the linearised fit
 says with frames taken as independent, and of the spread of those refits (jackknife), since
-neighbouring frames repeat the same form error. A number is *not identified* by the run when it is
-left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and
-follows another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is
-identified.
+neighbouring frames repeat the same model-form error. A number is *not identified* by the run when
+it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one
+and follows another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what
+is identified.
 """
 
 from __future__ import annotations

@@ -52,13 +52,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
-# share of that straying from which a held-out error says that commands explain little
+# share of that straying from which a held-out error shows that commands explain little
 USELESS = 0.8
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
 GAP_S = 2.0  # s next to a held-out block that are not used to predict it
-POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
+POOR = 0.4  # of the same: a rod with the right commands leaves a tenth
 
 
 @dataclass(frozen=True, eq=False)

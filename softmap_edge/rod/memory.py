@@ -51,16 +51,17 @@ MOST_FOLDS = 0.6  # share of the folds in which it must
 FALL = 0.01  # of its loss by which a fold falls
 # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
 VISIBLE = 1e-3
-FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
+FORM = 0.025  # of the explained loss: laws closer than this differ by their model-form error only
 # share of at least so many folds that decides where the mean difference does not
 AGREE, FOLDS_THAT_AGREE = 0.85, 5
-# Of the loss above the noise: what an identified or unknown law must explain, and what it may leave
-# in all, or to its family.
+# Shares of the loss above the noise: what an identified or unknown law must explain, and what it
+# may leave in all, or to its family.
 SURE = 0.2
 # of what the best family explains: a law that does not reach must explain more, or it stands in for
 # another
 PART = 0.6
-# of a law's remainder above the noise: a second law of its family that explains less is form error
+# of a law's remainder above the noise: a second law of its family that explains less is model-form
+# error
 PAIR = 0.8
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
 EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel

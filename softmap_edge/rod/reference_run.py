@@ -36,7 +36,7 @@ STILL = 0.005  # of the robot's length: markers that stray less from their mean 
 class FittedNumber:
     """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`.
 
-    `note` says why if it is not identified.
+    `note` is why if it is not identified.
     """
 
     label: str

@@ -99,8 +99,8 @@ def weigh(
     size = float(np.sqrt(np.mean(np.sum(moved**2, axis=2))))
     if size < 3.0 * own_error_mm:
         raise SoftmapError(
-            f"the known load moves the body by {size:.3g} mm RMS, the unloaded model's own error "
-            f"is {own_error_mm:.3g} mm; hang on more, in a pose where it bends the body"
+            f"effect size of the known load {size:.3g} mm RMS, error of the unloaded model "
+            f"{own_error_mm:.3g} mm; hang on more, in a pose where it bends the body"
         )
     both = np.stack([free.ravel(), -held.ravel()], axis=1)
     (a, b), *_ = np.linalg.lstsq(both, moved.ravel(), rcond=1e-9)

@@ -3,9 +3,9 @@
 They may also be those of a motion capture.
 
 A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads
-bend the sweep's own centreline (`bending.py`). The model's own error is measured by leaving out: of
-a table every other node, of a scattered sweep neighbourhoods of rows. It says how well the sweep is
-interpolated, not how well its simulator knows the robot.
+bend the sweep's own centreline (`bending.py`). The model error is measured by leaving out: of a
+table every other node, of a scattered sweep neighbourhoods of rows. It measures how well the sweep
+is interpolated, not how well its simulator matches the robot.
 
 A table with half the nodes is `e` off at those left out; the full one is taken to be e/2^p off, p
 the order that the errors of half and quarter grid show, between 1 (kinks) and 3 (smooth,
@@ -133,7 +133,7 @@ def model_from_shapes(
         robot=sweep.robot,
         command_unit=sweep.command_unit,
     )
-    progress("form error", 0.0)
+    progress("model-form error", 0.0)
     form_error, vertex_error = _error(model, prior, flat[rows], values[rows], left)
     progress("fields", 0.0)
     stiffness = _stiffness(sweep, line, shape, vertex_error)

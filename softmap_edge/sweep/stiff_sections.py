@@ -8,9 +8,10 @@ rest, in frames carried along it without twist, and a(s) the change of the logar
 
     δκ(s) = −(a(s) − lock ā) κ(s),   ā = K·∫a κ ds / K·K,   K = ∫κ ds      (rad/mm)
 
-moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. What gravity
-bends counts as bent by tendons. On the bank's tapered rod this explains 76 to 97 % of the squared
-shift hanging, 63 to 96 % at a lean (tests/sweep/test_stretches.py). A curvature at rest has no such
+moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. Bending by
+gravity counts as bending by tendons. On the bank's tapered rod this explains 76 to 97 % of the
+squared shift hanging, 63 to 96 % at a lean (tests/sweep/test_stretches.py). A curvature at rest has
+no such
 field: tendons made for the bent body do not feel it, those made for the straight one take half of
 it away, and shapes do not say which they are; sides and twist are not in a line.
 """

@@ -4,8 +4,8 @@ For the demo and all hidden-effect tests.
 
 **This module never calls the effect library**, nor the linear fields, nor a model's prior. The body
 is solved by the finite elements on another mesh with a modulus up to 10 % off; weights are solved
-there too; all other effects are the separately written laws of `robot/emulated/laws.py`. What is
-seen are the template's material points, embedded in that solid.
+there too; all other effects are the separately written laws of `robot/emulated/laws.py`. The
+observed points are the template's material points, embedded in that solid.
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera
     noise─> run
@@ -47,7 +47,7 @@ BATCHES = (0.9, 0.95, 1.05, 1.1)
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
 STEPS = 9  # commands a channel of the sweep that finds the strength of an effect,
 WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
-# hears the share of each solve
+# gets the share of each solve
 WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)
 EVERY = 3  # every third frame shows how far an effect moves the finger
 REACH = 18.0  # mm: no farther command may reach the body

@@ -66,8 +66,8 @@ class VirtualFinger:
     """The finger that stands in for hardware: the model's `finger`, and in what it differs from it.
 
     modulus: a multiple of the finger's · phase_deg: of the tendons about z · lean_deg,
-    declared_deg: (2,) how the mounting leans about x and y of the base, and what the run says of it
-    · friction in the tendons, None for none · hidden effects · cameras · servos.
+    declared_deg: (2,) how the mounting leans about x and y of the base, and the declaration in the
+    run · friction in the tendons, None for none · hidden effects · cameras · servos.
     """
 
     seed: int

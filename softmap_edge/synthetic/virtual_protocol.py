@@ -9,7 +9,7 @@ Held commands on a grid, others to validate, and moves with memory to test.
 
 Friction remembers where a command was reached from: from one side only it would look like part of
 the shape. That the real finger was moved over "a representative grid of servo commands" is all that
-the paper says; 7 a channel, the holds and the neighbours are ours. Units and limits as in
+the paper gives; 7 a channel, the holds and the neighbours are ours. Units and limits as in
 `run/protocol.py`; pinned by tests/synthetic/test_virtual.py.
 """
 

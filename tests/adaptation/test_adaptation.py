@@ -121,7 +121,7 @@ def test_the_document_holds_every_step(adapted):
     assert all(way in str(adapted) for way in WAYS)
 
 
-def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_run(
+def test_the_command_writes_a_bundle_and_a_page_and_blocks_validate_without_another_run(
     adapted, tmp_path, capsys
 ):
     for name, run in zip(("grid", "moves"), adapted.runs):  # registered already
@@ -145,7 +145,7 @@ def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_ru
     assert "<img" in page and all(f"<td>{way}</td>" in page for way in WAYS)
 
 
-def test_what_registration_filled_in_teaches_a_residual_but_judges_nothing(adapted):
+def test_points_filled_in_by_registration_teach_a_residual_but_validate_nothing(adapted):
     run = adapted.runs[0]
     assert not run.visible.all()
     _, report = learn_residual(adapted.before, run)

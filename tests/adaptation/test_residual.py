@@ -93,7 +93,7 @@ def test_commands_beyond_those_that_taught_it_are_reported(loaded, tmp_path, cap
         assert outside - 0.05 < share < 1.0
     assert main(["model", "predict", "5,-5", "--bundle", str(tmp_path / "near")]) == 0
     assert "taught" not in capsys.readouterr().err
-    # A bundle is somebody else's file: what it tells of itself may be anything.
+    # A bundle is somebody else's file: its description of itself may be anything.
     odd = replace(
         near, made_from=dict(near.made_from) | {"residual": {"command_range": [["x"], None]}}
     )
@@ -155,7 +155,7 @@ def test_a_bundle_carries_it(adapted, loaded, tmp_path):
     plain = save_bundle(model.with_residual(None), tmp_path / "d")
     assert json.loads((plain / "manifest.json").read_text())["schema"] < 4
     assert not (plain / "residual.npz").exists()
-    shutil.copy(tmp_path / "c" / "residual.npz", plain)  # named by no manifest, it is nobody's
+    shutil.copy(tmp_path / "c" / "residual.npz", plain)  # no manifest names it
     assert load_bundle(plain).residual is None
 
 
@@ -216,7 +216,7 @@ def test_what_teaches_nothing_is_refused(loaded):
 
 
 def test_a_payload_behind_a_residual_is_named(adapted, loaded):
-    """In one orientation, which leaves gravity as its rival; with another, alone."""
+    """In one orientation gravity is an alternative; in two orientations it is not."""
     found = diagnose(adapted[0], loaded)
     assert named(found) == {"payload"} and found.verdict == "ambiguous"
     assert found.effects[0].params["payload.mass"].value == pytest.approx(15.0, abs=1.0)
@@ -227,7 +227,7 @@ def test_a_payload_behind_a_residual_is_named(adapted, loaded):
     json.dumps(found.to_dict(), allow_nan=False)
 
 
-def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
+def test_a_run_too_poor_to_identify_an_effect_reports_the_candidates(adapted):
     """With 24 times the noise no effect can be accepted: that is not nothing."""
     run = hanging(finger_run(["payload"], PAYLOAD, noise=6.0))
     assert diagnose(MODEL, run).verdict == "nothing"
@@ -269,7 +269,7 @@ def test_memory_is_found_through_a_residual():
 
 
 @pytest.mark.parametrize(
-    ("size", "reason"), [(0.15, "may be its own error"), (0.7, "no single effect explains")]
+    ("size", "reason"), [(0.15, "may be model error"), (0.7, "no single effect explains")]
 )
 def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     run = warped(hanging(finger_run()), size)
@@ -317,7 +317,7 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
     assert main(nothing_left) == 1
 
 
-# --- the verb -----------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------------------
 
 
 def test_adapt_and_what_becomes_of_the_residual(tmp_path, loaded, capsys):

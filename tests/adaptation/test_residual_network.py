@@ -99,7 +99,7 @@ def test_the_published_one_is_taught_by_chamfer_and_moves_what_the_clamp_holds(t
         train_residual(MODEL, vertices, "published")
 
 
-def test_a_base_that_stands_off_is_no_shape(taught, tmp_path, capsys, monkeypatch):
+def test_a_base_that_is_away_is_no_shape(taught, tmp_path, capsys, monkeypatch):
     """Taken for a shape of the finger it would bend what stands straight."""
     run, true, _ = taught
     off_by = RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0]))
@@ -176,7 +176,7 @@ def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_ove
     assert (
         said["verdict"] not in ("nothing", "measurement_fault") and "payload" in hidden | named
     ), said["sentence"]
-    other, _ = recorded(20, 3, dwell=4, params=PHASE)  # dwells tell noise from physics
+    other, _ = recorded(20, 3, dwell=4, params=PHASE)  # dwells distinguish noise from physics
     said = diagnose(hiding, register(MODEL, other).run(other)).to_dict()
     assert "was taken out" in said["sentence"]
     names = {e["name"] for e in said["effects"]} | {
@@ -186,7 +186,7 @@ def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_ove
     assert "payload" in names, said["sentence"]
 
 
-def test_the_verb_trains_both_and_says_what_was_reached(taught, tmp_path, capsys, monkeypatch):
+def test_the_command_trains_both_and_says_what_was_reached(taught, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run, _, _ = taught
     run.at(np.arange(24)).save("run.npz")
@@ -216,9 +216,9 @@ def test_what_a_prior_does_not_use_is_refused_before_the_work(argv, says, capsys
     assert says in capsys.readouterr().err
 
 
-def test_a_command_that_never_moves_tells_nothing_and_breaks_nothing(taught):
-    """Of a channel held at 3 mm, by a network and by radial functions; elsewhere it adds nothing of
-    its own.
+def test_a_command_that_never_moves_teaches_nothing_and_breaks_nothing(taught):
+    """Of a channel held at 3 mm, by a network and by radial functions; at other commands it adds
+    nothing of its own.
     """
     rng = np.random.default_rng(4)
     t = np.arange(40.0)

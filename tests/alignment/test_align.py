@@ -1,4 +1,4 @@
-"""Align finds a known frame within its stated uncertainty and tells a base that moves."""
+"""Align finds a known frame within its stated uncertainty and detects a base that moves."""
 
 import json
 import warnings
@@ -21,7 +21,7 @@ from softmap_edge.run.protocol import standard_protocol
 # --- the pose itself ------------------------------------------------------------------------
 
 
-def test_a_pose_is_found_to_round_off_and_undone():
+def test_a_pose_is_found_to_round_off_and_removed():
     rng = np.random.default_rng(1)
     points = 50 * rng.normal(size=(7, 3))
     pose = kabsch(points, CAMERA(points), np.ones(7))
@@ -107,7 +107,7 @@ def test_dropouts_and_wrong_points_do_not_move_it():
     assert np.abs(off(align_home(spoilt, builtin_model()))).max() < 0.25
 
 
-def test_a_marker_that_was_glued_elsewhere_is_left_aside():
+def test_a_marker_glued_at_another_place_is_left_aside():
     run = marked(2)
     moved = np.array(run.markers)
     moved[:, 4] += [25.0, 0, 0]
@@ -126,7 +126,7 @@ def test_a_marker_that_was_glued_elsewhere_is_left_aside():
     assert np.abs(off(found)).max() < 0.3
 
 
-# --- the whole way: another finger, verb, compare, diagnose -----------------------------------
+# --- end to end: another finger, command, compare, diagnose -----------------------------------
 
 
 filmed = pytest.fixture(scope="module")(film)
@@ -175,7 +175,7 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
         == 0
     )
     turn = np.array(json.loads(capsys.readouterr().out)["transform"]["turn_deg"])
-    assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds the whole way
+    assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds everywhere
     np.testing.assert_allclose(Run.load(tmp_path / "again.npz").frame, aligned.frame, atol=0.4)
     assert (
         main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")])
@@ -227,7 +227,7 @@ def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys)
 
 
 @pytest.mark.prove
-def test_a_second_finger_of_other_silicone_is_aligned_within_what_is_said():
+def test_a_second_finger_of_other_silicone_is_aligned_within_the_stated_error():
     from softmap_edge.synthetic.finger import hide
 
     run = hide([], 4).measure(standard_protocol())
@@ -285,7 +285,7 @@ def test_a_base_that_moves_is_reported_and_held_still(rigid):
     assert held < 0.5 * fixed
 
 
-def test_home_that_wanders_is_reported_and_blamed_on_nobody():
+def test_home_that_wanders_is_reported_without_a_cause():
     found = align_home(marked(7, noise=0.05, play=0.0, turns=drift), builtin_model())
     assert found.moved.what == "home" and "did not come home" in str(found)
 
@@ -341,7 +341,7 @@ def test_base_markers_can_be_left_out_afterwards(tmp_path, capsys):
     assert "4 points" in capsys.readouterr().out
 
 
-def test_markers_that_an_import_keeps_beside_the_run_give_the_frame_too(tmp_path, capsys):
+def test_markers_that_an_import_keeps_next_to_the_run_give_the_frame_too(tmp_path, capsys):
     """`base_markers`: with their places, or without, when only their motion is taken out."""
     both = marked(7, noise=0.05, play=0.0, base=BASE, turns=slip)
     extra = {

@@ -97,7 +97,7 @@ def robot(
     noise=0.05,
     **more,
 ):
-    """A run of a robot that is turned and shifted as a whole, and base markers that are turned and
+    """A run of a robot that is turned and shifted as one, and base markers that are turned and
     shifted apart.
     """
     plain = recorded(seconds=60.0, seed=seed, noise=0.1, **more)

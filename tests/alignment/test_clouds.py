@@ -1,5 +1,5 @@
-"""Point clouds from files: every format as its writers write it, and what is no cloud is said in
-one line.
+"""Point clouds from files: every format as its writers write it, and what is no cloud is reported
+in one line.
 """
 
 import json
@@ -61,7 +61,7 @@ def test_a_cloud_is_read_as_its_writers_write_it(form, tmp_path):
         np.testing.assert_allclose(cloud, POINTS, rtol=1e-6)
 
 
-def test_a_run_of_clouds_is_read_whole_and_points_that_are_not_finite_are_left_out(tmp_path):
+def test_a_run_of_clouds_is_read_completely_and_points_that_are_not_finite_are_left_out(tmp_path):
     run = Run(
         t=np.arange(3.0),
         command=np.zeros((3, 2)),
@@ -124,7 +124,7 @@ def flat(path):
     + [(short_ply, ".ply"), (huge_ply, ".ply"), (two_columns, ".csv"), (words, ".csv")]
     + [(objects, ".npz"), (other_arrays, ".npz"), (flat, ".npz"), (words, ".xyz")],
 )
-def test_what_is_no_cloud_is_said_in_one_line(spoil, suffix, tmp_path):
+def test_what_is_no_cloud_is_reported_in_one_line(spoil, suffix, tmp_path):
     path = tmp_path / f"cloud{suffix}"
     spoil(path)
     with pytest.raises((RegistrationError, RunError)) as fault:
@@ -146,7 +146,7 @@ def test_a_run_without_clouds_is_refused(tmp_path):
         read_clouds([tmp_path / "run.npz"])
 
 
-def test_a_run_of_several_clouds_beside_other_files_is_refused(tmp_path):
+def test_a_run_of_several_clouds_next_to_other_files_is_refused(tmp_path):
     run = Run(
         t=np.arange(3.0),
         command=np.zeros((3, 2)),

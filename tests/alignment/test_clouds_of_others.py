@@ -226,7 +226,7 @@ def test_pixels_without_depth_are_left_out_and_counted(place, share, says, tmp_p
 
 
 def test_what_was_measured_is_kept(tmp_path):
-    """One point at 0, 0, 0; every place twice; places in whole millimetres, of which many
+    """One point at 0, 0, 0; every place twice; places in integer millimetres, of which many
     coincide.
     """
     once = np.vstack([POINTS, np.zeros((1, 3))])

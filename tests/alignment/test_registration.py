@@ -85,7 +85,7 @@ def test_vertices_are_as_near_as_promised_and_what_is_not_is_flagged(level, shap
 
 
 def keeps_its_promises(model, shapes):
-    """Both levels of clouds, and the published objective beside them."""
+    """Both levels of clouds, and the published objective next to them."""
     free = np.ptp(np.concatenate([shapes, model.rest[None]]), axis=0).max(axis=1) > 0.01
     for level, promised in TETRAHEDRA_MM.items():
         seen = clouds(shapes, CAMERAS[level], model=model)
@@ -106,7 +106,7 @@ def test_a_finger_of_tetrahedra_is_found_on_the_model_of_bricks():
 
 
 def test_a_published_mesh_is_found_though_it_is_hollow():
-    """Points of a noisy cloud lie as near to the walls of its channels, which nobody sees."""
+    """Points of a noisy cloud lie as near to the walls of its channels, which are invisible."""
     finger = moe.load(published("moe_finger"))
     simulator, axis = Simulator(finger), np.linspace(-12.0, 12.0, 5)
     sweep = simulator.sweep([axis, axis])
@@ -149,7 +149,7 @@ def test_an_exact_cloud_of_the_models_own_shape_is_met(shapes):
 def test_what_was_not_seen_has_no_support_and_holes_blobs_and_outliers_do_little(shapes):
     seen = clouds(shapes[:4], replace(HARD, hole_mm=12.0))
     rng = np.random.default_rng(0)
-    blob = rng.normal(size=(1500, 3)) * 6.0 + [0.0, 25.0, 0.0]  # the mount beside the base
+    blob = rng.normal(size=(1500, 3)) * 6.0 + [0.0, 25.0, 0.0]  # the mount next to the base
     found = register(MODEL, [np.vstack([cloud, blob]) for cloud in seen])
     assert np.median(errors(found, shapes[:4])) < 1.0
     assert 0.3 < found.visible.mean() < 0.75
@@ -191,7 +191,7 @@ def test_one_lost_frame_of_a_run_is_flagged_and_the_others_stand(shapes):
     assert not found.visible[2].any()
 
 
-def test_the_verb_makes_a_run_of_vertices(shapes, tmp_path, capsys):
+def test_the_command_makes_a_run_of_vertices(shapes, tmp_path, capsys):
     seen = clouds(shapes[:3], TWO)
     start = np.cumsum([0, *map(len, seen)])
     Run(

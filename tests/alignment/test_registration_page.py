@@ -49,7 +49,7 @@ def reader(tmp_path_factory):
     return folder, said.getvalue()
 
 
-def test_what_the_page_shows_is_what_is_said(reader):
+def test_the_page_shows_what_is_reported(reader):
     folder, said = reader
     run = Run.load(folder / "grid.npz")
     cloud = run.points[: run.start[1]]
@@ -107,7 +107,7 @@ def test_the_calibration_is_as_near_as_the_page_says(reader):
     assert "twist" in [one["name"] for one in document["not_testable"]]
 
 
-def test_a_base_that_stands_off_does_not_bend_the_map(reader):
+def test_a_base_that_is_away_does_not_bend_the_map(reader):
     folder, _ = reader
     run, model = Run.load(folder / "grid.npz"), builtin_model()
     pose = RigidPose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))

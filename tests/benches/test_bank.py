@@ -1,4 +1,4 @@
-"""The bank is what it says: laws that vanish at strength zero, cases that are pure, a judge, a
+"""The bank is what it says: laws that vanish at strength zero, cases that are pure, a score, a
 slice that is run.
 
 `test_bank_rod.py` holds the rod itself. The fixed slice at the end is that of development seeds;
@@ -232,7 +232,7 @@ def test_a_run_at_rest_shows_no_motion():
     assert len(np.unique(protocol_of("untestable", ("payload",), 0).gravity, axis=0)) == 1
 
 
-# --- the judge ------------------------------------------------------------------------------------
+# --- the score ------------------------------------------------------------------------------------
 
 
 def said(*effects, alternatives=(), verdict="identified", open_=(), settles=()):
@@ -263,7 +263,7 @@ def test_a_turned_frame_may_stand_for_turned_tendons_only_where_no_roll_is_seen(
     assert not judged(["routing"], said("twist"), roll=False)["first"]
 
 
-def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
+def test_a_name_counts_only_alone_or_next_to_its_structural_equivalent():
     both = said("gain", "lag")
     assert (
         judged(["lag"], both, also=["gain"])["exact"]

@@ -102,7 +102,7 @@ def test_an_identified_map_is_false_and_an_open_one_is_right():
     assert not reported(["smooth_map"], said(verdict="nothing"))["answered"]
 
 
-def test_a_known_law_beside_an_unknown_one_is_named_and_the_rest_left_open():
+def test_a_known_law_next_to_an_unknown_one_is_named_and_the_rest_left_open():
     both = ["backlash", "smooth_map"]
     assert reported(both, said("backlash", verdict="partly_explained"))["beside"]
     assert (

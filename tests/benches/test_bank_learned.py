@@ -25,7 +25,7 @@ def test_a_capture_moves_and_turns_the_frame_and_nothing_else():
     assert np.degrees(np.arccos((up[0] - up[1])[2] / 100.0)) < 8.0  # z is still about the axis
 
 
-def test_two_reference_runs_differ_in_size_and_speed_and_the_judge_is_another_kind():
+def test_two_reference_runs_differ_in_size_and_speed_and_validation_is_another_kind():
     one, two = reference(0, 1.0, 1.0, 90.0), reference(1, 0.5, 2.0, 60.0)
     fast = [
         np.abs(np.diff(p.command, axis=0)).max() / 0.02 / np.abs(p.command).max()
@@ -61,7 +61,7 @@ def test_the_law_was_there_in_every_recording_and_a_case_is_pure():
         learned_case("development", "one", "trap", 0)
 
 
-def test_a_learned_robot_is_judged_from_its_own_recordings(tmp_path):
+def test_a_learned_robot_is_scored_from_its_own_recordings(tmp_path):
     case = made(("development", "learned", "one", "null", 1), tmp_path)
     row = judge_learned(case)
     assert (

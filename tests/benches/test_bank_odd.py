@@ -149,7 +149,7 @@ def test_maps_bend_the_finger_by_what_offsets_and_gains_cannot_do():
     )
 
 
-def test_cases_are_pure_and_pairs_hide_a_known_law_beside_an_unknown_one():
+def test_cases_are_pure_and_pairs_hide_a_known_law_next_to_an_unknown_one():
     one, two = (odd_case("development", "real", "pair", 1) for _ in range(2))
     assert one.to_dict() == two.to_dict() and len(one.hidden) == 2
     assert sorted(bool(answer.names) for answer in one.answers) == [False, True]

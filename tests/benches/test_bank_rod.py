@@ -1,5 +1,5 @@
-"""The bank's rod is right by itself: closed forms, order, energy, symmetry; the finite elements
-stand beside it.
+"""The bank's rod is right by itself (closed forms, order, energy, symmetry) and agrees with the
+finite elements.
 """
 
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_forces_are_the_slope_of_the_energy_and_the_tangent_is_theirs():
             cables,
             (pull > 0) * design.cable * np.einsum("bnkc,bnk->bc", cables, way),
         )
-        # What is left out of the tangent is of the order of one element's turn, here 0.1.
+        # The terms left out of the tangent are of the order of one element's turn, here 0.1.
         assert np.linalg.norm(change - reported) < 3e-3 * np.linalg.norm(reported)
 
 

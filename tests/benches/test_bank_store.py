@@ -61,7 +61,7 @@ def test_only_what_makes_a_case_makes_it_again(kept_case, monkeypatch, tmp_path)
     assert Kept(kept_case.folder).is_current
 
 
-def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(
+def test_making_and_scoring_are_two_steps_and_go_on_where_they_were_stopped(
     tmp_path, monkeypatch, capsys
 ):
     def one(task, root):

@@ -43,7 +43,7 @@ def page(folder, tmp_path_factory):
 
 
 def test_a_plate_at_the_tip_is_no_swapped_axis(folder):
-    """Its markers lie across the beam, up z from a clamp whose place the mapping gives; else nobody
+    """Its markers lie across the beam, up z from a clamp whose place the mapping gives; else no one
     knows.
     """
     text = (ROOT / "examples/beam.toml").read_text(encoding="utf-8")
@@ -85,7 +85,7 @@ def test_the_numbers_of_the_page_come_from_the_recordings(table):
         )
 
 
-def test_the_ringing_tells_a_weight_at_the_tip_from_a_softer_or_heavier_body(folder):
+def test_the_ringing_distinguishes_a_weight_at_the_tip_from_a_softer_or_heavier_body(folder):
     runs = beam.read(folder)
     rung = {
         ring.run: ring
@@ -121,7 +121,7 @@ def test_the_static_verdict_is_ambiguous_in_the_dead_loads_and_its_interval_hold
     assert f"{mass['value']:.0f} ± {mass['sigma']:.0f} g" in PAGE
 
 
-def test_the_fit_is_the_one_the_page_tells(page):
+def test_the_fit_is_the_one_on_the_page(page):
     assert f"{Finger.load(page / 'beam.toml').young_mpa:.3f} ± 0.008 MPa" in PAGE
 
 

@@ -56,7 +56,7 @@ def test_the_numpy_rod_bends_the_same_way():
 def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the_machine():
     found = {(row["name"], row.get("peer_name")): row for row in geometry.rows(quick=True)}
     assert len(found) == 5 and all(
-        row["value"] > 0 and row["wanted"].startswith("wanted") for row in found.values()
+        row["value"] > 0 and row["wanted"].startswith("goal") for row in found.values()
     )
     (torch,) = (row for (_, peer), row in found.items() if peer and peer.startswith("torch"))
     assert torch["ratio"] > 5  # 50 is promised of a quiet machine (`make bench`)

@@ -83,7 +83,7 @@ def test_another_file_than_the_published_one_is_refused(server, tmp_path):
         module.fetch(tmp_path / "data", [source], url, tmp_path / "near")
 
 
-def test_the_table_of_sources_is_whole(capsys, tmp_path):
+def test_the_table_of_sources_is_complete(capsys, tmp_path):
     module = fetcher()
     assert {"trunk", "tdcr", "beam", "moe_finger", "hand"} == {
         source.name for source in module.SOURCES

@@ -50,7 +50,7 @@ def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_ha
     assert 0.5 < np.median(spread) / 1.386 < 2.0  # the median of chi² of two
 
 
-def test_what_only_roll_tells_does_not_move_a_match_that_is_seen_from_one_side():
+def test_what_only_roll_shows_does_not_move_a_match_that_is_seen_from_one_side():
     u, t = np.random.default_rng(1).uniform(5.0, 12.0, (20, 2)), np.arange(20.0)
     points = MODEL.prior.evaluate(u).reshape(20, -1, 3)
     centre = np.stack(
@@ -131,7 +131,7 @@ def test_a_kink_at_home_is_reported_where_it_is():
     )
 
 
-def test_a_turn_about_the_axis_is_reported_beside_the_map_and_does_not_bend_it():
+def test_a_turn_about_the_axis_is_reported_next_to_the_map_and_does_not_bend_it():
     """Tendons that are turned ask for commands across, which hang slack: matched commands jump over
     all of it.
     """
@@ -164,7 +164,7 @@ def test_a_turn_of_two_degrees_is_reported_and_none_where_there_is_none():
         assert np.abs((found.calibration.A - A) / found.calibration.sigma_A).max() < 4.0
 
 
-def test_what_no_form_explains_is_said_as_well():
+def test_what_no_form_explains_is_reported_as_well():
     found = calibrate(MODEL, record(scattered(9, 40), 9, off=0.9, wrong=0.0))
     assert found.affine and "less sure than their ± says" in found.warnings[0]
 
@@ -231,15 +231,15 @@ def test_a_run_of_clouds_is_registered_first():
     ],
     ids=["few", "line", "effects", "no ticks", "servos", "frame", "does not follow"],
 )
-def test_what_tells_no_map_is_refused_with_numbers(model, run, match):
+def test_runs_that_identify_no_map_are_refused_with_numbers(model, run, match):
     with pytest.raises(CalibrationError, match=match):
         calibrate(model, run)
 
 
-# --- the verb -----------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------------------
 
 
-def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
+def test_the_command_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     run = record(scattered(7), 7)
     run.save(tmp_path / "run.npz")
     out, picture = tmp_path / "calibrated", tmp_path / "pairs.svg"
@@ -271,7 +271,7 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     assert main(["check", str(out)]) == 0 and '"condition": 1.1' in capsys.readouterr().out
 
 
-def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
+def test_the_command_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
     words = ["model", "calibrate", str(tmp_path / "run.npz"), "--out"]
     record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
     # which no map has, so that it is no fault of this one

@@ -1,4 +1,4 @@
-"""What a calibration is worth once it is found: kept in a bundle, refused if damaged, runs in ticks
+"""Use of a found calibration: kept in a bundle, refused if damaged, runs in ticks
 read through it.
 """
 
@@ -195,7 +195,7 @@ def test_encoders_in_ticks_drive_the_model_and_what_was_seen_stays_as_it_is(two)
     assert converted(MODEL, away) is away
 
 
-def test_without_a_calibration_the_error_names_the_verb(two):
+def test_without_a_calibration_the_error_names_the_command(two):
     _, ticks, _ = two
     with pytest.raises(RunError, match="softmap model calibrate RUN --bundle"):
         compare(MODEL, ticks)

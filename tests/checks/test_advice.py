@@ -1,5 +1,5 @@
-"""`softmap check` says what a run can and cannot tell, each from a number, with a remedy; with a
-model, per effect.
+"""`softmap check` reports what a run can and cannot identify, each from a number, with a remedy;
+with a model, per effect.
 """
 
 import json
@@ -21,7 +21,7 @@ SIDEWAYS = (0.6, 0.0, 0.8)
 
 
 def full(**change):
-    """The standard protocol seen by twelve markers with noise: a run that can tell nearly
+    """The standard protocol seen by twelve markers with noise: a run that can identify nearly
     everything.
     """
     p = standard_protocol()
@@ -46,7 +46,7 @@ def answers(run):
     }
 
 
-def test_a_full_protocol_can_tell_everything():
+def test_a_full_protocol_can_identify_everything():
     found = summary(full())
     assert found["cannot_tell"] == [] and len(found["can_tell"]) == 9
     assert "2 orientations" in answers(full())["orientation"]["text"]
@@ -89,7 +89,7 @@ def triangle(t):
         (triangle, "noise", "too few repeated poses"),
     ],
 )
-def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words):
+def test_what_the_motion_cannot_identify_is_reported_with_a_remedy(command, about, words):
     run = full(command=command(standard_protocol().t))
     words_about = [word for word in summary(run)["cannot_tell"] if word["about"] == about]
     assert any(words in word["text"] for word in words_about), summary(run)["cannot_tell"]
@@ -111,12 +111,12 @@ def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words
         ({"marker_rest": np.arange(12)[:, None] * [0.0, 0.1, 10]}, "markers", "lie on one line"),
     ],
 )
-def test_what_was_not_declared_or_seen_is_said(change, about, words):
+def test_what_was_not_declared_or_seen_is_reported(change, about, words):
     found = answers(full(**change))[about]
     assert not found["tells"] and words in found["text"]
 
 
-def test_few_frames_and_one_marker_are_said():
+def test_few_frames_and_one_marker_are_reported():
     run = full()
     assert "5 frames are too few" in answers(run.at(np.arange(5)))["frames"]["text"]
     assert "30 frames leave too few" in answers(run.at(np.arange(30)))["frames"]["text"]
@@ -172,7 +172,7 @@ def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
 
 
 @pytest.mark.parametrize("name", sorted(OURS))
-def test_fields_that_our_own_verbs_write_are_no_unknown_ones(name):
+def test_fields_that_our_own_commands_write_are_no_unknown_ones(name):
     held = {
         "base_markers": np.zeros((standard_protocol().frames, 3, 3)),
         "roll_seen": np.array(False),
@@ -289,7 +289,7 @@ def test_a_gap_in_the_frames_is_no_rest(rate, gap):
 
 def test_visits_of_home_without_a_dwell_between_are_counted():
     t = np.arange(0, 60, 0.05)
-    # six homes, never at rest elsewhere
+    # six homes, never at rest at another place
     u = np.where((t % 10) < 6, 0.0, 8 * np.sin(np.pi * ((t % 10) - 6) / 4))
     run = Run(
         t=t,

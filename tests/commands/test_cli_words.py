@@ -72,7 +72,7 @@ def test_nothing_is_meant_by_nonsense(capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_a_verb_is_what_the_option_prints(name, capsys):
+def test_help_of_a_command_is_what_the_option_prints(name, capsys):
     assert main(["help", *name.split()]) == 0
     reported = capsys.readouterr().out
     assert main([*name.split(), "--help"]) == 0
@@ -277,7 +277,7 @@ def read_in(trees):
 
 
 def unread(verb):
-    """The arguments of a verb that no code reads."""
+    """The arguments of a command that no code reads."""
     read = read_in(modules_of(verb.module).values())
     parsers = [parser_of(verb), *parsers_below(parser_of(verb))]
     found = {

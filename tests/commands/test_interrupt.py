@@ -21,7 +21,7 @@ REACHED = 4.0  # s until a diagnosis calls its laws
 
 
 def stop(process, after):
-    """Wait for a command to be at work, press Ctrl-C, and return what it said before it ended."""
+    """Wait for a command to be at work, press Ctrl-C, and return its output before it ended."""
     try:
         assert process.stdout.readline() == "up\n"
         time.sleep(after)
@@ -65,7 +65,7 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     assert not (tmp_path / "d.json").exists()
 
 
-def test_an_output_that_was_closed_ends_no_verb_with_a_traceback():
+def test_an_output_that_was_closed_ends_no_command_with_a_traceback():
     done = subprocess.run(
         f"{SOFTMAP} --version >&- ; {SOFTMAP} doctor --json >&-", shell=True, capture_output=True
     )

@@ -110,7 +110,7 @@ def test_with_it_the_removable_error_falls(read):
         (stated(r"from\s+(\S+) mm to"), stated(r"mm to (\S+) mm;")), abs=0.02
     )
     assert floor == pytest.approx(stated(r"middle has (\S+) mm\."), abs=0.02)
-    # What the library finds instead does not get there.
+    # The effects of the library do not get there.
     gain = diagnose(builtin_model(), Run.load(there / "run.npz"), effects=["gain"]).model
     assert before - compare(gain, other).error["rms_mm"] < 0.7 * (before - floor)
 

@@ -240,7 +240,7 @@ def test_blocks_of_time_and_their_gaps():
     assert not len(fast.rows) and "gaps" in fast.reason
 
 
-def test_labels_are_withheld_whole_and_enough_stay():
+def test_labels_are_withheld_completely_and_enough_stay():
     t = np.linspace(0.0, 600.0, 400)
     labels = np.repeat(np.arange(40), 10)
     kept = withheld(t, labels, BEGIN)
@@ -269,7 +269,7 @@ def test_several_runs_keep_their_first_frames():
     assert found.effects[0].certificate.frames == len(kept.rows)
 
 
-def test_short_run_is_diagnosed_whole_and_says_so():
+def test_short_run_is_diagnosed_completely_and_says_so():
     run = record_run({"backlash.gap": 2.0}, seed=5, frames=LEAST_WITHHOLDING - 2)
     (one,) = diagnose(arm(), run, effects=NAMES).effects
     assert one.certificate.log10_e is None and not one.certificate.refuted

@@ -80,7 +80,7 @@ def test_roll_is_not_looked_at(registered):
     reported = np.isfinite(features)
     assert np.abs(MODEL.seen_features(turned) - features)[reported].max() < 0.12
     assert [e["name"] for e in diagnose(MODEL, turned).to_dict()["effects"]] == ["backlash"]
-    # As of vertices that were tracked, the directions would be looked at too, which nobody
+    # As of vertices that were tracked, the directions would be looked at too, which no one
     # measured.
     one, other = (
         MODEL.seen_features(replace(r, extra={ROLL_SEEN: np.array(True)})) for r in (run, turned)

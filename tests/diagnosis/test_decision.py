@@ -192,7 +192,7 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     # below noise, below the model's error
     assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)
     assert accepted(kind="memory", form=2.0)  # which has no memory
-    assert accepted(kind="static", form=2.0, noisy=True)  # whose own error is in its noise
+    assert accepted(kind="static", form=2.0, noisy=True)  # whose model error is in its noise
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, noisy=True)
     assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run
@@ -505,14 +505,14 @@ def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved
     assert now.families[0].alternatives == () and "creep" in then.families[0].alternatives
 
 
-def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():
+def test_gross_faults_are_the_verdict_and_small_ones_are_listed():
     """Wording has one factor of its own: a fault leads if it moves the body more than twice as far
     as any physics.
     """
     assert wording.GROSS == 2.0 and 0.1 < wording.UNTESTABLE_SHARE < 0.9
 
 
-def test_each_constant_of_the_decision_has_its_reason_beside_it():
+def test_each_constant_of_the_decision_has_its_reason_next_to_it():
     lines = Path(decision.__file__).read_text(encoding="utf-8").splitlines()
     constants = [
         (above, line)

@@ -2,7 +2,7 @@
 trip.
 
 The arm of `arm.py` carries the statistics, the built-in finger what a run can do to a diagnosis;
-hidden effects of other forms on the simulated finger are judged elsewhere.
+hidden effects of other forms on the simulated finger are tested in other files.
 """
 
 import json
@@ -60,7 +60,7 @@ def test_nothing_hidden_nothing_claimed(seed):
     assert found.error.ladder == () and found.model.chain_names == ()
 
 
-def test_pair_and_triple_are_found_whole():
+def test_pair_and_triple_are_found_completely():
     pair = HIDDEN["backlash"] | HIDDEN["creep"]
     found = diagnosed(pair, seed=7)
     assert named(found) == {"backlash", "creep"}
@@ -83,7 +83,7 @@ def test_form_error_is_not_physics(monkeypatch):
     assert any(diagnosed({}, arm(form=1e-3), seed=seed, warp=0.3).families for seed in range(2))
 
 
-def test_static_grid_cannot_tell_memory():
+def test_static_grid_cannot_identify_memory():
     t = np.arange(0, 600, 0.1)
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-8, 8, size=(60, 2)), 100, axis=0)
@@ -150,7 +150,7 @@ def test_same_input_same_document_and_round_trip():
     back = Diagnosis.from_dict(json.loads(text))
     assert back.to_dict() == first.to_dict() and back.model is None
     assert str(back) == str(first)
-    assert str(first) == diagnosis_text(first.to_dict())  # one text, whoever asks
+    assert str(first) == diagnosis_text(first.to_dict())  # one text for every caller
     assert (
         "Verdict: identified" in str(first)
         and "backlash.gap" in str(first)
@@ -253,7 +253,7 @@ def test_what_no_effect_explains_is_no_effect(name):
     assert values[-1] == min(values)
 
 
-def test_what_looks_alike_is_a_rival_where_it_can_do_it():
+def test_what_looks_alike_is_an_alternative_where_it_can_do_it():
     """Cables that stretch shorten all that is pulled: one factor below 1, and never one above
     it.
     """
@@ -374,8 +374,8 @@ def test_a_name_with_two_alternatives_is_less_likely_than_not_and_not_identified
     assert found.effects[0].probability < 0.5
 
 
-def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_little():
-    """Forms of loads are off too far to rule one out by its fit; how much it does stands beside
+def test_a_load_that_does_little_stays_an_alternative_in_one_orientation_with_its_size():
+    """Forms of loads are off too far to rule one out by its fit; how much it does stands next to
     it.
     """
     run = finger_run(["gravity"], {"gravity.density": 0.5, "gravity.tilt_x": 40.0})
@@ -387,7 +387,7 @@ def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_l
     assert re.search(r"fitted here it does \d+ % of it", found.alternatives[0].why)
 
 
-def test_what_nobody_asked_for_is_no_rival():
+def test_an_effect_that_was_not_asked_for_is_no_alternative():
     run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
     assert diagnose(builtin_model(), run, effects=["gain", "backlash"]).alternatives == ()
 

@@ -122,7 +122,7 @@ def test_a_round_trip_loses_nothing():
     assert str(back) == str(WHOLE)
 
 
-def test_what_is_not_said_keeps_its_default():
+def test_what_is_not_given_keeps_its_default():
     short = Diagnosis.from_dict({"schema": SCHEMA, "verdict": "nothing"})
     assert short.effects == () and short.error == ErrorLadder() and math.isnan(short.error.before)
     assert Diagnosis.from_dict(short.to_dict()).to_dict() == short.to_dict()
@@ -136,8 +136,8 @@ def test_unknown_keys_are_passed_over():
 
 
 def test_the_schema_before_is_read():
-    """A document as the earlier version wrote it: rivals, no families, an experiment for each
-    rival.
+    """A document of the earlier version: alternatives, no families, an experiment for each
+    alternative.
     """
     old = fresh() | {"schema": BEFORE}
     old["rivals"] = [

@@ -99,7 +99,7 @@ def test_an_effect_that_does_nothing_here_cannot_be_tested():
     )
 
 
-def test_what_nobody_explains_is_claimed():
+def test_what_no_other_effect_explains_is_claimed():
     found = diagnose(
         builtin_model(),
         run_of(lambda u: u + 1.2 * np.sin(1.5 * u[:, ::-1])),
@@ -154,7 +154,7 @@ def test_an_orientation_that_no_frame_shows_is_none():
 
 
 def test_a_static_residual_is_trained_where_a_feature_is_seen():
-    """A marker that is hidden in most frames errs by as much there as elsewhere, and not by
+    """A marker that is hidden in most frames errs by as much there as in others, and not by
     nothing.
     """
 

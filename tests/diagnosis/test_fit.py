@@ -35,8 +35,8 @@ def test_recovers_what_was_hidden(hidden):
     fit = Fits(problem, NAMES).get((name,))
     assert problem.null().chi2 - fit.chi2 > 100.0  # doing nothing explains nothing
     for label, value in hidden.items():
-        # Noise of 0.02 mm on 350 frames. A gain could partly be form error (0.26 mm), so the weak
-        # prior pulls it most.
+        # Noise of 0.02 mm on 350 frames. A gain could partly be model-form error (0.26 mm), so the
+        # weak prior pulls it most.
         assert fit.params[label] == pytest.approx(value, rel=0.08 if name == "gain" else 0.02)
 
 
@@ -56,8 +56,8 @@ def test_deviations_are_honest():
         fit = problem.fit(("gain",), [problem.space(("gain",)).start])
         sigma = problem.uncertainty(fit, 1.0)
         found += list((fit.space.values(fit.x) - 1.06) / sigma)
-    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the form error
-    # that is allowed for and absent here makes the deviations too wide, never too narrow.
+    # 24 numbers: their RMS is within 0.3 to 1.5 in all but one of a thousand cases; the model-form
+    # error that is allowed for and absent here makes the deviations too wide, never too narrow.
     assert 0.05 < np.sqrt(np.mean(np.square(found))) < 1.5
 
 
@@ -101,7 +101,7 @@ def test_folds_hold_out_blocks_of_time():
         run_folds(np.arange(5.0))
 
 
-def test_folds_hold_out_whole_labels_where_there_are_enough():
+def test_folds_hold_out_complete_labels_where_there_are_enough():
     """Six pulls after one another, as on a nine-tendon robot: a block of time holds them all, a
     fold by label one.
     """
@@ -136,7 +136,7 @@ def test_labels_that_change_with_every_frame_still_leave_something_to_fit():
     assert len(folds) == FOLDS and all(len(train) == 84 for train, _ in folds)
 
 
-def test_a_diagnosis_judges_by_labels_and_says_so():
+def test_a_diagnosis_validates_by_labels_and_reports_it():
     run = record_run({"backlash.gap": 2.0})
     run = replace(run, block=np.repeat(np.arange(25), 14))
     record = Record(arm(), run)

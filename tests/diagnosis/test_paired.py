@@ -1,4 +1,4 @@
-"""Paired replay: a reference run of the same commands takes the model's own error away; others are
+"""Paired replay: a reference run of the same commands takes the model error away; others are
 refused.
 """
 
@@ -67,7 +67,7 @@ def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alon
 
 
 def test_a_static_error_of_the_model_goes_away_with_the_reference():
-    """Six times the form error that the arm declares buries a weight; paired, it is not there."""
+    """Six times the declared model-form error hides a weight; paired replay removes that error."""
     alike = dict(warp=0.6, noise=0.05, seed=4)
     reference, run = record_run({}, **alike), record_run(PAYLOAD, **alike)
     assert reference.hash() != run.hash()
@@ -149,7 +149,7 @@ def test_what_is_no_replay_is_refused_with_numbers():
         diagnose(MODEL, markers, reference=replace(markers, marker_rest=rest + 2.0))
 
 
-def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
+def test_validation_is_relative_to_a_reference_of_its_own_commands():
     """A static error of 0.6 mm buries the weight in the raw run of other commands too; relative, it
     goes away.
     """
@@ -198,7 +198,7 @@ def test_the_next_experiment_is_chosen_for_a_difference():
     assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
     reported = found.made_from
     raw = next_experiment(MODEL, replace(found, made_from=reported | {"reference": None}), [run])[0]
-    # The noise of a difference is twice that of a run, the form error a fifth: it is another
+    # The noise of a difference is twice that of a run, the model-form error a fifth: it is another
     # number.
     assert abs(paired.separation / raw.separation - 1.0) > 0.05
     with pytest.raises(
@@ -218,7 +218,7 @@ def test_the_next_experiment_is_chosen_for_a_difference():
         )
 
 
-def test_the_verb_takes_a_reference(tmp_path, capsys):
+def test_the_command_takes_a_reference(tmp_path, capsys):
     finger_run(["payload"], {"payload.mass": 15.0}).save(tmp_path / "b.npz")
     finger_run().save(tmp_path / "a.npz")
     argv = [
@@ -238,7 +238,7 @@ def test_the_verb_takes_a_reference(tmp_path, capsys):
     )
     assert main([*argv[:3], str(tmp_path / "none.npz")]) == 2
     capsys.readouterr()
-    # What was added says what it is relative to, and what comes next is recorded twice.
+    # An added effect names its reference, and the next experiment is recorded twice.
     assert (
         main(
             ["add", "payload", "--from", str(tmp_path / "d.json"), "--out", str(tmp_path / "with")]

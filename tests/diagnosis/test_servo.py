@@ -14,7 +14,7 @@ STEP = 0.015  # mm: a tick of a spool of 10 mm
 
 
 def encoders(run, delay, gain=1.0):
-    """What encoders say, in ticks, behind servos that follow late; written apart from the
+    """Encoder ticks of servos that follow late; written apart from the
     library.
     """
     late = [np.interp(run.t - d, run.t, c) for d, c in zip(delay, run.command.T)]

@@ -80,7 +80,7 @@ def test_frames_of_which_little_is_seen_are_reported_with_the_others(names):
 
 
 def test_shared_effect_and_a_camera_frame_for_each_run():
-    """Two sessions of one finger: the same play, and a camera that was set up anew."""
+    """Two sessions of one finger: the same play, and a camera that was set up again."""
     run = finger_run(["backlash"], {"backlash.gap": 1.0})
     runs = [turned(run, 2.0, [0.0, 1.0, 0.0]), turned(run, -3.0, [1.5, 0.0, 0.0])]
     found = diagnose(builtin_model(), runs, effects=["backlash", "hysteresis", "gain", "mount"])
@@ -101,7 +101,7 @@ def test_shared_effect_and_a_camera_frame_for_each_run():
     assert set(again.params_of("mount")) == {label for label in params if "@" not in label}
 
 
-def test_two_orientations_in_two_runs_tell_what_neither_tells_alone():
+def test_two_orientations_in_two_runs_identify_what_neither_identifies_alone():
     run = finger_run(["payload"], {"payload.mass": 15.0})
     level = run.gravity[np.searchsorted(run.t, run.t_seen)][:, 2] > 0.9
     hanging, lying = run.at(level), run.at(~level)
@@ -125,7 +125,7 @@ def test_refit_of_several_runs_and_runs_that_do_not_fit_together():
         diagnose(model, [])
 
 
-def test_verb_takes_several_runs(tmp_path, capsys):
+def test_command_takes_several_runs(tmp_path, capsys):
     for k in (1, 2):
         finger_run(["backlash"], {"backlash.gap": 1.0}, seed=k).save(tmp_path / f"{k}.npz")
     paths = [str(tmp_path / "1.npz"), str(tmp_path / "2.npz")]

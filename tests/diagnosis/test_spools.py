@@ -111,7 +111,7 @@ def declared(model, run):
 
 
 def test_a_wrong_radius_is_not_believed(run):
-    """With spools said to be 12 mm, the law does not reach what the family explains."""
+    """With spools declared as 12 mm, the law does not reach what the family explains."""
     wrong = replace(builtin_model(), calibration=calibration([12.0, 12.0]))
     found = diagnose(wrong, run, effects=CANDIDATES)
     assert not (

@@ -90,7 +90,7 @@ def test_learned_statically_the_play_is_named_first_by_the_diagnosis(bent):
     assert "without --static" in bent.next[0].block and bent.next[0].settles == ("backlash",)
 
 
-def test_without_solving_the_map_again_another_effect_is_named_beside_it(
+def test_without_solving_the_map_again_another_effect_is_named_next_to_it(
     static, always, bent, monkeypatch
 ):
     """The play has bent the static map: with the map as it is, play alone does not explain what the

@@ -39,11 +39,11 @@ SIGNS = {"upside down": [-1.0, -1.0, -1.0], "with the wrong sign of its z": [1.0
 
 
 @pytest.mark.parametrize("words", SIGNS)
-def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(
+def test_gravity_of_a_wrong_sign_next_to_a_weight_is_a_fault_of_the_declaration(
     words, tmp_path, capsys
 ):
-    """The weight hides the sign from a first look; what gravity would have to be, and the search,
-    tell.
+    """The weight hides the sign from a first look; the gravity that would be needed, and the
+    search, show it.
     """
     run = finger_run(["payload"], {"payload.mass": 20.0})
     replace(run, gravity=run.gravity * SIGNS[words]).save(tmp_path / "run.npz")
@@ -70,7 +70,7 @@ def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(
 @pytest.mark.parametrize(
     "names", [["payload"], ["hysteresis"], ["payload", "creep"], ["gravity"]], ids="+".join
 )
-def test_gravity_upside_down_beside_what_is_hidden(names):
+def test_gravity_upside_down_next_to_what_is_hidden(names):
     whole = standard_protocol(2)
     run = hide(names, 1).measure(replace(whole, t_seen=whole.t_seen[::2], block=whole.block[::2]))
     found = diagnose(builtin_model(), replace(run, gravity=-run.gravity))

@@ -86,7 +86,7 @@ def test_another_orientation_is_one_that_was_not_seen(gravity):
         seen.append(leaning)
 
 
-def test_the_way_back_tells_orientation_from_time():
+def test_the_reverse_distinguishes_orientation_from_time():
     once, back = standard_protocol(2), standard_protocol(2, back=True)
     assert back.minutes == pytest.approx(6.0, abs=0.6) and once.minutes == pytest.approx(
         4.0, abs=0.1
@@ -150,7 +150,7 @@ def written(tmp_path_factory):
     return path, made
 
 
-def test_a_command_file_holds_the_whole_plan(written):
+def test_a_command_file_holds_the_complete_plan(written):
     path, made = written
     again, robot = read_commands(path)
     assert robot == "moe-finger" and again.unit == "mm"
@@ -262,7 +262,7 @@ def _cut(made):
     return replace(leaning, t_seen=made.t_seen[[0, loaded]], block=made.block[[0, loaded]])
 
 
-def test_what_cannot_be_recorded_is_said(written, tmp_path, capsys):
+def test_what_cannot_be_recorded_is_reported(written, tmp_path, capsys):
     path, out = str(written[0]), str(tmp_path / "r.npz")
     assert main(["record", path, "--out", out]) == 2
     assert "give --sim" in capsys.readouterr().err

@@ -103,7 +103,7 @@ def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
         ranked[0].settles
     )
     assert [e.separation is None for e in ranked] == sorted(e.separation is None for e in ranked)
-    # Judged for itself, without the run, the same block is best.
+    # Scored for itself, without the run, the same block is best.
     assert next_experiment(MODEL, found, [])[0].block == ranked[0].block
     # Recorded, they are testable.
     again = diagnose(MODEL, [run, played(ranked[0].plan, seed=1)])
@@ -121,7 +121,7 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
     assert next_experiment(MODEL, document(), []) == []
 
 
-def test_a_rival_that_the_model_cannot_express_is_left_to_what_the_library_says():
+def test_an_alternative_that_the_model_cannot_express_is_left_to_the_library():
     poor = MODEL.with_structure(
         fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")}
     )
@@ -159,7 +159,7 @@ def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
     assert len(program(ranked, 0.1)) == 1 and program([], 6.0) == []
 
 
-def test_two_rivals_and_ten_unseen_effects_take_seconds(ambiguous):
+def test_two_alternatives_and_ten_unseen_effects_take_seconds(ambiguous):
     run, found = ambiguous
     others = [n for n in found.made_from["candidates"] if n not in ("gravity", "payload")]
     everything = replace(found, not_testable=tuple(Untestable(n) for n in others[:10]))
@@ -178,7 +178,7 @@ def test_a_diagnosis_of_something_else_is_refused(ambiguous):
         next_experiment(MODEL, document(not_testable=[{"name": "wobble"}]), [])
 
 
-# --- the verb -----------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------------------
 
 
 def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path, capsys):
@@ -208,7 +208,7 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     assert listed["schema"] == "softmap.next/1" and listed["settles"][:2] == ["payload", "gravity"]
     assert listed["next"][0].keys() == {"block", "minutes", "settles", "separation"}
     assert listed["next"][0]["separation"] > SETTLED
-    # With the new run the same verb shows what has been settled.
+    # With the new run the same command shows what has been settled.
     new = played(made, {"payload.mass": 9.0}, seed=1)
     (tmp_path / "d2.json").write_text(json.dumps(diagnose(MODEL, [run, new]).to_dict()))
     assert main(["next", str(tmp_path / "d2.json"), "--since", str(tmp_path / "d.json")]) == 0
@@ -220,8 +220,8 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     )
 
 
-def test_what_is_named_beside_a_rival_is_not_open():
-    """A rival set holds the rest of what is named too: only the member and what stands for it are
+def test_what_is_named_next_to_an_alternative_is_not_open():
+    """An alternative holds the rest of what is named too: only the member and its substitute are
     to be settled.
     """
     other = Alternative(("gain", "latency"), "", "lag")

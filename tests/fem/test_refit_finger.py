@@ -75,8 +75,8 @@ def test_pretension_and_slack_are_distinguished_from_stiffness():
 
 
 def test_a_single_shape_fits_the_modulus_alone():
-    """A block under its own weight: one shape does not tell the camera's frame from the stiffness,
-    and says so.
+    """A block under its own weight: one shape does not separate the camera's frame from the
+    stiffness, and says so.
     """
     text = """name = "beam"
         [block]
@@ -117,7 +117,7 @@ def test_deviations_are_honest():
     assert np.max(np.abs(z)) > 0.1
 
 
-def test_what_a_run_does_not_show_is_kept_and_said():
+def test_what_a_run_does_not_show_is_kept_and_reported():
     """A finger that hardly moves in one orientation says nothing about its stiffness."""
     still = fit_finger(
         FINGER, record(FINGER.replace(young_mpa=0.3), [HANGING], places=4, reach=0.1, noise=5.0)

@@ -70,7 +70,7 @@ def test_sweep_is_in_c_order_reports_progress_and_survives_its_file(simulator, t
         and back.gravity.tolist() == [0, 0, 1]
         and not back.tip_force.any()
     )
-    # What the file says of itself makes the same shapes again: nothing else has to be known.
+    # The content of the file makes the same shapes again: nothing else has to be known.
     again = Simulator(back.finger).sweep(back.axes, gravity=back.gravity, load=back.tip_force)
     np.testing.assert_array_equal(again.vertices, back.vertices)
     stored = read_npz(tmp_path / "sweep.npz")

@@ -1,4 +1,4 @@
-"""A finger of any shape: blocks, regions, helices, tensions and meshes made elsewhere; bad ones get
+"""A finger of any shape: blocks, regions, helices, tensions and imported meshes; bad ones get
 one clear line.
 """
 

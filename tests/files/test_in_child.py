@@ -1,4 +1,4 @@
-"""What a foreign parser does in its child stays there: crash, hang, memory, files, output; plain
+"""A foreign parser affects only its child process: crash, hang, memory, files, output; plain
 values come back.
 """
 

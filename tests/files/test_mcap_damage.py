@@ -236,7 +236,7 @@ def test_damage_of_the_end_is_reported_and_changes_nothing(tmp_path, back):
 
 
 # --- what carries which checksums ------------------------------------------------------------
-def test_a_file_without_checksums_is_read_and_said_to_have_none(tmp_path):
+def test_a_file_without_checksums_is_read_and_reported_as_such(tmp_path):
     for options in (
         {"enable_crcs": False},
         {"enable_crcs": False, "use_chunking": False},
@@ -256,7 +256,7 @@ def test_a_file_without_checksums_is_read_and_said_to_have_none(tmp_path):
         assert len(held.numbers) == 300 and held.notes == ()
 
 
-def test_a_chunk_without_a_checksum_among_others_is_said(tmp_path):
+def test_a_chunk_without_a_checksum_among_others_is_reported(tmp_path):
     path = bag(tmp_path)
     start = records(path, CHUNK)[1].start + 9 + 24
     data = bytearray(path.read_bytes())

@@ -426,7 +426,7 @@ def test_what_reaches_beyond_is_named_by_the_core():
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "template.npz", "prior.npz"])
-def test_a_file_of_a_bundle_is_no_link_to_a_file_elsewhere(tmp_path, name):
+def test_a_file_of_a_bundle_is_no_link_to_a_file_outside(tmp_path, name):
     folder = tmp_path / "b"
     save_bundle(BASE, folder)
     shutil.move(folder / name, tmp_path / "elsewhere")

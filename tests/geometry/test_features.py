@@ -64,7 +64,7 @@ def test_attached_markers_follow_every_affine_motion():
     np.testing.assert_allclose(carried, markers @ stretch.T + 3.0, atol=1e-5)
 
 
-def test_half_seen_section_gives_the_residual_of_the_whole():
+def test_half_seen_section_gives_the_residual_of_the_full_one():
     rest = cylinder()
     body = upright(rest)
     features = section_features(body)

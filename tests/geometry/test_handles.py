@@ -34,7 +34,7 @@ def test_they_are_spread_over_the_surface(count):
     assert set(handles) < set(handles_of(FINGER.replace(handles=count + 1), MODEL.rest))
 
 
-def test_the_file_the_bundle_and_the_verb_carry_them(tmp_path, capsys):
+def test_the_file_the_bundle_and_the_command_carry_them(tmp_path, capsys):
     small = FINGER.replace(core=2, layers=10, handles=30)
     (tmp_path / "finger.toml").write_text(small.to_toml(), encoding="utf-8")
     assert Finger.load(tmp_path / "finger.toml") == small
@@ -81,7 +81,7 @@ def test_more_than_there_are_vertices_is_refused_before_the_sweep():
 
 
 @pytest.mark.parametrize("verb", ["build", "model sweep"])
-def test_the_verbs_refuse_them_in_one_line(verb, tmp_path, capsys):
+def test_the_commands_refuse_them_in_one_line(verb, tmp_path, capsys):
     (tmp_path / "finger.toml").write_text(
         FINGER.replace(core=1, layers=4, handles=900).to_toml(), encoding="utf-8"
     )
@@ -117,8 +117,8 @@ def test_all_of_them_as_handles_register_as_before():
 
 
 def test_only_handles_ask_for_the_cloud_and_the_others_go_along():
-    """One point of a resting cloud stands off: its vertex follows it if it is a handle, else not at
-    all.
+    """One point of a resting cloud is away from the surface: its vertex follows it if it is a
+    handle, else not at all.
     """
     alone = int(np.argmin(np.linalg.norm(MODEL.rest - [12.0, 0.0, 60.0], axis=1)))
     cloud = MODEL.rest.copy()

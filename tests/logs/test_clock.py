@@ -135,7 +135,7 @@ def test_a_clock_that_was_set_forward_is_a_look_at_and_a_pause_is_not(tmp_path):
         ",".join(NAMES),
         rows(133),
         rows(COUNT - 133, first=147, time=lambda k: f"{STEP * k + 3600}"),
-    )  # the robot is elsewhere after a pause
+    )  # the robot is at another pose after a pause
     assert not any("leaps" in doubt for doubt in imported(far).doubts)
 
 
@@ -319,7 +319,7 @@ def test_times_that_are_made_up_are_a_look_at_with_their_count(tmp_path):
     )  # the seven rows of the first second are not spread over all of it
 
 
-def test_spread_keeps_whole_groups():
+def test_spread_keeps_complete_groups():
     assert spread(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0])) == pytest.approx(
         [0, 0.5, 1, 1.5, 2, 2.5]
     )

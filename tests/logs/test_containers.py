@@ -1,4 +1,4 @@
-"""What `ros2 bag record` leaves becomes a run: folders, split bags, .db3 with and without
+"""Output of `ros2 bag record` becomes a run: folders, split bags, .db3 with and without
 definitions, packed files.
 """
 

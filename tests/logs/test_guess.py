@@ -1,5 +1,5 @@
-"""`softmap import --guess` proposes a mapping that imports, says what it assumed, and says what no
-log can tell.
+"""`softmap import --guess` proposes a mapping that imports, reports what it assumed and what no
+log shows.
 """
 
 import json
@@ -49,7 +49,7 @@ def test_the_trunk(tmp_path):
     assert run.command_unit == "deg"
     for name in ("t", "command", "present", "t_seen", "block"):
         assert np.array_equal(getattr(run, name), getattr(right, name)), name
-    shift = run.markers - right.markers  # the place of the clamp is a guess, and said to be one
+    shift = run.markers - right.markers  # the place of the clamp is a guess, and is reported as one
     assert np.nanmax(np.abs(shift - shift[0])) < 1e-9 and np.linalg.norm(shift[0, 0]) < 5.0
     # the example keeps them
     assert np.isnan(run.markers).any() and not np.isnan(right.markers).any()
@@ -168,7 +168,7 @@ XYZ = [f"m{k}_{axis}" for k in range(3) for axis in "xyz"]
         ),
     ],
 )
-def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
+def test_names_and_ranges_identify_units(tmp_path, head, scale, words):
     t, points = places(400)
     u = scale[1] * np.column_stack([np.sin(t), np.cos(t)])
     path = written(tmp_path, bench_log([*head, *XYZ], t * scale[0], u, points * scale[2]))
@@ -182,7 +182,7 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
-def test_a_force_beside_a_place_is_no_marker(tmp_path):
+def test_a_force_next_to_a_place_is_no_marker(tmp_path):
     """Taken for one, it would also turn the frame: the robot would run from its tip to its
     force.
     """
@@ -292,7 +292,7 @@ def test_without_a_header_it_says_that_it_cannot_know(tmp_path):
     assert "docs/reference/mapping.md" in str(fault.value) and "\n" not in str(fault.value)
 
 
-def test_what_fails_on_trial_is_said(tmp_path):
+def test_what_fails_on_trial_is_reported(tmp_path):
     """A row that goes back in time is beyond the rows that are looked at."""
     t, points = places(21_000)
     t[20_500] = 1.0
@@ -302,8 +302,8 @@ def test_what_fails_on_trial_is_said(tmp_path):
     assert reported(found.said, "as it stands it cannot be imported", "time goes backwards")
 
 
-# --- the verb ------------------------------------------------------------------------------
-def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
+# --- the command ----------------------------------------------------------------------------------
+def test_the_command_prints_or_writes_what_it_proposes(tmp_path, capsys):
     t, points = places()
     path = str(write_c3d(tmp_path / "a.c3d", t, points))
     assert main(["import", path, "--guess"]) == 0
@@ -348,7 +348,7 @@ def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
         ([], "one of the arguments --map --guess is required"),
     ],
 )
-def test_wrong_use_of_the_verb(tmp_path, capsys, argv, words):
+def test_wrong_use_of_the_command(tmp_path, capsys, argv, words):
     path = str(written(tmp_path, made_log()[0]))
     assert main(["import", path, *argv]) == 2
     assert words in capsys.readouterr().err

@@ -221,7 +221,7 @@ def test_files_that_fit_no_log_are_named(tmp_path):
         import_logs([tmp_path / "absent.csv"], mapping)
 
 
-def test_the_verb_writes_a_run_and_says_what_it_did(tmp_path, capsys):
+def test_the_command_writes_a_run_and_says_what_it_did(tmp_path, capsys):
     text, table = made_log()
     (tmp_path / "log.csv").write_text(text)
     (tmp_path / "map.toml").write_text(ONE_LOG + "[seen]\nrate_hz = 5\n")

@@ -236,5 +236,5 @@ def test_many_rows_take_little_memory(tmp_path):
     write_log(tmp_path, 100_000)
     _, seconds, megabytes, rows = measure(tmp_path)
     assert rows == 100_000 and seconds < 10.0  # of work
-    # of the whole process, 35 MB of them the interpreter and numpy; the log is 16 MB
+    # of the process, 35 MB of them the interpreter and numpy; the log is 16 MB
     assert megabytes < 150.0

@@ -1,5 +1,5 @@
-"""Encoders that are read more slowly than they are logged are found, reported and undone; stillness is
-left alone.
+"""Encoders that are read more slowly than they are logged are found, reported and corrected;
+stillness is left alone.
 """
 
 import numpy as np

@@ -94,7 +94,7 @@ def test_markers_that_keep_their_places_are_never_accused(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_many_swaps_of_many_markers_are_undone_exactly(seed):
+def test_many_swaps_of_many_markers_are_reversed_exactly(seed):
     """Random exchanges of random groups of eight markers, any of them again, with 5 % of the sights
     lost.
     """
@@ -168,7 +168,7 @@ def test_labels_are_the_columns_common_names_or_given(tmp_path):
     assert list(imported(tmp_path, text).run.extra["marker_labels"]) == ["marker 0", "marker 1"]
 
 
-def test_markers_on_the_clamp_stand_beside_the_others(tmp_path):
+def test_markers_on_the_clamp_stand_next_to_the_others(tmp_path):
     t, points = chain()
     apart = (
         MAP.replace('["first x", "first y", "first z"], ', "")
@@ -189,7 +189,7 @@ def test_markers_on_the_clamp_stand_beside_the_others(tmp_path):
 
 
 def test_labels_of_the_protocol_become_blocks_and_folds(tmp_path):
-    """A label for each part, in whatever order: folds hold out whole labels (`folds.py`)."""
+    """A label for each part, in whatever order: folds hold out complete labels (`folds.py`)."""
     from softmap_edge.run.folds import folds
 
     t, points = chain()

@@ -173,7 +173,7 @@ def test_joints_that_change_their_order_keep_their_columns(tmp_path):
     assert list(rows["position[left]"]) == [1, 3] and list(rows["position[right]"]) == [2, 4]
 
 
-def test_stamps_that_nobody_set_are_replaced_by_the_time_of_logging(tmp_path):
+def test_stamps_that_were_never_set_are_replaced_by_the_time_of_logging(tmp_path):
     goals = [("/goal", JOINT_STATE, joint_state(0.0, (1, 2)), 5.0 + k) for k in range(3)]
     columns = open_mcap(write_mcap(tmp_path / "run.mcap", goals), None)
     assert list(columns.numbers[:, columns.names.index("time")]) == [5.0, 6.0, 7.0]
@@ -319,7 +319,7 @@ def test_a_field_called_as_a_column_of_time_keeps_its_own_column(tmp_path, field
     assert any(f"'{field}' of their own" in note for note in columns.notes)
 
 
-def test_a_stamp_without_a_header_is_a_column_beside_the_time(tmp_path):
+def test_a_stamp_without_a_header_is_a_column_next_to_the_time(tmp_path):
     rows = MessageRows(tmp_path / "log.mcap", "/t")
     for k in range(3):
         rows.add({"stamp": 5.0 + k, "time.sec": 1.0, "x": 2.0}, 100.0 + k)

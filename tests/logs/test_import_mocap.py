@@ -72,7 +72,7 @@ def test_the_unit_of_the_file_is_followed_or_doubted(tmp_path, form):
         taken(tmp_path, path, MAP.replace('"tip.z"]', '"tip.z"], unit = "mm"'))
 
 
-def test_motive_tells_rigid_bodies_from_markers(tmp_path):
+def test_motive_distinguishes_rigid_bodies_from_markers(tmp_path):
     t, points = places()
     columns = open_log(write_motive(tmp_path / "take.csv", t, points / 1000))
     assert {"Plate.x", "Plate.rotation.w", "Plate.Mean Marker Error", "tip.z"} <= set(columns.names)

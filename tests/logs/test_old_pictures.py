@@ -65,7 +65,7 @@ def test_old_pictures_are_left_out(name):
     "u", [SINES, STAIRS, 0.2 * SINES, REST], ids=["moving", "stairs", "slowly", "resting"]
 )
 @pytest.mark.parametrize(("noise", "digits"), [(0.05, 3), (0.3, 2), (0.002, 5), (0.01, None)])
-def test_every_stale_frame_of_one_marker_counts_where_noise_tells(u, noise, digits):
+def test_every_stale_frame_of_one_marker_counts_where_noise_shows_it(u, noise, digits):
     points = body(u, noise=noise, digits=digits)
     stale = np.arange(21, K - 20, 20)
     points[stale, 1] = points[stale - 1, 1]

@@ -91,7 +91,7 @@ def test_columns_that_keep_their_markers_stay():
     assert find_shifted(markers(1)) is None and find_shifted(np.full((K, 5, 3), np.nan)) is None
 
 
-def test_markers_that_move_too_far_between_frames_are_not_judged():
+def test_markers_that_move_too_far_between_frames_are_not_checked():
     points = markers()[::60]
     rows, _ = listed(points, np.arange(len(points))[:, None] % 2 * (np.arange(5) == 1) > 0)
     found = find_shifted(rows + 80 * np.random.default_rng(0).normal(size=(len(rows), 1, 3)))

@@ -95,7 +95,7 @@ def test_saving_never_overwrites_something_else(finger, tmp_path):
     assert (tmp_path / "precious" / "thesis.tex").exists()
 
 
-def test_saving_loses_nothing_that_stands_beside_or_in_place_of_a_bundle(finger, tmp_path):
+def test_saving_loses_nothing_next_to_or_in_place_of_a_bundle(finger, tmp_path):
     model, there = load_bundle(finger), tmp_path / "there"
     there.mkdir()
     (there / "manifest.json").write_text('{"manifest_version": 3}')

@@ -1,4 +1,4 @@
-"""Contact: the built-in finger against a wall, beside its finite elements pushed as hard as it
+"""Contact: the built-in finger against a wall, and its finite elements pushed as hard as it
 takes.
 """
 

@@ -1,4 +1,4 @@
-"""Changes of a design: the built-in model beside the changed finger, solved; and bundles without
+"""Changes of a design: the built-in model against the changed finger, solved; and bundles without
 such fields.
 """
 
@@ -28,7 +28,7 @@ def bare():
 
 
 def section(amount, low, high):
-    """The change of design of a section that the stretches under it hold whole or not at all."""
+    """The change of design of a section whose stretches hold it completely or not at all."""
     return {f"stiff_{k}": amount for k, m in enumerate(MIDDLES) if low < m < high}
 
 

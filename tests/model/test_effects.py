@@ -64,7 +64,7 @@ def test_it_is_documented(name):
 
 
 def the_page():
-    """The script that makes the page, and the table of loads that stands in it, solved anew by
+    """The script that makes the page, and the table of loads that stands in it, solved again by
     `make prove`.
     """
     path = Path(__file__).parents[2] / "docs" / "make_effects.py"
@@ -214,7 +214,7 @@ def test_a_body_without_the_number_refuses_it(name, body):
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_it_moves_the_sections_by_half_a_millimetre(name, bodies):
-    """At mid-range or at its start, whichever moves more: what a diagnosis calls its size."""
+    """At typical strength or at its start, whichever moves more: the size in a diagnosis."""
     body, chain = bodies[EFFECTS[name]["role"]], _core.Chain([name], 2)
     t, u = protocol()
     sets = np.stack([chain.null, values(chain, "middle"), values(chain, "start")])

@@ -81,7 +81,7 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
         _core.ElasticField(robot.layout.compiled(robot.start), "twist", 1.0)
 
 
-def test_tendons_that_run_elsewhere_are_found_on_a_rod():
+def test_tendons_that_run_at_other_places_are_found_on_a_rod():
     """Two pairs of cables, one of them turned by 8 degrees; a rod of more than three commands has
     no such fields.
     """

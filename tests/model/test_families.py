@@ -390,9 +390,9 @@ def test_invalid_input_is_rejected():
         _core.Series(p.v, p.t, p.middle, p.half * [1.0, 0.0])
     with refused("t falls"):
         _core.Series(p.v, p.t[::-1].copy(), p.middle, p.half)
-    with refused(r"v has shape \[400, 2\], wanted \(T = 399"):
+    with refused(r"v has shape \[400, 2\], expected \(T = 399"):
         _core.Series(p.v, p.t[1:], p.middle, p.half)
-    with refused("orientation has 3 numbers, wanted 400"):
+    with refused("orientation has 3 numbers, expected 400"):
         _core.Series(p.v, p.t, p.middle, p.half, orientation=np.arange(3))
     with refused("T ≥ 2"):
         _core.Series(p.v[:1], p.t[:1], p.middle, p.half)

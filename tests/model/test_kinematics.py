@@ -62,7 +62,7 @@ def test_targets_of_known_commands_are_found(model):
     assert np.median(np.abs(solved.acting - u)) < 1e-5
 
 
-def test_out_of_reach_is_said_with_the_distance_to_the_nearest_point(model):
+def test_out_of_reach_is_reported_with_the_distance_to_the_nearest_point(model):
     kinematics = Kinematics(model)
     rest = model.tip(np.zeros((1, 2)))[0]
     far = rest + [200.0, 0.0, 0.0]
@@ -120,7 +120,7 @@ def test_a_delay_and_a_lag_are_previewed(model):
         (["lag", "backlash"], {"lag.tau": 0.3, "backlash.gap": 0.6}, 0.1),
     ],
 )
-def test_what_cannot_be_undone_is_expected_of_the_plan(model, names, params, least):
+def test_what_cannot_be_compensated_is_expected_of_the_plan(model, names, params, least):
     """A limited speed has no inverse, and a lag before a play is previewed as if the play came
     first.
     """

@@ -1,4 +1,4 @@
-"""The verbs that look at a model: predict runs all of it, effects lists the registry."""
+"""The commands that look at a model: predict runs all of it, effects lists the registry."""
 
 import json
 import os
@@ -139,7 +139,7 @@ def standing(path):
         (["model", "refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
     ],
 )
-def test_where_nothing_can_be_written_is_said_before_the_work(
+def test_where_nothing_can_be_written_is_reported_before_the_work(
     verb, option, path, what, tmp_path, capsys
 ):
     (tmp_path / "folder").mkdir()

@@ -198,7 +198,7 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
         (model.prior.evaluate(u) - run_onnxruntime(content, u)).reshape(200, -1, 3), axis=2
     )
     assert off.max() < 10 * max(reported["table_off_mm"], 1e-3)
-    # What consumes a model cannot tell: inverse kinematics, and written once more it is a table.
+    # Users of a model see no difference: inverse kinematics, and written once more it is a table.
     there = model.tip(np.array([[2.0, -3.0]]))
     assert Kinematics(model).solve(there).distance[0] < 1e-4
     again = load_bundle(save_bundle(model, tmp_path / "again"))
@@ -299,7 +299,7 @@ def test_a_decoder_in_the_manner_of_deepsoro_goes_through_onnxruntime():
         _core.Network(content)
 
 
-def test_what_neither_runs_is_said(tmp_path):
+def test_what_neither_runs_is_reported(tmp_path):
     folder = bundle(tmp_path, foreign("Tanh"))
     for content in (b"no graph", foreign("Tanh")[:-40]):
         (folder / "prior.onnx").write_bytes(content)

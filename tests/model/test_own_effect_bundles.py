@@ -22,7 +22,7 @@ EVIL = "with open('RAN', 'a') as file:\n    file.write('x')\n"
 
 @pytest.fixture
 def evil(here):
-    """A bundle that came from elsewhere, whose effect would write the file RAN; its own bytes."""
+    """A bundle of another user, whose effect would write the file RAN; its own bytes."""
     load_effect(written(here, EVIL + effect("u * (1 + by)")))
     (here / "RAN").unlink()
     save_bundle(builtin_model().with_effects(["mine"], {"mine.by": 0.2}), here / "bundle")
@@ -134,7 +134,7 @@ def test_another_file_of_that_name_is_refused(evil, here):
 
 
 @pytest.mark.parametrize("name", ["../mine", "mine/../mine", "Mine", ""])
-def test_a_manifest_names_no_file_elsewhere(evil, here, name):
+def test_a_manifest_names_no_file_outside(evil, here, name):
     def moved(manifest):
         manifest["own_effects"] = {name: manifest["own_effects"]["mine"]}
 

@@ -1,5 +1,5 @@
-"""The pages of `softmap compare --html` and `softmap diagnose --html` are whole, load nothing, and
-say enough.
+"""The pages of `softmap compare --html` and `softmap diagnose --html` are complete, load nothing,
+and say enough.
 """
 
 import base64
@@ -77,7 +77,7 @@ def story(tmp_path_factory):
 
 
 def written(folder, capsys, *argv):
-    """Run a verb with --html and --json; return the page and the document."""
+    """Run a command with --html and --json; return the page and the document."""
     assert main([*map(str, argv), "--html", str(folder / "page.html"), "--json"]) == 0
     return Page((folder / "page.html").read_text(encoding="utf-8")), json.loads(
         capsys.readouterr().out

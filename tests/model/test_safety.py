@@ -1,4 +1,4 @@
-"""What a finger may be asked: derived from its model, carried by its bundle, edited by hand, never
+"""Limits of a finger: derived from its model, carried by its bundle, edited by hand, never
 out of range.
 """
 
@@ -189,7 +189,7 @@ def test_build_writes_it_for_a_simulated_finger(tmp_path, capsys):
     )
 
 
-def test_a_sweep_made_elsewhere_has_strains_but_no_tension(tmp_path):
+def test_an_imported_sweep_has_strains_but_no_tension(tmp_path):
     u = np.random.default_rng(0).uniform(-5, 5, (25, 2))
     np.savez(tmp_path / "bare.npz", command=u, vertices=arc(u, *rings(4, 7)))
     corners = {"triangles": np.array([[0, 1, 7], [1, 8, 7]])}

@@ -1,4 +1,4 @@
-"""Large loads and softer sections: the built-in model beside the finger solved with them, what
+"""Large loads and softer sections: the built-in model against the finger solved with them, what
 bends, old bundles.
 """
 
@@ -157,7 +157,7 @@ def test_without_a_change_of_the_modulus_the_answer_is_that_without_its_pairs():
 
 
 def test_a_small_load_is_answered_by_its_fields_and_none_not_at_all():
-    """What the second level adds falls with the square of the load."""
+    """The correction of the second level falls with the square of the load."""
     model = builtin_model()
     linear = model.with_structure(second=None)
     hanging = np.array([0.0, 0.0, 1.0])

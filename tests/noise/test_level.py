@@ -278,7 +278,7 @@ def test_invalid_columns_and_names_are_rejected():
         level.add("map", np.zeros((1, 90, 4)), np.array([0]), ones)
     with refused(r"base has shape \[1, 89, 4\]"):
         level.add("new", np.zeros((1, 89, 4)), np.array([0]), ones)
-    with refused(r"weight has shape \[1, 89\], wanted \(n = 1, K = 90\)"):
+    with refused(r"weight has shape \[1, 89\], expected \(n = 1, K = 90\)"):
         level.add("new", np.zeros((1, 90, 4)), np.array([0]), np.ones((1, 89)))
     with refused("which contains 1, but there are only 1 bases"):
         level.add("new", np.zeros((1, 90, 4)), np.array([1]), ones)
@@ -324,7 +324,7 @@ def test_invalid_kernels_and_folds_are_rejected():
         level(folds=[(train, test, half, strength, half + 1.0, strength)])
     with refused("strength -1; strengths must not be negative"):
         level(kernel=(basis, -strength))
-    with refused(r"basis has shape \[10, 3\], wanted \(frames = 9"):
+    with refused(r"basis has shape \[10, 3\], expected \(frames = 9"):
         level(folds=[(train[:9], test, half, strength, half, strength)])
     with refused("fold 0, test contains frame 20, but there are only 20 frames"):
         level(folds=[(train, test + 1, half, strength, half, strength)])

@@ -1,4 +1,4 @@
-"""Noise and form error: what the estimators recover, and that whitened numbers are white."""
+"""Noise and model-form error: what the estimators recover, and that whitened numbers are white."""
 
 from dataclasses import replace
 
@@ -66,7 +66,7 @@ def test_three_frames_of_a_dwell_are_replicates():
     assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(0.2, rel=0.1)
 
 
-def test_three_dwells_as_the_advice_asks_tell_the_noise():
+def test_three_dwells_as_the_advice_asks_identify_the_noise():
     dwell, rng = np.repeat(np.arange(3), DWELL_FRAMES), np.random.default_rng(0)
     reported = [
         estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n])
@@ -99,7 +99,7 @@ def test_correlation_in_time_inflates():
     assert estimate_noise(white, np.arange(400.0), visit).inflation == 1.0
 
 
-def test_without_replicates_the_high_frequency_part_is_used_and_said():
+def test_without_replicates_the_high_frequency_part_is_used_and_reported():
     rng = np.random.default_rng(3)
     t = np.arange(300) * 0.2
     residual = 3.0 * np.sin(0.2 * t)[:, None] + rng.normal(size=(300, F)) * 0.1
@@ -125,7 +125,7 @@ def test_kernel_is_low_rank_and_right():
     assert np.allclose(kernel.basis.T @ kernel.basis, np.eye(len(kernel.strength)), atol=1e-9)
 
 
-def test_channel_that_stands_still_tells_nothing():
+def test_channel_that_stands_still_identifies_nothing():
     """Wherever it stands: 3 mm divided by a spread of nothing drowned the distances in rounding."""
     command = np.column_stack([np.linspace(-5, 5, 40), np.full(40, 3.0)])
     moved, still = (command_kernel(c, np.ptp(c, axis=0)) for c in (command[:, :1], command))
@@ -154,7 +154,7 @@ def test_whitened_form_error_and_noise_have_unit_variance():
         blind.append(np.mean(white.modes(draw) ** 2))
     # 300 x 18 x 20 numbers: one standard deviation of their mean square is 0.5 %.
     assert np.mean(values) == pytest.approx(1.0, abs=0.03)
-    assert np.mean(blind) > 5.0  # without the form error the same numbers are far from white
+    assert np.mean(blind) > 5.0  # without the model-form error the same numbers are far from white
 
 
 def test_squares_are_those_of_the_shrunk_modes():
@@ -184,7 +184,7 @@ def test_rod_noise_counts_correlated_frames_once():
 
 
 def test_what_does_not_repeat_is_no_error_of_a_rods_map():
-    """A residual that is all memory: the same command, two shapes. The map's own error cannot
+    """A residual that is all memory: the same command, two shapes. The map's model error cannot
     absorb it.
     """
     rng = np.random.default_rng(7)

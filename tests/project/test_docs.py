@@ -23,7 +23,7 @@ def script(path):
 OWN = ("tdcr_", "beam_", "track_", "diagnosis")
 
 
-def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
+def test_the_pictures_are_made_in_the_given_folder(tmp_path, capsys):
     """Seed 4 is the finger that the demo's tests measure too, so that its sweeps are done once."""
     docs = sorted(path for path in (ROOT / "docs").rglob("*") if path.is_file())
     before = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in docs}
@@ -55,7 +55,7 @@ def test_a_picture_that_needs_a_browser_is_left_as_it_is_without_one(tmp_path, m
 
 
 def test_pictures_that_take_the_time_of_a_robot_stay_small_and_are_shown():
-    """What they draw is tested by test_track.py and test_teleop_page.py."""
+    """test_track.py and test_teleop_page.py test the pictures."""
     assert callable(script(ROOT / "docs/figures_track.py").main)
     for name, page in (("track_s.svg", "track.md"), ("teleop.jpg", "teleop.md")):
         assert 10_000 < (ROOT / "docs/pictures" / name).stat().st_size < 150_000

@@ -1,4 +1,4 @@
-"""The house itself: what an import loads, and how the command answers."""
+"""The package: what an import loads, and how the command answers."""
 
 import importlib
 import pkgutil
@@ -99,7 +99,7 @@ def test_exit_codes(argv, code, capsys):
     assert main(argv) == code
 
 
-def test_absent_verb_says_what_to_install(capsys, monkeypatch):
+def test_absent_command_says_what_to_install(capsys, monkeypatch):
     # as where softmap-training is not installed
     monkeypatch.setattr("softmap_edge.cli.entry_points", lambda group: [])
     assert main(["train"]) == 2

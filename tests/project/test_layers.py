@@ -1,4 +1,4 @@
-"""Who may import whom: each folder of the package imports only from the layers below it.
+"""Allowed imports: each folder of the package imports only from the layers below it.
 
 A line of `LAYERS` is a layer, highest first. Folders of one layer may import each other without a
 circle. Imports in functions and those for types alone count as well.

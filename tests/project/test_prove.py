@@ -1,4 +1,4 @@
-"""What `rust/servo/prove.py` makes of the outcomes that cargo-mutants 27.1 writes; the run itself
+"""`rust/servo/prove.py` on outcomes as cargo-mutants 27.1 writes them; the run itself
 is `make prove`.
 """
 
@@ -20,7 +20,7 @@ def prove():
 
 
 def outcome(line, summary, what="replace > with >= in Guard::go_on"):
-    """Return one outcome as cargo-mutants writes it, but for what nobody reads."""
+    """Return one outcome as cargo-mutants writes it, but for fields that are not read."""
     file = "rust/servo/guard/machine.rs"
     mutant = {
         "name": f"{file}:{line}:58: {what}",
@@ -58,10 +58,10 @@ def test_mutants_are_named_without_their_places(prove):
         pytest.param(99, 0, 1, 0, 1, False, id="a survivor with one"),
         pytest.param(98, 0, 2, 0, 1, True, id="a reason counts once"),
         pytest.param(94, 0, 6, 50, 6, True, id="too many survive, unviable ones aside"),
-        pytest.param(0, 0, 0, 3, 0, True, id="nothing was judged"),
+        pytest.param(0, 0, 0, 3, 0, True, id="nothing was checked"),
     ],
 )
-def test_the_score_and_every_survivor_are_judged(
+def test_the_score_and_every_survivor_are_checked(
     prove, capsys, caught, late, missed, unviable, explained, fails
 ):
     counts = {"CaughtMutant": caught, "Timeout": late, "MissedMutant": missed, "Unviable": unviable}
@@ -69,7 +69,7 @@ def test_the_score_and_every_survivor_are_judged(
         BASELINE,
         *(outcome(1, kind) for kind, count in counts.items() for _ in range(count)),
     ]
-    assert prove.judge(prove.names({"outcomes": outcomes}), Counter({NAME: explained})) == fails
+    assert prove.assess(prove.names({"outcomes": outcomes}), Counter({NAME: explained})) == fails
     said = capsys.readouterr().out
     assert f"{caught + late} of {caught + late + missed} mutants are caught" in said
     assert (
@@ -81,11 +81,11 @@ def test_the_score_and_every_survivor_are_judged(
 
 
 @pytest.mark.parametrize("code", [1, 4])
-def test_what_judged_nothing_is_a_failure(prove, monkeypatch, tmp_path, capsys, code):
+def test_a_run_without_results_is_a_failure(prove, monkeypatch, tmp_path, capsys, code):
     monkeypatch.setattr(prove, "ROOT", tmp_path)
     monkeypatch.setattr(prove, "cargo", lambda *words, **environment: code)
     old = tmp_path / "target" / "mutants" / "mutants.out" / "outcomes.json"
     old.parent.mkdir(parents=True)
     old.write_text("{}")
     assert prove.mutants(1, []) == 1
-    assert f"ended with {code} and judged nothing" in capsys.readouterr().out and not old.exists()
+    assert f"ended with {code} and checked nothing" in capsys.readouterr().out and not old.exists()

@@ -183,7 +183,7 @@ def documents(tmp_path_factory):
 
 def validator(name):
     """Return the validator of a schema of the reference; references between schemas are to files
-    beside it.
+    next to it.
     """
     files = {
         path.name: json.loads(path.read_text(encoding="utf-8"))

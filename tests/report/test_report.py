@@ -109,10 +109,7 @@ def test_diagnosis_says_everything_it_knows():
 
 def test_what_is_not_known_is_not_printed():
     text = diagnosis_text(DIAGNOSIS | {"error": DIAGNOSIS["error"] | {"noise_floor": None}})
-    assert (
-        "moves the body by 1.82 mm RMS (fitted) backlash" in " ".join(text.split())
-        and "–" not in text
-    )
+    assert "effect size 1.82 mm RMS (fitted) backlash" in " ".join(text.split()) and "–" not in text
     assert "noise floor" not in text and "own held-out error 0.190 mm" in text
     moved = copy.deepcopy(DIAGNOSIS)
     moved["effects"][0]["displacement_mm"]["held_out"] = 1.5
@@ -122,7 +119,7 @@ def test_what_is_not_known_is_not_printed():
 
 
 def test_numbers_that_ran_away_stay_short(tmp_path):
-    """A rival whose held-out error is astronomic must not fill the screen with its digits."""
+    """An alternative with an astronomic held-out error must not fill the screen with its digits."""
     document = copy.deepcopy(DIAGNOSIS)
     document["alternatives"][0]["why"] = (
         f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"

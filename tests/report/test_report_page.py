@@ -1,5 +1,5 @@
-"""The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they
-should.
+"""The page of a report: it is complete, loads nothing, trusts no input, and its pictures show what
+they should.
 """
 
 import copy

@@ -31,7 +31,7 @@ PATIENCE = 10.0  # s, on a busy machine
 
 
 def starts(rig, limits):
-    """Start the loop on a bench that it must refuse; the line, and where the guard stands by its
+    """Start the loop on a rig that it must refuse; the line, and where the guard stands by its
     reports.
     """
     robot = Controller(rig, calibration(), limits)
@@ -61,7 +61,7 @@ def no_permission(bus, rig, limits):
 
 
 def program(rig, limits):
-    """Run the loop's own program here, as whoever this process is; raises what it reports instead
+    """Run the loop's own program here, as the user of this process; raises what it reports instead
     of a state.
     """
     calibrated = calibration()

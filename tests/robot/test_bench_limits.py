@@ -1,4 +1,4 @@
-"""A Controller drives about the homes that are proved and within what the bench allows, whoever
+"""A Controller drives about the confirmed homes and within the limits of the rig, whatever user
 made the limits.
 """
 
@@ -13,7 +13,7 @@ from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 
-def test_limits_about_another_home_than_the_one_that_is_proved_are_refused():
+def test_limits_about_another_home_than_the_confirmed_one_are_refused():
     with bench() as (_, rig, _):
         limits = loop_limits(
             [servo_limits(MODEL, HOME, WINDOW), servo_limits(MODEL, HOME + 3000, WINDOW)]

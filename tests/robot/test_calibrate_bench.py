@@ -145,8 +145,8 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
 
 
 def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
-    """Who holds a key notices late that the servo is back; an answer that is none is asked for
-    again.
+    """A user who holds a key notices late that the servo is back; an answer that is none is asked
+    for again.
     """
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")

@@ -136,7 +136,7 @@ def test_old_frames_and_other_senders_do_not_count(receiver):
         until(lambda: receiver.taken == 2)
         assert receiver.lost == 3
         # The other is a sender of its own: it counts once ours is silent, then ours has to ask
-        # anew.
+        # again.
         end = time.monotonic() + 30.0
         while receiver.taken == 2:
             assert time.monotonic() < end
@@ -177,7 +177,7 @@ def test_a_recording_counts_nothing_after_a_restart_of_the_receiver(key):
         assert second.taken == 0 and len(thief._socket.recv(4096)) < len(recorded[0])
 
 
-def test_one_clock_through_a_camera_that_was_started_anew(receiver):
+def test_one_clock_through_a_camera_that_was_started_again(receiver):
     now = [100.0]
     first, second = bytes(range(16)), bytes(range(1, 17))
     receiver._session = first  # as if it had been offered and taken up
@@ -287,7 +287,7 @@ PAGE = (Path(__file__).parents[2] / "docs/do/camera.md").read_text(encoding="utf
 
 def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
     """Its Python runs; its commands are understood (what they do is shown by the tests of each
-    verb).
+    command).
     """
     monkeypatch.chdir(tmp_path)
     names = {command.name: command for command in COMMANDS}

@@ -1,4 +1,4 @@
-"""The deadman's keys and the clutch: nothing goes on by itself, whatever comes back."""
+"""The enable keys and the clutch: nothing goes on by itself, whatever comes back."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def test_a_key_that_is_reported_of_is_held_until_it_is_let_go_or_silent():
     assert not reported(key, (False, 0.2)).held(0.2)
 
 
-def test_who_comes_with_the_key_down_or_back_from_a_silence_must_press_anew():
+def test_who_comes_with_the_key_down_or_back_from_a_silence_must_press_again():
     key = reported(HeldKey(), (True, 0.0), (True, 0.1))
     assert not key.held(0.1), "it was not pressed for us"
     reported(key, (False, 0.2), (True, 0.3))
@@ -80,7 +80,7 @@ def test_a_press_waits_for_what_is_lacking_but_not_for_long():
     assert late.stage == "lost"
 
 
-def test_another_who_takes_hold_must_press_anew():
+def test_another_who_takes_hold_must_press_again():
     other = run((0.0, "page", ""), (0.1, "terminal", ""))
     assert other.stage == "lost" and other.why == "terminal took hold while page held"
     assert other.step(0.2, "terminal", "").stage == "lost"

@@ -55,7 +55,7 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
                 code = main(words[1:])
                 reported = capsys.readouterr()
                 # What this computer lacks (a camera's packages, real-time rights) is no matter of
-                # the bench.
+                # the rig.
                 assert code == 0 or name == "doctor", f"{name}: {reported.err}"
                 done.append(name)
                 said[name] = reported.out

@@ -1,4 +1,4 @@
-"""What a servo senses and the guard refuses is a fault of doctor and read too, with value, limit
+"""Sensor values that the guard refuses are faults of doctor and read too, with value, limit
 and remedy.
 """
 

@@ -43,7 +43,7 @@ def test_follows_targets_and_ends_slack():
         assert robot.ended["ticks"] > 200 and robot.ended["late_us"]["p50"] < 5000
 
 
-def test_who_stops_calling_is_held_then_slackened():
+def test_a_program_that_stops_calling_is_held_then_tension_is_released():
     with bench(hold=0.4) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         hold_for(robot, [1.0, 0.0], 0.8)
@@ -82,7 +82,8 @@ def test_who_sent_nothing_for_too_long_is_reported_so_and_who_let_go_that_he_did
         robot.release()
         until(lambda: robot.state == "ready", 10.0)
         with pytest.raises(
-            ServoError, match=r"in state ready \(the deadman was released\); call engage\(\) first"
+            ServoError,
+            match=r"in state ready \(the enable key was released\); call engage\(\) first",
         ):
             robot.target([0.0, 0.0])
 
@@ -136,7 +137,7 @@ def test_a_fault_ends_without_torque(name, breaks):
     "power",
     [pytest.param(False, id="a servo was mute"), pytest.param(True, id="the bus had no power")],
 )
-def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for_its_proof(power):
+def test_a_running_loop_accepts_no_home_and_the_next_start_asks_for_confirmation(power):
     with bench() as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
@@ -147,7 +148,7 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
             until(lambda: acknowledged(robot), 5.0)
             assert robot.state == "connected", "home is forgotten"
             with pytest.raises(
-                ServoError, match="in state connected, and a running loop cannot prove home"
+                ServoError, match="in state connected, and a running loop cannot home it"
             ):
                 robot.request("home")
             assert robot.state == "connected" and not torque(bus)
@@ -158,7 +159,7 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
 
 
 @pytest.mark.parametrize("how", ["stuck", "jammed"])
-def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
+def test_a_fault_after_which_home_must_be_confirmed_is_kept_over_a_restart(how):
     with bench() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
         with (
@@ -184,8 +185,8 @@ def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
 
 
 def acknowledged(robot):
-    """Return whether the fault could be acknowledged; it cannot before every servo has said that it
-    has no torque.
+    """Return whether the fault could be acknowledged; it cannot before every servo has reported
+    that it has no torque.
     """
     with contextlib.suppress(ServoError):
         robot.request("acknowledge")
@@ -205,7 +206,7 @@ def test_an_unplugged_port_ends_the_loop_with_a_reason():
 
 PROGRAM = """
 import signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever starts the tests in the background ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by background tests
 sys.path.insert(0, {tests!r})
 from rigs import calibration, WINDOW, MODEL, HOME, BAUD
 from softmap_edge.robot.control.controller import Controller
@@ -252,7 +253,7 @@ def alive(pid):
     return True
 
 
-def test_kill_9_of_the_program_holds_then_slackens(program):
+def test_kill_9_of_the_program_holds_then_releases_tension(program):
     bus, user, loop = program
     user.kill()
     user.wait()
@@ -274,7 +275,7 @@ def test_an_interrupt_ends_the_program_in_order(program):
 
 
 @pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGINT])
-def test_a_loop_asked_to_end_slackens(program, ends):
+def test_a_loop_asked_to_end_releases_tension(program, ends):
     bus, _, loop = program
     os.kill(loop, ends)
     until(lambda: not torque(bus), 4.0)
@@ -293,7 +294,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     )
 
 
-def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
+def test_with_no_process_left_the_watchdogs_stop_and_hold_and_the_next_start_reports_it(program):
     bus, user, loop = program
     user.send_signal(signal.SIGSTOP)  # cannot rescue
     os.waitpid(user.pid, os.WUNTRACED)  # until each of its threads has stopped
@@ -335,7 +336,7 @@ def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_
     assert b"in state fault" in user.stderr.read()
 
 
-def test_servos_that_are_not_as_said_are_refused():
+def test_servos_that_differ_from_the_rig_are_refused():
     with bench() as (bus, rig, limits):
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(2, 64, b"\x01")

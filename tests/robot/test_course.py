@@ -140,7 +140,7 @@ def test_ticks_are_home_and_the_rounded_inverse_of_the_map():
             (slope[0, 0] * y - slope[1, 0] * x) / det,
         ]
         assert ticks.tolist() == [h + np.round(w) for h, w in zip(home, wanted)]
-    # What comes back is the command to half a tick of each servo; cut instead of rounded it would
-    # be a whole one.
+    # The result is the command to half a tick of each servo; cut instead of rounded it would
+    # be a complete one.
     back = np.abs(known.commands(sent) - made.plan.commands)
     assert (back <= np.abs(slope).sum(axis=1) / 2 + 1e-9).all()

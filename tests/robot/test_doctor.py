@@ -32,7 +32,7 @@ def named(lines, name):
 
 @pytest.fixture
 def any_computer(monkeypatch):
-    """Leave out what is said of this computer, so that only what is given counts."""
+    """Leave out the lines on this computer, so that only what is given counts."""
     for look in ("processor", "real_time", "ports", "latency", "teleoperation", "cameras"):
         monkeypatch.setattr(host, look, lambda *_: [])
     monkeypatch.setattr(host, "EXTRAS", {})
@@ -214,12 +214,12 @@ def test_what_combined_drives_is_no_fault(tmp_path):
         ] == [OK] * 4
         assert "derived from the model each time" in named(lines, "safety.toml").found
         assert "derived from the model" in named(lines, "limits").found
-        # A bench whose home is half a turn from the calibration's, and one of three servos:
+        # A rig whose home is half a turn from the calibration's, and one of three servos:
         # combined() refuses them.
         moved = replace(rig, servos=tuple(replace(servo, home=HOME + 2048) for servo in rig.servos))
         more = replace(rig, servos=(*rig.servos, RigServo(3, MODEL)))
         for other, found in (
-            (moved, "home of the bench is 4048"),
+            (moved, "home of the rig is 4048"),
             (more, "the rig has 3 servos, the calibration 2"),
         ):
             other.write(tmp_path / "rig.toml")
@@ -277,7 +277,7 @@ def test_cameras_are_listed_with_the_names_that_stay(tmp_path):
 
 
 def rights(folder):
-    """Return what is said of ports, cameras and real-time rights to whoever has no more than he
+    """Return the lines on ports, cameras and real-time rights for a user who has no more than he
     needs.
     """
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
@@ -368,7 +368,7 @@ def test_the_port_of_the_rig_is_among_the_serial_ports(tmp_path):
         assert named(host.ports(tmp_path / "none", file), "serial port").state == WARNING
 
 
-def test_a_home_is_said_once_with_a_remedy_that_is_complete(tmp_path):
+def test_a_home_is_reported_once_with_a_complete_remedy(tmp_path):
     with bench() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.reset(1)

@@ -28,7 +28,7 @@ TIMEOUT = 0.3  # s between beats at most: generous, since tests share a computer
 
 
 def free_port():
-    """Return a UDP port that nobody uses now."""
+    """Return a free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
         return one.getsockname()[1]
@@ -63,7 +63,7 @@ def acknowledged(robot):
 
 
 def again(robot):
-    """Acknowledge and go on, as whoever released the stop does; home need not be proved."""
+    """Acknowledge and go on, as the user who released the stop does; homing is not needed."""
     # servos are asked five times a second whether they have torque
     until(lambda: acknowledged(robot), 3.0)
     assert robot.state == "homed", "home is still known"
@@ -103,7 +103,7 @@ def test_a_program_presses_and_releases():
         assert torque(bus)
         robot.emergency()
         robot.emergency(False)
-        robot.request("acknowledge")  # it waits until the servos have said that they have no torque
+        robot.request("acknowledge")  # it waits until the servos have reported no torque
         assert robot.state == "homed"
 
 
@@ -121,7 +121,7 @@ def test_it_stops_from_another_thread_while_targets_are_sent():
 def test_a_loop_that_does_not_hear_it_is_ended_and_the_servos_released(monkeypatch):
     with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
-        monkeypatch.setattr(controller_module, "FROZEN", 5.0)  # so that nobody else notices first
+        monkeypatch.setattr(controller_module, "FROZEN", 5.0)  # no other check notices first
         robot._process.send_signal(19)  # SIGSTOP
         monkeypatch.setattr(controller_module, "FROZEN", 0.3)
         with pytest.raises(ServoError, match="died or froze; its servos were released"):
@@ -191,7 +191,7 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(
 
         class Replayer:
             def beat(self, pressed):
-                with contextlib.suppress(ConnectionRefusedError):  # nobody listens yet
+                with contextlib.suppress(ConnectionRefusedError):  # no program listens yet
                     send(recorded[-1])
 
         said = r"the emergency stop is pressed or dead \(no heartbeat at UDP port \d+ for 0.3 s\)"
@@ -244,7 +244,7 @@ def test_the_key_of_a_heart_is_in_no_recording(heart_rig, tmp_path):
         )
 
 
-def test_the_verb_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
+def test_the_command_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
     with_heart, _ = heart_rig
     with bench() as (bus, rig, limits):
         rig = with_heart(rig)
@@ -324,7 +324,7 @@ def test_what_a_heart_cannot_reach_is_refused():
 
 
 def test_torque_off_drives_nothing_home():
-    """Horns that no tendon pulls stay where the stop met them; whoever ends without one goes
+    """Horns that no tendon pulls stay where the stop met them; a session without a stop goes
     home.
     """
     with bench(load=[]) as (bus, rig, limits):

@@ -1,5 +1,5 @@
-"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an
-emulated robot.
+"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal next to
+an emulated robot.
 """
 
 import os
@@ -116,7 +116,7 @@ def test_the_key_switches_torque_off_at_once(robot, verb):
         )
 
 
-def test_without_a_terminal_nothing_is_said(robot):
+def test_without_a_terminal_nothing_is_reported(robot):
     bus, _, folder = robot
     words = ["servo", "move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
     done = subprocess.run(
@@ -135,7 +135,7 @@ def test_another_key_does_nothing(robot):
 
 
 def test_in_the_background_the_terminal_is_not_read():
-    """Whoever reads or sets its terminal from the background is stopped by the system."""
+    """A program that reads or sets its terminal from the background is stopped by the system."""
     code = """if True:
         import fcntl, os, sys, termios
         os.setsid()

@@ -124,7 +124,7 @@ def test_tendons_ask_for_what_the_model_says(model):
     assert nominal[-1][1] == pytest.approx(NOMINAL * 10 * 4096 / (2 * np.pi * 280) * 1470.0 / 520.0)
 
 
-def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
+def test_a_complete_robot_is_emulated_by_one_command(tmp_path, model):
     with emulated(tmp_path, "--hidden", "backlash", "--strength", "0.5", "--seed", "3") as (
         process,
         reported,

@@ -15,8 +15,8 @@ PAGE = Path(__file__).parents[2] / "docs/reference/safety.md"
 # periods by which anything may be later than its time: two of them are the way to the servos and
 # back
 FEW = 8
-WIRED = 3.0  # s of a poor wire at the limits of verbs
-TRIES = 4  # where the machine was seen to be too busy to tell
+WIRED = 3.0  # s of a poor wire at the limits of commands
+TRIES = 4  # where the machine was seen to be too busy
 
 
 def table():
@@ -79,7 +79,7 @@ def bench(request):
     state, stop = request.param, request.param == "safe_stop"
 
     def led(loop):
-        """Lead it there, anew where it ended; one that slackens is stopped when it is asked for."""
+        """Lead it there, again where it ended; one that releases tension is stopped on request."""
         for left in reversed(range(TRIES)):
             try:
                 if loop is None or loop.ended:
@@ -163,7 +163,7 @@ def changes(loop, state, begin, cause, wanted, within):
     """Prove that the next changes are to the states `wanted`, because of `cause`, in its time since
     the fault.
 
-    By the loop's clock: a report tells of which period it is. Periods that it could not have are
+    By the loop's clock: a report names its period. Periods that it could not have are
     reported too.
     """
     struck, overruns = time.monotonic(), loop.reports[-1]["overruns"]
@@ -187,7 +187,7 @@ def without_torque(loop):
 
 
 def reported(get, check):
-    """Check, and once more where it fails on a machine that was too busy meanwhile to tell
+    """Check, and once more where it fails on a machine that was too busy meanwhile to be sure
     (`Loop.busy`).
     """
     for left in reversed(range(TRIES)):
@@ -304,7 +304,7 @@ def briefly(loop, state, cell, begin):
 
 
 def frozen(loop, state, cell, cause, within):
-    """The loop's process stands still, and nobody is there to rescue; then it goes on."""
+    """The loop's process stands still, and no supervisor rescues it; then it goes on."""
     begin = time.monotonic()
     try:
         if cell.startswith("stands"):
@@ -335,7 +335,7 @@ def frozen(loop, state, cell, cause, within):
 
 @pytest.fixture(scope="module")
 def usual():
-    """Give a function to get a loop at the rate and the limits that verbs have, engaged."""
+    """Give a function to get a loop at the rate and the limits that commands have, engaged."""
     loop = Loop(usual=True)
 
     def engaged():
@@ -349,7 +349,7 @@ def usual():
 
 
 @pytest.mark.parametrize("fault", WIRE)
-def test_a_poor_wire_at_the_limits_of_verbs_ends_nothing(usual, fault):
+def test_a_poor_wire_at_the_limits_of_commands_ends_nothing(usual, fault):
     """At 100 Hz five answers in a row are late, and of one in five that happens: a hold that goes
     on by itself.
     """

@@ -189,7 +189,7 @@ def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
         CameraFrames(97)
 
 
-def test_without_opencv_the_install_line_is_said(monkeypatch):
+def test_without_opencv_the_install_line_is_reported(monkeypatch):
     monkeypatch.setitem(frames.importlib.sys.modules, "cv2", None)
     with pytest.raises(
         TeleopError, match="OpenCV cannot be loaded .*; run uv pip install --override"
@@ -224,7 +224,7 @@ def test_a_path_of_a_device_is_the_camera_that_it_links_to(dev, tmp_path, monkey
     assert source(str(dev / "v4l/by-id" / USB)) == 3
     assert source(str(dev / "v4l/by-path/pci-0000:00:14.0-usb-0:5:1.0-video-index0")) == 12
     (dev / "left_camera").symlink_to("video3")  # as a rule of udev makes it
-    (tmp_path / "cam").symlink_to(dev / "left_camera")  # and a user's own, elsewhere
+    (tmp_path / "cam").symlink_to(dev / "left_camera")  # and a user's own, in another folder
     assert source(str(dev / "left_camera")) == 3 and source(str(tmp_path / "cam")) == 3
     monkeypatch.chdir(dev)
     assert (

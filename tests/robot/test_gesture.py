@@ -1,4 +1,4 @@
-"""What the hand shows lets go, or is asked for beside the key; it never stands in for the key."""
+"""A gesture lets go, or is required in addition to the key; it never replaces the key."""
 
 import itertools
 from typing import get_args
@@ -44,7 +44,7 @@ def test_the_key_alone_asks_for_no_hand():
     assert played("key", [(True, None), (True, FIST), (False, PALM)]) == [True, True, False]
 
 
-def test_a_fist_lets_go_at_once_until_the_key_is_pressed_anew():
+def test_a_fist_lets_go_at_once_until_the_key_is_pressed_again():
     steps = [
         (True, None),
         (True, PALM),
@@ -80,7 +80,7 @@ def test_an_asked_gesture_must_last_and_ends_at_once(rule, shown, other):
 
 
 @pytest.mark.parametrize("jump", [GAP + 0.01, -0.01, -1e6])
-def test_a_gap_or_a_clock_that_goes_back_asks_anew(jump):
+def test_a_gap_or_a_clock_that_goes_back_asks_again(jump):
     deadman = Deadman("open palm")
     assert [deadman.held(True, PALM, k * 0.1) for k in range(4)][-1]
     assert not deadman.held(True, PALM, 0.3 + jump)

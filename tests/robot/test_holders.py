@@ -55,7 +55,7 @@ def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_pat
             assert robot.state == "ready", "once it is closed"
 
 
-def test_whoever_opens_by_another_name_is_found_and_others_are_not(tmp_path):
+def test_a_program_that_opens_by_another_name_is_found_and_others_are_not(tmp_path):
     with bench() as (bus, _, _):
         link = tmp_path / "usb-adapter"
         link.symlink_to(bus.path)
@@ -107,7 +107,7 @@ def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
         assert last["unasked"] >= counts["unasked"] and last["lost"] >= counts["lost"]
 
 
-def test_alone_on_the_bus_nothing_is_said(tmp_path):
+def test_alone_on_the_bus_nothing_is_reported(tmp_path):
     file, reported = tmp_path / "drive.mcap", []
     with (
         bench() as (bus, rig, limits),

@@ -1,4 +1,4 @@
-"""Home is proved after each power-up, and whoever drives is refused until it is."""
+"""Home is confirmed after each power-up, and driving is refused until it is."""
 
 import json
 import re
@@ -22,7 +22,7 @@ FAR = 1800  # ticks at which the servos start; without power they know no more o
 
 @pytest.fixture
 def wound(tmp_path):
-    """Give a bus of two servos that are set up, and the file of a bench without homes."""
+    """Give a bus of two servos that are set up, and the file of a rig without homes."""
     bus = _core.EmulatedBus([(id, NUMBER, BAUD, float(FAR)) for id in (1, 2)], [[], []], seed=2)
     set_up(bus.path)
     file = tmp_path / "rig.toml"
@@ -36,7 +36,7 @@ def home(file, *more):
 
 
 def drive(file):
-    """Start and end a controller on the bench of `file`."""
+    """Start and end a controller on the rig of `file`."""
     rig = read_rig(file)
     limits = loop_limits(
         [servo_limits(one.model, one.home or 0, (-900, 900)) for one in rig.servos], 100.0
@@ -124,7 +124,7 @@ def test_a_finger_that_is_not_straight_is_refused_and_nothing_is_marked(wound, c
     assert [servo.home for servo in read_rig(file).servos] == [FAR, FAR]
 
 
-def test_a_turn_away_from_a_home_that_is_still_proved_is_refused(capsys, tmp_path):
+def test_a_turn_away_from_a_home_that_is_still_confirmed_is_refused(capsys, tmp_path):
     with bench() as (bus, rig, _):
         file = tmp_path / "rig.toml"
         moved = Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, HOME + 4096) for id in (1, 2)))
@@ -137,7 +137,7 @@ def test_a_turn_away_from_a_home_that_is_still_proved_is_refused(capsys, tmp_pat
         assert "stands -1 turns from its home, which is still known" in capsys.readouterr().err
 
 
-def test_another_home_in_the_file_is_not_proved(wound):
+def test_another_home_in_the_file_is_not_confirmed(wound):
     _, file = wound
     assert home(file) == 0
     text = file.read_text().replace(f"home = {FAR}", f"home = {FAR + 1}", 1)
@@ -146,7 +146,7 @@ def test_another_home_in_the_file_is_not_proved(wound):
         drive(file)
 
 
-def test_a_servo_that_restores_its_memory_proves_nothing(wound):
+def test_a_servo_that_restores_its_memory_confirms_nothing(wound):
     bus, file = wound
     assert home(file) == 0
     ours = _core.ServoBus(bus.path, BAUD)

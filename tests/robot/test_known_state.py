@@ -1,4 +1,4 @@
-"""What setting up makes sure of is looked at by each start, homing and the doctor, and the command
+"""Each start, homing and the doctor check the set-up of the servos, and the command
 named mends it.
 """
 
@@ -111,7 +111,7 @@ PASSES = {
 
 
 @pytest.mark.parametrize("register", PASSES)
-def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
+def test_what_passes_with_the_power_is_written_again_by_a_start(register):
     with bench() as (bus, rig, _):
         assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
         kept = {SET_UP: {"servo_1": setup.gains(setup.ServoState(bus.path, BAUD, 1, 1200, 46))}}
@@ -129,7 +129,7 @@ def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
         assert started(rig.port, rig.baud, members(known)) == []
 
 
-def test_a_start_says_what_it_wrote_anew():
+def test_a_start_says_what_it_wrote_again():
     with bench() as (bus, rig, limits):
         leave(bus.path, BAUD, 2, profile_velocity=7)
         reported = []

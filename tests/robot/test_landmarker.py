@@ -58,7 +58,7 @@ def test_the_clip_shows_a_hand(clip):
         f"{wall:.1f} ms a picture, {processor:.1f} ms of processor, "
         f"{np.percentile(took[:, 0], 95) * 1e3:.1f} ms p95"
     )
-    assert processor < 1000 / 30  # one core keeps up with the camera, whatever else runs beside it
+    assert processor < 1000 / 30  # one core keeps up with the camera, whatever else runs
 
 
 def test_what_the_finger_does_comes_out(clip):

@@ -51,7 +51,7 @@ def met(receiver, sender):
 def test_a_hand_arrives_as_it_was_sent(receiver):
     with Sender("127.0.0.1", receiver.port, KEY) as sender:
         assert receiver.newest() is None and not sender.heard
-        assert arrived(receiver, sender) is None  # nobody is believed before he answered
+        assert arrived(receiver, sender) is None  # no sender is trusted before it answered
         got = arrived(receiver, sender)
         assert sender.heard and got.sequence == 2 and got.message.held and 0 <= got.age < 0.5
         np.testing.assert_allclose(got.message.hand.points, PALM.hand.points, rtol=1e-7)
@@ -135,7 +135,7 @@ def test_a_session_that_was_offered_is_soon_over(receiver, monkeypatch):
         assert arrived(receiver, sender) is not None
 
 
-def test_either_side_may_be_started_anew():
+def test_either_side_may_be_started_again():
     with Receiver("127.0.0.1", 0, KEY) as receiver:
         port = receiver.port
         with Sender("127.0.0.1", port, KEY) as sender:
@@ -145,7 +145,7 @@ def test_either_side_may_be_started_anew():
             assert met(receiver, sender).sequence == 2
             receiver.close()
             for _ in range(2):
-                sender.send(PALM)  # nobody listens: it raises nothing and goes on counting
+                sender.send(PALM)  # no listener: it raises nothing and goes on counting
             with Receiver("127.0.0.1", port, KEY) as second:
                 for _ in range(4):
                     got = arrived(second, sender)
@@ -255,7 +255,7 @@ def test_signed_numbers_that_are_none_are_refused(bad):
         assert found == "content" or (offset == 29 and math.isfinite(bad))
 
 
-def test_a_flood_holds_nobody_up(receiver):
+def test_a_flood_delays_no_receiver(receiver):
     with Sender("127.0.0.1", receiver.port, KEY) as sender:
         met(receiver, sender)
         for _ in range(2000):

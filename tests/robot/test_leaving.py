@@ -19,7 +19,7 @@ def test_a_finger_that_does_not_come_home_at_the_end_is_reported():
         with reported, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [2.5, 0.0], 1.5)
-            bus.damage(0, jammed=True)  # seen only on the way back
+            bus.damage(0, jammed=True)  # seen only in reverse
         assert not torque(bus)
 
 

@@ -1,4 +1,4 @@
-"""The limits in force: the bench's ceiling, the finger's safety, servo and calibration, each with
+"""The limits in force: the rig's ceiling, the finger's safety, servo and calibration, each with
 its origin.
 """
 
@@ -32,7 +32,7 @@ FINGER = builtin_model()
 
 
 def rig(ceiling=(), **servo):
-    """Return a bench of two servos with homes."""
+    """Return a rig of two servos with homes."""
     return Rig(
         "/dev/none",
         BAUD,
@@ -192,7 +192,7 @@ def test_the_calibrations_window_and_the_turns_of_a_bench_count():
     )
     astray = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME + 1500), RigServo(2, MODEL, HOME)))
     with pytest.raises(
-        ServoError, match=r"servo 1: home of the bench is 3500, .* 1500 ticks apart, .* are 269"
+        ServoError, match=r"servo 1: home of the rig is 3500, .* 1500 ticks apart, .* are 269"
     ):
         effective_limits(astray, FINGER, turned(np.eye(2) / 280.0))
 
@@ -221,7 +221,7 @@ def test_a_limit_that_the_guard_refuses_is_named_as_in_the_table_with_who_set_it
     found = effective_limits(
         rig(((name, beyond),)), replace(FINGER, safety=None), turned(np.eye(2) / 280.0)
     )
-    if name in ("jump", "turns"):  # the finger's is stricter: put the bench's in its place
+    if name in ("jump", "turns"):  # the finger's is stricter: put the rig's in its place
         robot = tuple(
             replace(one, value=beyond, by="rig.toml") if one.name == name else one
             for one in found.robot
@@ -250,7 +250,7 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
     ):
         with pytest.raises(ServoError, match=said):
             loop_limits([one], **changes)
-        with pytest.raises(ServoError, match=said):  # the guard's own check, whoever made the table
+        with pytest.raises(ServoError, match=said):  # the guard's own check, for any table
             _core.check_limits(loop_limits([one]) | changes)
     with bench() as (_, rig, limits), pytest.raises(ServoError, match="'band' is missing"):
         Controller(
@@ -258,8 +258,8 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
         )
 
 
-def test_each_range_is_the_guard_s_own_whoever_reads_the_limit(tmp_path):
-    """What a rig may say, and what a bundle may, the guard refuses nowhere by itself, and beyond it
+def test_each_range_is_the_guard_s_own_for_every_reader(tmp_path):
+    """The guard accepts every allowed value of a rig and of a bundle, and beyond it
     all three do.
     """
     table = loop_limits([servo_limits(MODEL, 0, (-500, 500))])
@@ -317,7 +317,7 @@ def test_rig_toml_carries_its_ceiling(tmp_path):
             read_rig(tmp_path / "bad.toml")
 
 
-def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
+def test_the_command_prints_every_limit_and_who_set_it(tmp_path, capsys):
     calibrated = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
     bundle = save_bundle(calibrated, tmp_path / "bundle")
     rig((("hold", 1.5),), slew=900.0).write(tmp_path / "rig.toml")

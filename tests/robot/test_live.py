@@ -64,7 +64,7 @@ def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
     assert periods == whole.periods
 
 
-def test_any_cut_gives_what_is_whole_and_damage_is_reported(tmp_path):
+def test_any_cut_gives_what_is_complete_and_damage_is_reported(tmp_path):
     file = tmp_path / "loop.mcap"
     with bench() as (_, rig, limits):
         drive(rig, limits, calibration(), file, 0.3)
@@ -129,7 +129,7 @@ def test_the_error_is_that_of_the_frames_and_memory_is_right():
             one.saw([frame for frame in frames if frame.arrived <= t[min(k + 49, len(t) - 1)]])
             now = one.compared()
         if 505.0 < t[k] < 514.0:
-            assert live.compared().whole_mm < 0.02  # ticks are whole
+            assert live.compared().whole_mm < 0.02  # ticks are integers
     reported, missed = live.compared(), plain.compared()
     assert (
         reported.frames == missed.frames == pytest.approx(len(frames), abs=2)
@@ -160,7 +160,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("names", EFFECTS.values(), ids=EFFECTS)
-def test_what_is_reported_while_it_runs_is_the_error_of_the_whole_run(names):
+def test_what_is_reported_while_it_runs_is_the_error_of_the_complete_run(names):
     model = with_map()
     names = [name for name in names if not model.missing_for(name)]
     chain = model.with_effects(names, {}).chain
@@ -194,7 +194,7 @@ def test_what_is_reported_while_it_runs_is_the_error_of_the_whole_run(names):
     now = live.compared()
     assert now.frames == len(stamps) and now.left_out == 0
     assert now.whole_mm == pytest.approx(whole, rel=1e-6)  # ns of the recording's clock
-    if "backlash" in names:  # memory that begins anew at what is still kept would be another's
+    if "backlash" in names:  # memory that begins again at what is still kept would be another's
         late = Live(model)
         late.drove(reported[len(t) // 2 :])
         late.saw([Frame(s + 1000.0, s, p) for s, p in zip(stamps, points)])
@@ -270,7 +270,7 @@ def test_the_error_of_a_robot_in_another_process_is_reported_while_it_moves(tmp_
     assert {line["schema"] for line in lines} == {"softmap.live/1"} and len(lines) >= 3
     last = lines[-1]
     assert last["whole"] and last["effects"] == [] and last["came"] >= last["frames"] > 30
-    # its play, beside 0.17 mm of noise
+    # its play, with 0.17 mm of noise
     assert last["whole_mm"] > 0.3 and last["worst_mm"] >= last["whole_mm"]
 
 

@@ -112,7 +112,7 @@ def test_bombs_and_other_contents_are_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_archives_are_one_line(tmp_path, seed):
-    """Bytes changed, cut and added at random: a model that is whole, or one clear error."""
+    """Bytes changed, cut and added at random: a complete model, or one clear error."""
     rng = random.Random(seed)
     whole = [
         wheel(tmp_path / "a.whl").read_bytes(),

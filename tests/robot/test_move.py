@@ -55,7 +55,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
         assert not torque(bus)
 
 
-def test_a_ceiling_about_a_proved_home_is_kept():
+def test_a_ceiling_about_a_confirmed_home_is_kept():
     with bench() as (bus, rig, _):
         tight = replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos))
         with Jog(tight) as jog:
@@ -66,7 +66,7 @@ def test_a_ceiling_about_a_proved_home_is_kept():
             jog.by(0, 20, Held())
             end = time.monotonic() + 2.0
             while time.monotonic() < end:
-                jog.robot.target([HOME + 250.0, HOME - 250.0])  # whoever asks: the guard keeps it
+                jog.robot.target([HOME + 250.0, HOME - 250.0])  # for any caller: the guard keeps it
                 time.sleep(0.02)
             assert angles(bus) == pytest.approx([HOME + 50, HOME - 100], abs=4)
         with Jog(rig) as jog:

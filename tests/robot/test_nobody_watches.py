@@ -1,4 +1,4 @@
-"""Whatever happens to the loop or to a servo, somebody notices and says the truth, even if the
+"""Every failure of the loop or of a servo is detected and reported, even if the
 program only sleeps.
 """
 

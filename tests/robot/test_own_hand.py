@@ -22,7 +22,7 @@ PX = 1000.0  # px a metre: a hand of 100 px from wrist to middle knuckle is 0.1 
 
 
 def at(place, side="right", scale=1.0, degrees=0.0, **pose):
-    """A hand elsewhere (px), larger, turned."""
+    """A hand at another place (px), larger, turned."""
     return turned(hand(side=side, **pose), degrees, scale, place)
 
 
@@ -202,7 +202,7 @@ def link(tmp_path):
 
 @pytest.mark.parametrize("which", ("any", "right"))
 def test_another_hand_over_udp_is_no_hand_either(link, which):
-    """What the eyes give is what `Drive` takes: all hands that may drive, and of them the own
+    """The output of the eyes is the input of `Drive`: all hands that may drive, and of them the own
     one.
     """
     sender, eyes_of = link

@@ -1,5 +1,5 @@
-"""Who answers and who does not: another rate, another id, an id that two share, pings only; each is
-named.
+"""Servos that answer and that do not: another rate, another id, an id that two share, pings only;
+each is named.
 """
 
 import json
@@ -94,7 +94,7 @@ def test_an_id_that_is_answered_twice_is_named_by_scan_setup_and_start(capsys, t
         assert not any("share" in one for one in listened(bus.path, BAUD).remarks)
 
 
-def test_another_servo_beside_two_that_share_an_id_is_still_found():
+def test_another_servo_next_to_two_that_share_an_id_is_still_found():
     bus = _core.EmulatedBus([(id, NUMBER, BAUD, 0.0) for id in (1, 2, 3)], [[]] * 3, seed=1)
     bus.rename(1, 1)
     heard_there = listened(bus.path, BAUD)

@@ -118,7 +118,7 @@ def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys, monk
         (lambda bus, file: bus.damage(0, jammed=True), "look what holds it"),
     ],
 )
-def test_what_tells_nothing_writes_nothing(folder, brief, capsys, change, said):
+def test_pulls_that_identify_nothing_write_nothing(folder, brief, capsys, change, said):
     bus, file, bundle = folder
     change(bus, file)
     before = file.read_text()

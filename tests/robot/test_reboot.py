@@ -109,7 +109,7 @@ def test_nothing_is_restarted_while_a_loop_drives(tmp_path, capsys):
             assert robot.state == "engaged" and torque(bus)
 
 
-def test_torque_goes_off_first_and_a_cause_that_stays_is_said(tmp_path, capsys):
+def test_torque_goes_off_first_and_a_cause_that_stays_is_reported(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with bench() as (bus, rig, _):
         rig.write(file)

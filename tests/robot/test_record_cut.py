@@ -1,4 +1,4 @@
-"""What `softmap record` leaves when it is ended by a signal, killed, or out of disk: a cut loses
+"""Files of `softmap record` that is ended by a signal, killed, or out of disk: a cut loses
 its last second.
 """
 
@@ -81,7 +81,7 @@ def kept(tmp_path, shape=(5, 3)):
     return played, tmp_path / "a.seen"
 
 
-def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
+def test_what_was_kept_is_read_back_and_to_its_last_complete_line(tmp_path):
     played, file = kept(tmp_path)
     again = read_kept(file)
     assert (again.robot, again.vertices) == (builtin_model().robot, len(builtin_model().rest))
@@ -225,7 +225,7 @@ def test_a_signal_ends_it_as_ctrl_c_does(folder, ends):
 
 
 def test_who_is_killed_loses_the_last_second(folder, capsys):
-    for _ in range(3):  # on a busy machine a recording may be whole before it is killed
+    for _ in range(3):  # on a busy machine a recording may be complete before it is killed
         process = record(folder)
         until(
             lambda process=process: frames(folder / "run.seen") > 8 or process.poll() is not None,

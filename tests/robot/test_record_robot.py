@@ -97,7 +97,7 @@ def test_what_servos_cannot_do_is_reported_before_anything_moves():
         pace(replace(made, command=made.command[:, :1]), calibration(), SERVOS)
 
 
-def test_settled_is_said_of_what_stands_and_of_nothing_else():
+def test_only_what_stands_still_is_settled():
     t = np.arange(0.0, 1.0, 0.05)
     assert servos_still([(s, [2000.0 + s, 1990.0]) for s in t], 0.95)
     assert not servos_still([(s, [2000.0 + 30 * s, 1990.0]) for s in t], 0.95)
@@ -128,8 +128,8 @@ def stood(file):
 
     Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an
     ordinary one, carries the bytes of a pseudo-terminal between them: where the computer is busy it
-    comes late, and for so long no servo is heard at all. What one servo does, or what the guard
-    finds besides, is no such fault.
+    comes late, and for so long no servo is heard at all. A fault of one servo, or another finding
+    of the guard, is no such fault.
     """
     periods = read_recording(file).periods
     end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)
@@ -141,7 +141,7 @@ def stood(file):
 
 
 def halted(file):
-    """Return the longest time (s) for which a whole recording heard no servo at all."""
+    """Return the longest time (s) for which a complete recording heard no servo at all."""
     heard = [
         period["now"]
         for period in read_recording(file).periods
@@ -161,7 +161,7 @@ def played(folder, made, ask, act=lambda finger: None, tell=lambda finger, share
     """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and
     what ended it.
 
-    It is played anew only where the recording proves that the computer stood still.
+    It is played again only where the recording shows that the computer stood still.
     """
     for trial in range(TRIALS):
         found = played_once(folder / f"loop{trial}.mcap", made, ask, act, tell)
@@ -267,8 +267,8 @@ def commands(tmp_path_factory):
 
 
 def recorded(folder, robot):
-    """Record by the verb; anew, on another robot, only where the recording proves that the computer
-    stood still.
+    """Record by the command; again, on another robot, only where the recording shows that the
+    computer stood still.
     """
     for trial in range(TRIALS):
         out, loop = folder / f"run{trial}.npz", folder / f"loop{trial}.mcap"
@@ -358,7 +358,7 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
                 "--yes",
             ]
 
-    # anew only where the computer stood still meanwhile: then the finger did, too
+    # again only where the computer stood still meanwhile: then the finger did, too
     for trial in range(TRIALS):
         folder = tmp_path / f"{trial}"
         folder.mkdir()
@@ -409,7 +409,7 @@ def test_what_does_not_go_together_is_reported(tmp_path, commands, capsys, monke
     assert line in capsys.readouterr().err and not (tmp_path / "run.npz").exists()
 
 
-def test_nobody_to_ask_is_reported(tmp_path, commands, monkeypatch, capsys):
+def test_no_user_to_ask_is_reported(tmp_path, commands, monkeypatch, capsys):
     from softmap_edge.commands.record_robot import _ask
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))

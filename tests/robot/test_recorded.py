@@ -1,4 +1,4 @@
-"""A recording with what was seen beside it is a run for every verb; alone nothing was seen; damage
+"""A recording with its observations is a run for every command; alone nothing was seen; damage
 is a line.
 """
 
@@ -85,7 +85,7 @@ def test_a_model_without_a_calibration_gets_mm(tracked):
     np.testing.assert_allclose(mm.present, known.commands(ticks.present_ticks))
 
 
-def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
+def test_commands_take_it_as_any_run(tracked, tmp_path, capsys):
     file, out = str(tracked), str(tmp_path / "out")
     assert main(["compare", file, "--json"]) == 0
     # Servos are seen where they stand; the model is right but for the noise.

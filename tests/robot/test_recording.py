@@ -128,7 +128,7 @@ def stream(data):
     return found
 
 
-def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
+def test_a_file_cut_anywhere_gives_every_complete_message(recorded, tmp_path):
     whole = recorded.read_bytes()
     everything = [message for _, _, message in _core.read_recording(str(recorded))]
     rng = np.random.default_rng(0)
@@ -145,7 +145,7 @@ def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
 
 
 def test_what_a_recording_lacks_is_reported(recorded, tmp_path, capsys):
-    """A record whose kind, number or length a flipped byte changes is no period less that nobody
+    """A record whose kind, number or length a flipped byte changes is no period less that no one
     notices.
     """
     whole, file = recorded.read_bytes(), tmp_path / "less.mcap"

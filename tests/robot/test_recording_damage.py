@@ -105,7 +105,7 @@ def test_a_number_that_changed_somewhere_is_refused_but_for_replay(copied, tmp_p
     assert line in capsys.readouterr().err and len(Run.load(out).t) > 50
 
 
-def test_what_is_damaged_at_one_place_is_read_up_to_there_and_said(copied, capsys):
+def test_what_is_damaged_at_one_place_is_read_up_to_there_and_reported(copied, capsys):
     count = len(read_recording(copied).periods)
     changed(copied, b'"overruns":', b'"overruns";')
     line = re.compile(
@@ -122,7 +122,7 @@ def test_what_is_damaged_at_one_place_is_read_up_to_there_and_said(copied, capsy
 
 
 @pytest.mark.parametrize("tail", [b"", bytes(70_000), b"\xff" * 300])
-def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
+def test_a_cut_recording_is_reported_by_each_command(copied, tail, capsys):
     data = copied.read_bytes()
     copied.write_bytes(data[: len(data) // 2] + tail)
     for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):
@@ -198,7 +198,7 @@ def test_a_recording_that_was_rewritten_in_chunks_is_checked_too(recorded, tmp_p
     assert not silent
 
 
-def test_a_recording_without_checksums_is_said_to_have_none(recorded, tmp_path):
+def test_a_recording_without_checksums_is_reported_as_such(recorded, tmp_path):
     path = rewritten(recorded, tmp_path / "bare.mcap", use_chunking=False, enable_crcs=False)
     with pytest.warns(RecordingWarning, match="bare.mcap carries no checksum of its data"):
         open_run(path)
@@ -258,7 +258,7 @@ def test_a_full_disk_is_an_error_when_the_block_is_left(tmp_path):
 
 
 @pytest.mark.parametrize("own", [ValueError("mine"), KeyboardInterrupt(), ServoError("mine")])
-def test_a_full_disk_is_said_with_an_error_of_the_program(tmp_path, own):
+def test_a_full_disk_is_reported_with_an_error_of_the_program(tmp_path, own):
     with full(tmp_path / "drive.mcap") as robot:
         drive(robot, 1.0)
         try:
@@ -276,7 +276,7 @@ def test_close_says_it_as_well(tmp_path):
             robot.close()
 
 
-def test_a_recording_that_is_removed_meanwhile_is_said(tmp_path):
+def test_a_recording_that_is_removed_meanwhile_is_reported(tmp_path):
     file = tmp_path / "drive.mcap"
     with (
         bench(200.0) as (_, rig, limits),
@@ -287,7 +287,7 @@ def test_a_recording_that_is_removed_meanwhile_is_said(tmp_path):
         file.unlink()
 
 
-def test_periods_that_the_disk_was_too_slow_for_are_said(recorded):
+def test_periods_that_the_disk_was_too_slow_for_are_reported(recorded):
     assert (
         broken_recording(recorded, None, 12, True)
         == f"{recorded}: 12 periods are missing; the disk was too slow for them"

@@ -1,5 +1,5 @@
 """rig.toml: whatever a name or a port holds is read back, and what its user wrote there lives
-through the verbs.
+through the commands.
 """
 
 import random
@@ -137,7 +137,7 @@ def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
     assert file.read_text().split("[made.homed]")[0] == head, "homed where it is, nothing changes"
 
 
-def test_setting_up_anew_takes_what_was_found_says_so_and_leaves_what_was_written(hanging, capsys):
+def test_setting_up_again_takes_what_was_found_says_so_and_leaves_what_was_written(hanging, capsys):
     bus, file = hanging
     assert (
         main(
@@ -275,7 +275,7 @@ def test_nothing_found_changes_nothing(tmp_path):
         Rig("p", BAUD, (RigServo(1, MODEL),)).note(tmp_path / "rig.toml")
 
 
-def test_a_key_file_beside_the_rig_is_found_however_often_it_is_written(tmp_path, monkeypatch):
+def test_a_key_file_next_to_the_rig_is_found_however_often_it_is_written(tmp_path, monkeypatch):
     (tmp_path / "bench").mkdir()
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "bench/rig.toml"

@@ -1,8 +1,8 @@
 """Each instruction on the wire is the official SDK's, byte for byte, drawn ones too; each reads the
 other's answers.
 
-The SDK speaks to a double of its port, our bus to a pseudo-terminal. What only the loop sends
-(sync) goes through the codec here; rust/servo/bus_tests.rs holds the bus to the same bytes. SDK
+The SDK speaks to a double of its port, our bus to a pseudo-terminal. Packets that only the loop
+sends (sync) go through the codec here; rust/servo/bus_tests.rs holds the bus to the same bytes. SDK
 4.1.0 works out a packet's stuffing and then sends it without, and reads wrongly what follows the
 first byte that it takes out: its `addStuffing` is the oracle there.
 """

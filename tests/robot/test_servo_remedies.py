@@ -53,7 +53,7 @@ MORE = {
 
 @dataclass(frozen=True)
 class Case:
-    """A fault of a bench, and the way out that its message names.
+    """A fault of a rig, and the way out that its message names.
 
     Attributes:
         name: of the case.
@@ -216,7 +216,7 @@ CASES = [
 
 @pytest.fixture
 def robot(tmp_path, monkeypatch):
-    """Give the bus of a bench that is well, in the current folder: `rig.toml` and the bundle
+    """Give the bus of a sound rig, in the current folder: `rig.toml` and the bundle
     `finger`.
     """
     monkeypatch.chdir(tmp_path)

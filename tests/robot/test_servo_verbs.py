@@ -40,7 +40,7 @@ def fresh():
 
 
 def said(capsys, *argv):
-    """Run a verb with --json; its exit code and document."""
+    """Run a command with --json; its exit code and document."""
     code = main([*argv, "--json"])
     return code, json.loads(capsys.readouterr().out)
 
@@ -106,7 +106,7 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(
     number, counts, mode, firmware, runs_on
 ):
     """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and
-    said.
+    reported.
     """
     bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
     setting(bus, operating_mode=mode, homing_offset=1000)
@@ -200,7 +200,7 @@ def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
             file
         ).port == rig.port
         assert main([*argv, "1", "--new-baud", "9600", "--rig", file]) == 2
-        assert "the bench runs at 1000000 baud" in capsys.readouterr().err
+        assert "the rig runs at 1000000 baud" in capsys.readouterr().err
         assert main([*argv, "9"]) == 2
         assert "no servo of id 9 answers" in capsys.readouterr().err
 
@@ -214,7 +214,7 @@ def test_a_servo_without_current_is_driven_in_extended_position():
     bus.unplug()
 
 
-def test_torque_goes_off_whoever_left_it_on(capsys, tmp_path):
+def test_torque_goes_off_however_it_was_left_on(capsys, tmp_path):
     with bench() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
         for id in (1, 2):
@@ -321,7 +321,7 @@ def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsy
         ]
         assert main([*argv, "--new-baud", "57600"]) == 2
         assert (
-            "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000"
+            "the rig runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000"
             in capsys.readouterr().err
         )
         assert [one.id for one in setup.scan(bus.path, 1_000_000)] == [

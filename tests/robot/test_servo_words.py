@@ -1,4 +1,4 @@
-"""What the guard does, why, and what it denies, in words: one set of them, for every state and
+"""Words for the guard's actions, causes and denials: one set of them, for every state and
 cause.
 """
 
@@ -47,7 +47,7 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
         ("from(safe_stop)", "not allowed in state slackening"),
         ("trouble(late)", "something is wrong: a servo did not answer in time"),
         ("torque", "a servo has torque; `softmap servo off` releases it"),
-        ("undriven", "no fresh target, or the deadman is not pressed"),
+        ("undriven", "no fresh target, or the enable key is not pressed"),
         ("something new(2)", "something new(2)"),
     ],
 )
@@ -105,7 +105,7 @@ def test_no_word_of_the_guards_own_is_shown():
         jog.press(0, 1.0)
 
 
-def test_why_driving_ended_is_said_once_and_with_what_leads_on():
+def test_why_driving_ended_is_reported_once_and_with_a_remedy():
     tripped = {"state": "fault", "cause": "tripped", "servo": 0}
     assert (
         words.lost(tripped, words.sentence(tripped))

@@ -74,7 +74,8 @@ def test_the_start_after_a_killed_program_says_so(marks, tmp_path):
             time.sleep(0.05)
         assert not torque(bus)
         said = (
-            r"the last session of this bench \(-c, begun .*\) ended without shutting down: its program was killed, and "
+            r"the last session of this rig \(-c, begun .*\) ended without shutting down: "
+            r"its program was killed, and "
             r"the control loop released the servos; `softmap servo replay \S*killed.mcap` reads what it recorded"
         )
         with pytest.warns(SessionWarning, match=said), Controller(rig, calibration(), limits):

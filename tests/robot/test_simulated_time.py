@@ -126,7 +126,7 @@ def test_stepped_time_is_no_slower_than_it_must_be(tmp_path):
     assert time.monotonic() - real < 8.0 or os.getloadavg()[0] > 2 or time.monotonic() - begun > 30
 
 
-def test_whoever_stops_sending_lets_go_in_stepped_time_as_on_a_robot():
+def test_a_program_that_stops_sending_releases_in_stepped_time_as_on_a_robot():
     with driven() as (_, robot, _):
         robot.engage()
         robot.time.sleep(1.0)

@@ -1,5 +1,5 @@
-"""A hand drives emulated servos through the real loop: whatever goes holds, slackens, and asks for
-a new press.
+"""A hand drives emulated servos through the real loop: whatever goes missing, it holds, releases
+tension, and asks for a new press.
 """
 
 import os
@@ -15,7 +15,7 @@ from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.teleop.mapping import TipMapping
 
 
-def test_the_hand_drives_from_its_pose_at_the_press_and_letting_go_slackens():
+def test_the_hand_drives_from_its_pose_at_the_press_and_letting_go_releases_tension():
     with Session().running() as s:
         assert s.robot.state == "ready" and not torque(s.bus), "a hand alone drives nothing"
         s.finder.hands = [hand(aside=0.1, forward=0.7)]
@@ -53,7 +53,7 @@ def test_pressed_again_while_it_holds_it_goes_on_from_where_it_is():
         s.stands([1.0, 0.0])
 
 
-def test_a_hand_that_goes_holds_slackens_and_asks_for_a_new_press():
+def test_a_hand_that_goes_holds_releases_tension_and_asks_for_a_new_press():
     with Session().running() as s:
         s.presses()
         s.finder.hands = []
@@ -88,7 +88,7 @@ def test_landmarks_that_are_no_numbers_are_no_hand():
         assert np.abs(angles(s.bus) - HOME).max() < 60
 
 
-def test_a_camera_that_freezes_or_goes_holds_and_slackens():
+def test_a_camera_that_freezes_or_goes_holds_and_releases_tension():
     with Session(options={"stays": True}).running() as s:
         s.presses()
         s.camera.still = True
@@ -129,7 +129,7 @@ def test_a_fist_lets_go_and_does_not_hold():
         s.stays_lost("the hand lets go")
 
 
-def test_an_asked_gesture_is_needed_beside_the_key():
+def test_an_asked_gesture_is_needed_in_addition_to_the_key():
     with Session(options={"rule": "open palm"}).running() as s:
         s.presses()
         s.finder.hands = [hand(fist=True)]
@@ -154,7 +154,7 @@ def test_the_tip_is_led_by_inverse_kinematics():
         s.stands(wanted)
 
 
-def test_stop_slackens_and_needs_a_new_press():
+def test_stop_releases_tension_and_needs_a_new_press():
     with Session("knob").running() as s:
         s.presses()
         s.fingers.wish.ask("stop")

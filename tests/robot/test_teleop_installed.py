@@ -1,5 +1,5 @@
-"""What teleoperation needs and how to mend it: two OpenCVs in one folder, libraries, processor,
-model.
+"""Requirements of teleoperation and their remedies: two OpenCVs in one folder, libraries,
+processor, model.
 """
 
 from importlib.metadata import distributions

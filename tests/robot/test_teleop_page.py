@@ -84,7 +84,7 @@ def test_another_origin_may_not_drive(origin):
         assert refused.value.response.status_code == 403
 
 
-def test_without_the_token_nobody_drives():
+def test_without_the_token_no_client_drives():
     with served() as page:
         for token in ("", "x" * 32, page.url.partition("#")[2][:-1]):
             with pytest.raises(InvalidStatus) as refused, connect(**link(page, token)):
@@ -115,12 +115,12 @@ def held(page):
     return page.controls(time.monotonic()).held
 
 
-def test_the_key_is_held_only_while_it_is_said_again_and_again():
+def test_the_key_is_held_only_while_messages_repeat_it():
     with served() as page, connect(**link(page)) as connection:
         client = Client(connection)
         client.until(lambda state: held(page) is False and state.get("seat") == "mine")
         client.until(lambda _: held(page), held=True)
-        time.sleep(1.0)  # a silence, and what was said before it is heard by now
+        time.sleep(1.0)  # a silence, and earlier messages are heard by now
         assert not held(page)
         client.until(lambda _: True, held=True)
         for _ in range(5):
@@ -141,7 +141,7 @@ def test_a_connection_that_is_lost_lets_go_at_once():
         until(lambda: not held(page))
 
 
-def test_an_old_message_tells_nothing_of_now():
+def test_an_old_message_is_out_of_date():
     with served() as page, connect(**link(page)) as connection:
         client = Client(connection)
         for _ in range(3):
@@ -317,7 +317,7 @@ def ended(program):
     return json.loads(said)
 
 
-def test_the_verb_is_driven_by_its_page():
+def test_the_command_is_driven_by_its_page():
     with verb() as (program, url):
         port, token = re.match(r"http://127\.0\.0\.1:(\d+)/#(.*)", url).groups()
         here = f"127.0.0.1:{port}"

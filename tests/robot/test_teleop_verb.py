@@ -1,4 +1,4 @@
-"""The verb: what it refuses, model and key, landmarks between two programs; the commands of
+"""The command: what it refuses, model and key, landmarks between two programs; the commands of
 docs/do/teleop.md.
 """
 
@@ -89,7 +89,7 @@ def test_a_model_is_copied_with_its_checksum(capsys, tmp_path):
     assert main(["teleop", "--fetch-model", str(model), "--model", str(to), "--force"]) == 0
 
 
-def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
+def test_a_video_is_played_through_the_full_chain(capsys, tmp_path):
     folder = find("hand")
     if folder is None:
         pytest.skip("not run: there is no hand.mp4")
@@ -115,7 +115,7 @@ def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
 
 
 def test_landmarks_and_key_reach_the_other_computer():
-    """What the sender's loop sends is what the robot's eyes see; the key lapses with the
+    """The robot's eyes see the messages of the sender's loop; the key lapses with the
     connection.
     """
     key = bytes(range(32))
@@ -139,7 +139,7 @@ def test_landmarks_and_key_reach_the_other_computer():
             assert not held()
 
             def pressed():
-                """Press, anew where a busy machine made the key lapse."""
+                """Press, again where a busy machine made the key lapse."""
                 begin = time.monotonic()
                 while not held():
                     assert time.monotonic() - begin < PATIENT

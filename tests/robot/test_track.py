@@ -119,7 +119,7 @@ def test_through_the_found_effects_the_error_falls_and_with_feedback_further(mod
     assert observed < through
 
 
-def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
+def test_the_command_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("o.svg", "o.mcap")]
     options = ["--amplitude", "5", "--duration", "4", "--rate", "20", "--json"]
     assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
@@ -173,9 +173,7 @@ def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_pat
     assert max(file.stat().st_size for file in (plan, reach)) < 500_000
 
 
-def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_are_undone(
-    model, tmp_path, capsys
-):
+def test_compensating_effects_that_the_finger_lacks_prints_a_warning(model, tmp_path, capsys):
     bundle = save_bundle(model.with_effects(["backlash"], {"backlash.gap": 1.0}), tmp_path / "play")
     options = [
         "--bundle",
@@ -194,14 +192,14 @@ def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_ar
     )
 
 
-def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
+def test_the_command_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
     assert main(["track", "circle", "--plan", "--amplitude", "70"]) == 0
     said = capsys.readouterr().out
     assert "out of reach" in said and "no camera" not in said
 
 
 @pytest.mark.parametrize("word", ["--hidden", "--hide"])
-def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
+def test_what_a_finger_hides_is_named_by_one_word_in_every_command(word):
     for arguments, others in (
         (track_arguments, ["S", "--sim"]),
         (teleop_arguments, ["--sim"]),
@@ -269,7 +267,7 @@ def test_ctrl_c_says_that_torque_is_off_and_what_was_kept(tmp_path):
 
 
 def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypatch, capsys):
-    """What was not measured is not previewed as 0 s, and no figure is led on it."""
+    """An unmeasured delay is not previewed as 0 s, and no figure is driven with it."""
     monkeypatch.chdir(tmp_path)
     argv = [SOFTMAP, "track", "circle", "--sim", "--duration", "6", "--record", "t.mcap"]
 

@@ -73,15 +73,15 @@ def test_each_command_says_and_writes_what_the_page_says(page):
         "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
     )
     assert curves(there / "reach.svg")
-    # wanted, and expected over it
+    # target, and expected over it
     assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]
-    # wanted, and seen over it
+    # target, and seen over it
     assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]
     recording = read_recording(there / "s.mcap")
     assert recording.replay() == [] and np.ptp(recording.run().ticks, axis=0).min() > 300
 
 
-def test_the_pages_figures_methods_and_options_are_those_of_the_verb():
+def test_the_pages_figures_methods_and_options_are_those_of_the_command():
     names = re.search(r"Figures: `([^`]+)`", PAGE)
     assert names and names[1].split() == list(FIGURES)
     parser = argparse.ArgumentParser()
@@ -93,7 +93,7 @@ def test_the_pages_figures_methods_and_options_are_those_of_the_verb():
     assert all(f"--method {name}" in PAGE or name == "exact" for name in METHODS)
 
 
-def test_table_ii_stands_whole_with_the_papers_own_figures_as_other_data():
+def test_table_ii_is_complete_with_the_papers_own_figures_as_other_data():
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]]
         for line in PAGE.splitlines()

@@ -47,7 +47,7 @@ def decided(targets, limits, sensed):
 
 
 def judged(slew, acceleration, window):
-    """Return targets and goals (T, 6) of the whole day under limits."""
+    """Return targets and goals (T, 6) of the full day under limits."""
     targets = recorded()
     low, high = targets.min() - HOME, targets.max() - HOME
     servo = servo_limits("XM540-W270", HOME, (window * low, window * high))

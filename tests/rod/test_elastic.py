@@ -1,5 +1,5 @@
-"""A robot whose tendons are known: its elastic rod is fitted from a run, and says what the run does
-not tell.
+"""A robot whose tendons are known: its elastic rod is fitted from a run; numbers that
+the run does not identify are named.
 """
 
 import json
@@ -24,7 +24,7 @@ learned = pytest.fixture(scope="module")(learned_from_rough)
 
 def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
     truth = arm()
-    # What is left is where the descent stops (1e-7 of the sum of squares), far below any camera's
+    # The rest is where the descent stops (1e-7 of the sum of squares), far below any camera's
     # noise.
     assert learned.error_mm < 1e-3
     np.testing.assert_allclose(learned.rod.numbers, truth.start, atol=1e-3, rtol=1e-3)
@@ -40,7 +40,7 @@ def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
 
 
 def test_without_freedom_the_same_rod_fails(run, learned):
-    """What the recovery is worth: the rough numbers as they are miss by far more."""
+    """The recovery is necessary: the rough numbers miss by far more."""
     rough = arm(**ROUGH)
     off = rough.layout.compiled(rough.start).evaluate(run.command) - run.markers.reshape(
         len(run.t), -1
@@ -48,7 +48,7 @@ def test_without_freedom_the_same_rod_fails(run, learned):
     assert np.sqrt((off**2).mean()) > 1000 * learned.error_mm
 
 
-def test_angles_that_nobody_knows_are_found_from_the_run(run):
+def test_unknown_angles_are_found_from_the_run(run):
     robot = arm(**ROUGH | {"angle_deg = [0, 120, 240, 60, 180, 300]": ""})
     assert not robot.angles_known
     found = learn(run, robot=robot)
@@ -101,7 +101,7 @@ def test_a_wrong_law_of_the_tendons_is_seen_in_the_held_out_error(run, learned):
     assert learn(run, robot=arm().with_slack(1.0)).error_mm > 1000 * learned.error_mm
 
 
-def test_what_a_run_does_not_tell_is_named():
+def test_what_a_run_does_not_identify_is_named():
     """A pair of two-sided tendons on one segment shows r/(κ + 2r²) alone: neither radius nor
     stiffness.
     """
@@ -128,7 +128,7 @@ length = "shared"
     assert any("stiffness[0]" in note and "radius" in note for note in found.notes)
     # the prediction does not suffer
     assert found.error_mm == pytest.approx(0.3 * np.sqrt(3), rel=0.1)
-    cable = text.replace("slack = 1", "slack = 0")  # a cable's slack tells them apart
+    cable = text.replace("slack = 1", "slack = 0")  # a cable's slack distinguishes them
     found = learn(
         recorded(Robot.from_toml(cable), rate=5.0, noise=0.3), robot=Robot.from_toml(cable)
     )
@@ -208,7 +208,7 @@ def test_motors_that_move_several_tendons_and_commands_in_degrees():
 # --- folds, motion, errors ----------------------------------------------------------------------
 
 
-def test_folds_by_label_deal_out_whole_labels():
+def test_folds_by_label_deal_out_complete_labels():
     t = np.arange(0.0, 60.0, 0.5)
     labels = np.array([f"move {int(x // 5)}" for x in t])  # 12 labels
     parts = folds(t, 5, 1.0, labels)

@@ -1,4 +1,4 @@
-"""Where most of a run is unlike what a map was learned from, its error names no effect; elsewhere
+"""Where most of a run is unlike what a map was learned from, its error names no effect; where not
 it still does.
 """
 

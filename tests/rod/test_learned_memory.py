@@ -136,7 +136,7 @@ def swing(period, seed, late=0.2, seconds=60.0):
     return Run(t=t, command=command(t)[:, None], t_seen=t[::3], markers=markers)
 
 
-def test_a_second_run_of_another_speed_judges_between_families():
+def test_a_second_run_of_another_speed_decides_between_families():
     """Delay, creep and memory all draw an ellipse for a sine of one speed; for a second speed only
     one of them does.
     """
@@ -154,7 +154,7 @@ def test_a_second_run_of_another_speed_judges_between_families():
     assert both.made_from["runs"] == [one.hash(), other.hash()]
 
 
-def test_memory_begins_anew_in_each_run():
+def test_memory_begins_again_in_each_run():
     """Two halves of a run, the second recorded after the command had been moved in between."""
     first, second = (
         recorded((1.4, 1.4), seconds=50.0),

@@ -77,7 +77,7 @@ def learned(plain):
 
 
 def test_a_rod_is_recovered_exactly(truth, learned):
-    # What is left is the smallest ridge (1e-7 of the usual), not the polynomial: far below any
+    # The rest is the smallest ridge (1e-7 of the usual), not the polynomial: far below any
     # camera's noise.
     assert learned.error_mm < 1e-3
     assert learned.chain_names == ()
@@ -122,7 +122,7 @@ def test_frames_held_out_are_never_looked_at(truth, plain):
 
 @pytest.mark.parametrize("interval", ["30:20", "nan:20", "1000:2000"])
 def test_holding_out_nothing_is_an_error(plain, interval, tmp_path, capsys):
-    """Who asks for blocks to be kept from the fit must not get a model that has seen everything."""
+    """With blocks kept from the fit, the model must not see everything."""
     plain.save(tmp_path / "run.npz")
     arguments = [
         "learn",
@@ -204,7 +204,7 @@ def test_learned_rods_have_that_compliance(learned):
     assert np.linalg.norm(tip) == pytest.approx(20.0, rel=0.05)  # the rest pose is a little bent
 
 
-def test_arrays_carry_the_whole_rod(learned):
+def test_arrays_carry_the_full_rod(learned):
     again = PolynomialRodArrays.from_npz(learned.rod.to_npz())
     u = np.array([[3.0, -2.0]])
     np.testing.assert_array_equal(again.compiled().evaluate(u), learned.rod.compiled().evaluate(u))

@@ -46,7 +46,7 @@ def test_cables_predict_moves_that_they_were_not_fitted_to(rods):
     row, learned, model = rods["elastic rod, cables"]
     assert row["unseen_mm"] <= 7.4 and row["cv_mm"] < 6.2 and row["seconds"] < 30.0
     assert len(learned.numbers) == 17 and learned.made_from["blocks"] == 10
-    assert model.chain_names == ()  # half a second a pose tells nothing of delay and lag
+    assert model.chain_names == ()  # half a second a pose does not identify delay and lag
     assert not any(number.note for number in learned.numbers) and learned.notes == ()
 
 
@@ -92,7 +92,7 @@ def test_the_numbers_of_the_page_come_from_the_logs(logs, rods):
     assert shown("published simulator") == [None, None, None, tdcr.SIMULATOR_MM]
     for name, (row, _, _) in rods.items():
         wanted = [row["numbers"], *(row[key] for key in ("train_mm", "cv_mm", "unseen_mm"))]
-        # The last digit shown; where a number is not identified, the descent ends a little elsewhere on
+        # The last digit shown; where a number is not identified, the descent ends a little off on
         # another machine.
         assert shown(name) == pytest.approx(wanted, abs=0.3 if "two-sided" in name else 0.1), name
     taut, slack = tdcr.slack_share(rods["elastic rod, cables"][2], logs[1])

@@ -68,7 +68,7 @@ def test_the_learned_rod_is_as_good_as_promised(page):
     assert model.made_from["blocks"] == 5 and model.made_from["hold_out_s"] == [[103.0, 151.0]]
 
 
-def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
+def test_the_load_is_named_with_its_alternative_and_never_in_grams(page):
     document = page[1]["found"].to_dict()
     effects = {entry["name"]: entry for entry in document["effects"]}
     assert {"payload", "offset"} <= set(effects)
@@ -196,7 +196,7 @@ def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
         assert float(error) == pytest.approx(found.error.before, abs=0.03), half
 
 
-def test_the_encoders_tell_the_drive_apart(page):
+def test_the_encoders_distinguish_the_drive(page):
     reported = page[1]["found"].to_dict()["servo"]
     assert [servo["channel"] for servo in reported] == list(range(6))
     for servo in reported:

@@ -152,7 +152,7 @@ BUILD, GUESS = ["build", "--out", "b"], ["import", "--guess", "--out", "map.toml
     [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"], BUILD, GUESS],
 )
 def test_devices_and_pipes_are_no_files(argv, tmp_path, capsys, monkeypatch):
-    """They never end: what reads them whole fills the memory, or waits for ever."""
+    """They never end: reading them completely fills the memory, or waits for ever."""
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     for name in ("pipe", "/dev/zero"):
@@ -169,7 +169,7 @@ def test_a_small_file_of_many_numbers_is_refused_before_they_are_made_floats(tmp
         Run.load(tmp_path / "run.npz")
 
 
-def test_a_file_is_replaced_whole_and_its_neighbours_stay(tmp_path):
+def test_a_file_is_replaced_atomically_and_its_neighbours_stay(tmp_path):
     (tmp_path / "d.json.part").write_text("precious")
     write_atomically(tmp_path / "d.json", "{}")
     assert (tmp_path / "d.json").stat().st_mode & 0o777 == (

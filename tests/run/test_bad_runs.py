@@ -219,7 +219,7 @@ def begins_bent(f):
     return some(f, slice(101, 300)) | {name: f[name][kept] for name in ("t", "command", "gravity")}
 
 
-# What still shows the play, less what is no measurement: with what is said about it, or None.
+# What still shows the play, less what is no measurement: with the remark on it, or None.
 TOLERATED = {
     "as it is": (lambda f: f, None),
     "twelve frames": (
@@ -271,7 +271,8 @@ def command(change):
     return lambda f: f | {"command": change(f["command"].copy())}
 
 
-# What no effect explains: nothing physical may be named, and the verdict says where to look.
+# Errors that no effect explains: nothing physical may be named, and the verdict names the place to
+# look.
 UNRELATED = {
     "constant commands": (command(lambda u: np.full_like(u, 5.0)), "the commands never change"),
     "a channel that is not logged": (command(lambda u: u * [1.0, 0.0]), "it never moves"),
@@ -290,7 +291,7 @@ def test_what_no_fit_could_use_is_refused_in_one_line(case, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("case", TOLERATED)
-def test_the_rest_of_a_run_is_diagnosed_and_the_trouble_is_said(case, tmp_path, capsys):
+def test_the_rest_of_a_run_is_diagnosed_and_the_trouble_is_reported(case, tmp_path, capsys):
     change, words = TOLERATED[case]
     for play in (False, True):
         code, document, _ = diagnosed(written(tmp_path, change, play), capsys)
@@ -417,7 +418,7 @@ def test_a_recording_has_one_place(tmp_path):
     assert main(argv) == 2 and (tmp_path / "d.json").read_text() == "{}"
 
 
-def test_the_report_tells_the_remarks(tmp_path, capsys):
+def test_the_report_prints_the_remarks(tmp_path, capsys):
     path = written(tmp_path, freezes, True)
     page = tmp_path / "page.html"
     assert main(["diagnose", str(path), "--effects", CANDIDATES, "--html", str(page)]) == 0

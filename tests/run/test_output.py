@@ -270,7 +270,7 @@ def test_a_mapping_that_cannot_be_right_says_why(
         import_logs([damper / "fit.csv"], read_mapping(file))
 
 
-def test_an_output_that_hardly_moves_beside_its_size_asks_for_an_offset() -> None:
+def test_an_output_that_hardly_moves_for_its_size_asks_for_an_offset() -> None:
     values = 1000.0 + np.sin(np.arange(50.0))[:, None]
     with pytest.raises(RunError, match="subtract its mean"):
         output_of(values, "N")

@@ -1,5 +1,5 @@
-"""Markers in a plane: read from two columns each, and nothing across the plane is predicted, judged
-or aligned.
+"""Markers in a plane: read from two columns each, and nothing across the plane is predicted,
+compared or aligned.
 """
 
 import numpy as np
@@ -155,7 +155,7 @@ def test_a_model_in_space_is_compared_in_the_plane_only():
     assert compare(model, run).error["rms_mm"] < 0.1
 
 
-def test_a_play_is_found_and_nothing_across_is_judged():
+def test_a_play_is_found_and_nothing_across_is_compared():
     model = learned_model(seen_in_a_plane(), learn(seen_in_a_plane(), degree=2, static=True))
     found = diagnose(
         model,

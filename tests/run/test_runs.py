@@ -184,7 +184,7 @@ def test_frames_are_chosen_and_commands_stay():
             run.at(bad)
 
 
-def test_clouds_are_chosen_whole():
+def test_clouds_are_chosen_completely():
     start = np.array([0, 2, 2, 5])
     run = Run(
         t=[0.0, 3.0], t_seen=[0.0, 1.0, 2.0], points=np.arange(15.0).reshape(5, 3), start=start
@@ -247,7 +247,7 @@ def test_headers_are_not_trusted(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"not a zip at all" * 10])
-def test_what_is_no_archive_is_said_so(tmp_path, content):
+def test_what_is_no_archive_is_reported(tmp_path, content):
     (tmp_path / "x.npz").write_bytes(content)
     with pytest.raises(RunError, match=r"x\.npz"):
         Run.load(tmp_path / "x.npz")

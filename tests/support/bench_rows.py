@@ -1,4 +1,4 @@
-"""Rows of a bench for tests of text logs: a time, two commands and a tip that moves in a circle, 20
+"""Rows of a robot for tests of text logs: a time, two commands and a tip that moves in a circle, 20
 a second.
 """
 

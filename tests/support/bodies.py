@@ -187,7 +187,7 @@ def pulls(u):
 
 def lost(compliance, u):
     """Change of the tensions (n, 4) N with so many mm/N more of every tendon: its length is shared
-    out anew.
+    out again.
     """
     before = np.maximum(pulls(u), 0.0)
     own = 1.0 / CABLE + SHORTER

@@ -8,8 +8,8 @@ SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
 
 def interruptible(*argv):
-    """Start the command so that Ctrl-C reaches it, whoever started the tests; it says `up` once it
-    begins.
+    """Start the command so that Ctrl-C reaches it, however the tests were started; it prints `up`
+    once it begins.
     """
     # A shell starts what it puts in the background with SIGINT ignored, and children inherit that.
     code = (

@@ -163,8 +163,8 @@ class Session:
         self.until(lambda: self.moment.clutch.stage == "released")
 
     def stays_lost(self, why):
-        """Driving ended for this reason; the guard holds, then slackens, and nothing goes on while
-        the key is held.
+        """Driving ended for this reason; the guard holds, then releases tension, and nothing goes
+        on while the key is held.
         """
         self.until(lambda: self.moment.clutch.stage == "lost")
         assert why in self.moment.clutch.why

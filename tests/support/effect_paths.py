@@ -22,6 +22,6 @@ def circle(model, radius=6.0, turns=2.0):
 
 
 def executed(model, commands):
-    """Return where the tip (T, 3) goes in a whole prediction of a run of these commands."""
+    """Return where the tip (T, 3) goes in a full prediction of a run of these commands."""
     run = Run(t=T, command=commands, t_seen=T, vertices=np.tile(model.rest, (len(T), 1, 1)))
     return model.predict(run)[:, model.tip_indices].mean(axis=1)

@@ -22,7 +22,7 @@ def hand(curl=0.0, sideways=0.0, side="right", folded=0.0):
 
 
 def turned(seen, degrees, scale=1.0, shift=(0.0, 0.0)):
-    """The same hand turned about the middle of the picture, larger, and elsewhere."""
+    """The same hand turned about the middle of the picture, larger, and moved."""
     a = np.radians(degrees)
     turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
     return Hand((seen.points - 320) @ turn.T * scale + 320 + shift, seen.side)

@@ -13,7 +13,7 @@ BY_ROLE = {role: [n for n, e in EFFECTS.items() if e["role"] == role] for role i
 
 
 def values(chain, kind):
-    """Null, start or mid-range parameters (P,) of a chain; mid-range is halfway from null to the
+    """Null, start or typical parameters (P,) of a chain; typical is halfway from null to the
     far end.
     """
     far = np.where(chain.high > chain.null, chain.high, chain.low)

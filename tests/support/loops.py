@@ -1,4 +1,4 @@
-"""The control loop's process by itself on an emulated bench: led into any state, its reports kept
+"""The control loop's process by itself on an emulated robot: led into any state, its reports kept
 with their times.
 """
 
@@ -39,7 +39,8 @@ PATIENCE = 8.0  # s for anything that must happen at all, on a busy machine
 
 
 class Loop:
-    """A loop on two emulated servos; deadman and target are sent by a thread, fifty times a second.
+    """A loop on two emulated servos; enable key and target are sent by a thread, fifty times a
+    second.
 
     Its limits are quick ones, or as `usual`.
     """
@@ -102,7 +103,7 @@ class Loop:
         self.wait(lambda: self.reports or self.ended)
 
     def close(self):
-        """End the loop, and the bench."""
+        """End the loop, and the robot."""
         self.process.send_signal(signal.SIGCONT)
         self.emergency = True  # without torque it ends at once
         self.wait(lambda: self.ended or not self.reports[-1]["torque"])

@@ -1,4 +1,4 @@
-"""What an ordinary user meets: a child of root gives its rights away first, for root may open what
+"""Act as an ordinary user: a child of root gives its rights away first, for root may open what
 others may not.
 """
 

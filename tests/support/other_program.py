@@ -1,4 +1,4 @@
-"""What another program on the bus of an emulated rig does: it leaves registers, or takes no lock
+"""Another program on the bus of an emulated rig: it leaves registers, or takes no lock
 and talks on.
 """
 

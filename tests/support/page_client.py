@@ -1,4 +1,4 @@
-"""What tests of teleoperation's page share: a page that is served, a plain client, a network that
+"""Shared by tests of teleoperation's page: a page that is served, a plain client, a network that
 is slow.
 """
 
@@ -90,7 +90,7 @@ def get(page, path="/", host=None):
 
 
 def delayed(port, there, back):
-    """Give a connection to `port` whose bytes take that long (s) there and back, evenly, as through
+    """Give a connection to `port` whose bytes take that long (s) both ways, evenly, as through
     a slow tunnel.
     """
     ours, inner = socket.socketpair()

@@ -86,7 +86,7 @@ def write_trc(path, t, points, unit="mm", labels=LABELS):
 
 
 def write_motive(path, t, points, unit="Meters", labels=LABELS):
-    """An export of Motive with a rigid body beside the markers; empty cells for what is not
+    """An export of Motive with a rigid body next to the markers; empty cells for what is not
     seen.
     """
     head = [

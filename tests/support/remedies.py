@@ -77,7 +77,7 @@ def named_in(text: str) -> list[list[str]]:
 
 @cache
 def verbs() -> dict[str, Command]:
-    """Return the verbs of this installation by name."""
+    """Return the commands of this installation by name."""
     return {verb.name: verb for verb in commands_here()}
 
 

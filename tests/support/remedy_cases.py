@@ -122,7 +122,7 @@ def _no_bundle() -> None:
 
 
 def _doubtful() -> None:
-    """A recording with a wrong digit at a place that its checksum does not tell."""
+    """A recording with a wrong digit at a place that its checksum does not show."""
     assert main(["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]) == 0
     data = bytearray(Path("s.mcap").read_bytes())
     places = [one.end() - 1 for one in re.finditer(rb'"position":\[\d{4}', data)]

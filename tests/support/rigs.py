@@ -1,4 +1,4 @@
-"""An emulated bench for tests: two servos set up to be driven, at a pseudo-terminal."""
+"""An emulated rig for tests: two servos set up to be driven, at a pseudo-terminal."""
 
 from contextlib import contextmanager
 
@@ -25,7 +25,7 @@ def calibration():
 
 
 def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
-    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, homes proved."""
+    """Set up and home as `softmap servo` does: mode 5, no return delay, homes confirmed."""
     bus = _core.ServoBus(path, BAUD)
     for id, home in zip(ids, homes):
         for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):

@@ -1,4 +1,4 @@
-"""Two robots of other people, with statics of their own: what the tests of models made elsewhere
+"""Two robots of other people, with statics of their own: what the tests of imported models
 sweep and measure.
 
 An inextensible rod of J links with a bending joint in the middle of each, tendons parallel to it at

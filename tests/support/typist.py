@@ -14,7 +14,7 @@ PATIENCE = 60.0  # s, on a busy machine
 
 
 class Typist:
-    """A program at a terminal of its own, and what it has said so far."""
+    """A program at a terminal of its own, and its output so far."""
 
     def __init__(self, folder, *words):
         self.ours, self.theirs = pty.openpty()
@@ -36,7 +36,7 @@ class Typist:
 
     @property
     def said(self):
-        """What it has said on standard error."""
+        """Its output on standard error."""
         return self._said.decode()
 
     def types(self, text):

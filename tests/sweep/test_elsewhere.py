@@ -281,7 +281,7 @@ def test_a_known_load_that_says_nothing_is_refused(built):
     u = grid()
     few = u[[3, 50, 112]]
     known = {"load": np.full(3, 5.0), "loaded_command": few, "mass": 40.0, "gravity": LEANING}
-    with pytest.raises(SoftmapError, match="moves the body by"):
+    with pytest.raises(SoftmapError, match="effect size of the known load"):
         model_from_array(u, arc(u, PLACE, OFFSET), loaded_vertices=arc(few, PLACE, OFFSET), **known)
     light = Rod(tendon=5000.0)
     away = light.shapes(few, PLACE, OFFSET, -LEANING, 30.0)

@@ -86,8 +86,8 @@ def test_rows_along_a_path_do_not_vouch_for_one_another():
 
 @pytest.mark.skipif(find("trunk") is None, reason="no logs of the trunk (make data)")
 def test_a_recording_of_a_real_robot_states_the_error_that_comes_true(tmp_path):
-    """Six motors, three bodies: the first 60 % of a recording as a sweep, its last 30 % as the
-    judge.
+    """Six motors, three bodies: the first 60 % of a recording as a sweep, its last 30 % for
+    validation.
     """
     run = trunk_load.read(find("trunk"), trunk_load.FREE)
     u = np.stack([np.interp(run.t_seen, run.t, c) for c in run.commands().T], axis=1)

@@ -1,4 +1,4 @@
-"""Stiffer stretches of a body that was swept elsewhere: its fields beside the bank's Cosserat rod,
+"""Stiffer stretches of an imported sweep: its fields against the bank's Cosserat rod,
 solved again.
 """
 

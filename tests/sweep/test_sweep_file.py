@@ -1,5 +1,5 @@
-"""A sweep made elsewhere is checked field by field: what is wrong is said in one line, with what to
-do.
+"""An imported sweep is checked field by field: an error is one line that says what is wrong and
+what to do.
 """
 
 import numpy as np

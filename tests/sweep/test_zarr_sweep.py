@@ -174,7 +174,7 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_lost(cluster, store
     np.testing.assert_allclose(here.pull[:], there.pull[:], atol=TOLERANCE)
 
 
-def test_what_fails_on_a_cluster_is_said_in_one_line(monkeypatch, tmp_path):
+def test_what_fails_on_a_cluster_is_reported_in_one_line(monkeypatch, tmp_path):
     monkeypatch.setattr("softmap_training.sweeps.WAIT", 1)
     with pytest.raises(
         SimulationError, match="--dask tcp://127.0.0.1:9: .*; the same command goes on"
@@ -352,7 +352,7 @@ def test_without_the_training_package_one_line_says_what_to_install(
     assert "pip install softmap-training" in said and said.count("\n") == 1
 
 
-def test_the_bar_tells_the_time_left_at_the_pace_of_what_it_saw(monkeypatch):
+def test_the_bar_shows_the_time_left_at_the_recent_pace(monkeypatch):
     """A sweep that goes on at 60 % is not counted as having done these in no time."""
     drawn, now = io.StringIO(), [0.0]
     drawn.isatty = lambda: True

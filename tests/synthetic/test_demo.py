@@ -1,4 +1,4 @@
-"""The verb demo: what it prints, what it writes, and what it refuses."""
+"""The command demo: what it prints, what it writes, and what it refuses."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from softmap_edge.run.run import Run
 from softmap_edge.synthetic.finger import WATCH, hide, surprise
 
 
-def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
+def test_demo_prints_the_story_and_reveals_at_the_end(tmp_path, capsys):
     assert main(["demo", "--hide", "backlash", "--seed", "4", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     before, reveal = text.rsplit("Hidden:", 1)
@@ -48,7 +48,7 @@ def test_demo_prints_one_document(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("hide", ["wobble", "creep,wobble", ""])
-def test_unknown_secret_lists_the_known(hide, capsys, tmp_path):
+def test_unknown_hidden_effect_lists_the_known(hide, capsys, tmp_path):
     assert main(["demo", "--hide", hide, "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert all(name in said for name in [*LAWS, *NAMED, "nothing", "random"])

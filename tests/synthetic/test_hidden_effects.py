@@ -1,4 +1,4 @@
-"""The promise of the whole tool: a hidden effect is named, its error falls on another run, and
+"""The purpose of the tool: a hidden effect is named, its error falls on another run, and
 silence is kept.
 
 Truths never use the effect library. One seed of each runs in `make test`; ten seeds and thirty
@@ -59,7 +59,7 @@ def fell(before, after, floor):
 
 
 def reported(story):
-    """One line for the failure report: what was hidden, what was said, the raw errors."""
+    """One line for the failure report: what was hidden, what was reported, the raw errors."""
     hidden = ", ".join(f"{s.name} {s.displacement_mm:.1f} mm" for s in story.truth.hidden)
     return (
         f"hidden {hidden}; said {claimed(story)} ({story.diagnosis.to_dict()['verdict']}); "
@@ -98,7 +98,7 @@ def test_nothing_hidden_nothing_claimed(seed):
         ("backlash", "creep", "payload"),
     ],
 )
-def test_several_hidden_effects_are_found_whole(names):
+def test_several_hidden_effects_are_found_completely(names):
     story = case(names, SEED)
     assert set(claimed(story)) == set(names), reported(story)
     assert fell(story.before_mm, story.after_mm, story.floor_mm), reported(story)

@@ -22,7 +22,7 @@ MODEL = builtin_model()
 
 
 @pytest.mark.parametrize("hidden", SECRETS)
-def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_path, capsys):
+def test_one_orientation_cannot_decide_and_the_next_experiment_does(hidden, tmp_path, capsys):
     twin = {"payload": "gravity", "gravity": "payload"}[hidden]
     truth = Truth(4, (HiddenEffect(SECRETS[hidden], 0.0),))
     run = truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))

@@ -1,5 +1,5 @@
-"""The paper's Table II on few waypoints: one sequence on both fingers, a rival, effects undone; the
-workspace.
+"""The paper's Table II on few waypoints: one sequence on both fingers, an alternative, effects
+compensated; the workspace.
 """
 
 import json
@@ -31,7 +31,7 @@ def model():
 
 
 def worse(model):
-    """Return a rival that bends a tenth too little: its commands lead too far."""
+    """Return an alternative that bends a tenth too little: its commands lead too far."""
     shape = model.arrays.prior.shape
     shape = replace(shape, over=Grid(tuple(1.1 * axis for axis in shape.over.axes)))
     return replace(
@@ -40,7 +40,7 @@ def worse(model):
     )
 
 
-def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
+def test_ours_an_alternative_and_the_papers_figures_stand_next_to_each_other(model):
     reported = []
     rows = {
         row.model: row
@@ -85,7 +85,7 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
     assert np.ptp(commands, axis=0).min() > 1.0
 
 
-def test_effects_that_the_stand_in_has_are_undone(model):
+def test_effects_that_the_stand_in_has_are_compensated(model):
     """Its turned tendons and friction, as far as two effects of the library stand for them
     (docs/do/training.md, 5).
     """
@@ -102,7 +102,7 @@ def test_effects_that_the_stand_in_has_are_undone(model):
     assert rows[COMPENSATED].simulator.mean() > 2 * rows[OURS].simulator.mean()
 
 
-def test_the_verb_prints_the_table_and_the_document_says_the_same(model, tmp_path, capsys):
+def test_the_command_prints_the_table_and_the_document_says_the_same(model, tmp_path, capsys):
     save_bundle(worse(model), tmp_path / "rival")
     options = [
         "--table",

@@ -222,7 +222,7 @@ long = pytest.mark.prove
     "name",
     ["mount", *(pytest.param(name, marks=long) for name in ("backlash", "latency", "payload"))],
 )
-def test_secret_moves_the_centroids_by_what_it_says(name):
+def test_hidden_effect_moves_the_centroids_by_its_stated_size(name):
     from softmap_edge.synthetic.finger import centroids, hide
 
     p = standard_protocol()
@@ -271,7 +271,7 @@ def test_a_measured_finger_is_a_run():
     assert not np.array_equal(run.vertices, hide(["mount"], 4).measure(p, seed=1).vertices)
 
 
-def test_unknown_and_doubled_secrets_are_refused():
+def test_unknown_and_doubled_hidden_effects_are_refused():
     from softmap_edge.synthetic.finger import hide
 
     with pytest.raises(SoftmapError, match="offset, gain, backlash"):

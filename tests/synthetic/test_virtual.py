@@ -100,7 +100,7 @@ def test_each_difference_acts_and_nothing_else_does(virtual, measured):
     assert 0.02 < left < 0.3, left
 
 
-def test_what_is_drawn_lies_where_it_is_said_to(virtual):
+def test_what_is_drawn_lies_at_the_stated_place(virtual):
     drawn = [virtual_finger(seed, FINGER) for seed in range(40)]
     modulus, phase = np.array([d.modulus for d in drawn]), np.array([d.phase_deg for d in drawn])
     lean, declared = (
@@ -282,7 +282,7 @@ def test_hidden_effects_come_on_top(virtual):
     assert [secret.name for secret in both.hidden] == ["gain", "hysteresis", "gravity", "payload"]
 
 
-def test_a_mesh_made_elsewhere_is_turned_as_it_is():
+def test_an_imported_mesh_is_turned_as_it_is():
     finger = moe.load(published("moe_finger"))
     made = virtual_finger(0, finger)
     assert made.body.finger.solid == finger.solid
@@ -309,14 +309,14 @@ def test_a_protocol_stays_within_the_limits_and_comes_back_from_its_file(kind, t
     )
 
 
-def test_the_grid_is_whole_and_each_command_reached_from_a_neighbour():
+def test_the_grid_is_complete_and_each_command_reached_from_a_neighbour():
     made = virtual_protocol("grid", 0, LIMITS)
     seen = np.stack([np.interp(made.t_seen, made.t, c) for c in made.command.T], axis=1)
     nodes = np.linspace(-12.0, 12.0, 7)
     wanted = np.array([(a, b) for a in nodes for b in nodes])
     near = np.abs(seen[:, None] - wanted[None]).max(axis=2)
     assert sorted(near.argmin(axis=1)) == list(range(49)) and near.min(axis=1).max() < 1e-9
-    # Where the last straight move before each look began.
+    # Where the last straight move before each capture began.
     way, came = np.diff(made.command, axis=0), []
     for k in np.searchsorted(made.t, made.t_seen):
         last = np.flatnonzero(np.abs(way[:k]).max(axis=1) > 1e-9)[-1]
@@ -330,7 +330,7 @@ def test_the_grid_is_whole_and_each_command_reached_from_a_neighbour():
     np.testing.assert_allclose(held, seen)
 
 
-def test_what_cannot_be_played_or_drawn_is_said(tmp_path):
+def test_what_cannot_be_played_or_drawn_is_reported(tmp_path):
     with pytest.raises(SoftmapError, match="no protocol 'loops'"):
         virtual_protocol("loops", 0, LIMITS)
     with pytest.raises(SoftmapError, match="2401 commands for 4 channels"):
@@ -342,7 +342,7 @@ def test_what_cannot_be_played_or_drawn_is_said(tmp_path):
         virtual_finger(0, FINGER, ["nonsense"])
 
 
-def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
+def test_the_commands_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     (tmp_path / "finger.toml").write_text(FINGER.to_toml())
     out = {name: str(tmp_path / name) for name in ("grid.csv", "few.csv", "run.npz", "truth.npz")}
     assert main(["next", "--protocol", "grid", "--out", out["grid.csv"]]) == 0

@@ -1,4 +1,4 @@
-"""Encodings that are undone exactly, and baselines that learn more than the mean shape."""
+"""Encodings that are inverted exactly, and baselines that learn more than the mean shape."""
 
 import importlib.util
 
@@ -26,7 +26,7 @@ SURFACE = Surface.of(BASE)
 MEAN = vertex_error(np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].shape), POINTS[TEST])
 
 
-def test_laplacian_coordinates_are_undone():
+def test_laplacian_coordinates_are_inverted():
     reported = encodings.laplacian(SURFACE.rest, SURFACE.triangles, SURFACE.held, POINTS[:5])
     back = reported.mean + reported.codes @ reported.modes
     assert np.abs(back - POINTS[:5]).max() < 0.02  # clamped vertices are held softly
@@ -102,7 +102,7 @@ def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path)
         save_bundle(with_prior(BASE, made, COMMANDS[TEST[20:]], POINTS[TEST[20:]]), tmp_path / name)
     )
     assert model.kind == "table" and model.made_from["prior"]["kind"] == name
-    # taught by a part, it is judged on the rest
+    # fitted to a part, it is tested on the rest
     assert not holds_shapes_of(model, tensor_grid(model.prior.axes))
     nodes = tensor_grid(model.prior.axes)[::17]
     alone = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(nodes)
@@ -114,7 +114,7 @@ def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path)
     assert np.isfinite(model.with_effects(("payload",), {"payload.mass": 10.0}).predict(run)).all()
 
 
-def test_what_is_no_prior_is_said():
+def test_what_is_no_prior_is_reported():
     with pytest.raises(TrainingError, match="no vertices"):
         fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "deepsoro")
     with pytest.raises(TrainingError, match="same finger"):
@@ -152,6 +152,6 @@ def test_a_prior_replaced_again_has_the_error_of_the_last_alone_and_no_wider_ran
     assert (np.abs(once.command_range) <= 6.0).all()
 
 
-def test_a_baseline_that_there_is_not_is_said():
+def test_an_unknown_baseline_is_reported():
     with pytest.raises(TrainingError, match="no baseline 'forest'"):
         fit_baseline("forest", COMMANDS, POINTS)

@@ -1,5 +1,5 @@
-"""The tables of `softmap evaluate`: figures that are known, what is fitted beside them, and the
-words beside the paper's.
+"""The tables of `softmap evaluate`: figures that are known, what is fitted next to them, and the
+words next to the paper's.
 """
 
 import json
@@ -57,7 +57,7 @@ def recorded(rows, seed):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A folder with a small simulated set, a run that teaches, and one that judges with its
+    """A folder with a small simulated set, a run for the fit, and one for validation with its
     truth.
     """
     folder = tmp_path_factory.mktemp("evaluate")
@@ -107,7 +107,7 @@ def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
     )
     assert seen["surface"][0, 0] < 0.02 and seen["chamfer"][0, 0] > 1.5
     assert whole["chamfer"][0, 0] < seen["chamfer"][0, 0] - 0.5
-    assert seen["visible"][0, 0] < seen["chamfer"][0, 0] - 0.5  # what nobody saw asks for nothing
+    assert seen["visible"][0, 0] < seen["chamfer"][0, 0] - 0.5  # unseen vertices do not count
     assert seen["vertex"][0, 0] == 0.0 and seen["whole"][0, 0] < 1e-6
 
 
@@ -126,7 +126,7 @@ def test_seeds_are_reported_as_a_mean_and_how_far_it_moves():
     assert rows[0].to_dict()["vertex_mm"]["sd_of_seeds"] is None
 
 
-def test_a_table_is_judged_where_it_was_reported_nothing():
+def test_a_table_is_compared_where_nothing_was_reported():
     axis = np.asarray(MODEL.prior.axes[0])
     nodes = np.array([[axis[3], axis[30]], [axis[25], axis[20]], [axis[40], axis[0]]])
     assert holds_shapes_of(MODEL, nodes) and not holds_shapes_of(MODEL, nodes + 0.1)
@@ -155,7 +155,7 @@ def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once
     assert rows[0].errors["vertex"][0].mean() != rows[0].errors["vertex"][1].mean()
 
 
-def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
+def test_parts_of_a_recording_are_complete_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
     lesson = Lesson.of(MODEL, [Run.load(files / "teaches.npz")])
     parts = [lesson.share(share, 3) for share in choices.SHARES]
     assert [len(part) for part in parts] == [4, 8, 16, 32]
@@ -250,7 +250,7 @@ def test_a_run_of_another_robot_among_those_that_teach_is_reported():
     assert learn_residual(MODEL, shapes)[1]["warnings"] == said
 
 
-def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatch):
+def test_the_command_prints_both_tables_next_to_the_papers(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     assert (
         main(
@@ -282,7 +282,9 @@ def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatc
     )
 
 
-def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, capsys, monkeypatch):
+def test_a_bundle_of_a_decoder_stands_next_to_models_and_has_no_vertices(
+    files, capsys, monkeypatch
+):
     monkeypatch.chdir(files)
     assert (
         main(["train", "prior", "s.npz", "--model", "deepsoro", "--epochs", "1", "--out", "rival"])
@@ -426,7 +428,7 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_reported(
     )
 
 
-def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(files):
+def test_clouds_with_a_shifted_base_are_compared_in_the_frame_of_their_base(files):
     """So that what is compared is the shape, and the true vertices, which are in that frame,
     fit.
     """
@@ -461,7 +463,7 @@ def test_the_papers_figures_are_those_of_its_table():
         (["--run", "r.npz", "--html", "page.txt"], ".html"),
     ],
 )
-def test_wrong_use_is_said_before_the_work(argv, says, capsys):
+def test_wrong_use_is_reported_before_the_work(argv, says, capsys):
     assert main(["evaluate", *argv]) == 2
     assert says in capsys.readouterr().err
 

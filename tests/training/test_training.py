@@ -216,7 +216,7 @@ def test_early_stopping_keeps_the_best_epoch():
     assert network[0].weight.item() == weights[1]
 
 
-def test_a_rate_that_is_too_large_is_said(quick):
+def test_a_rate_that_is_too_large_is_reported(quick):
     with pytest.raises(TrainingError, match="too large for these data"):
         train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(rate=1e30, epochs=3))
 

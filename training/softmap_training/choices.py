@@ -2,9 +2,9 @@
 
 None of these numbers is in the paper.
 
-What it says: widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets,
+The paper gives widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets,
 mean squared error; LayerNorm, GELU and dropout of the residual, Chamfer + λ_l2 · mean |Δ|² + λ_lap
-· mean over edges |Δᵢ − Δⱼ|². What its authors' released files add: widths, dropout and both weights
+· mean over edges |Δᵢ − Δⱼ|². Its authors' released files add widths, dropout and both weights
 of the residual.
 """
 

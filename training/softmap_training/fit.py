@@ -150,7 +150,7 @@ def _epoch(
     draw: torch.Generator,
     device: str,
 ) -> float:
-    """Go through all samples as often as the recipe says; return the mean loss."""
+    """Go through all samples as often as the recipe states; return the mean loss."""
     network.train()
     sums = []
     for _ in range(recipe.passes):

@@ -65,7 +65,7 @@ Indices = NDArray[np.int64]
 
 PUBLISHED_DROPOUT = 0.1
 NODES = 41  # of an axis, where a bundle has none
-# shapes that are compared with the bundle's, and times its own error that they may be off more
+# shapes that are compared with the bundle's, and times its model error that they may be off more
 COMPARED, OWN = 64, 3.0
 BIGGEST = 10.0  # times the robot's length from its base: a point there is none
 
@@ -356,7 +356,7 @@ def with_prior(
 
     `commands` and `points` are the test part.
 
-    Its own error grows by that of what was trained, in squares.
+    The model error grows by the error of the trained prior, in squares.
 
     Raises:
         TrainingError: the prior is of other commands or points than the model.

@@ -144,7 +144,7 @@ def _left_out(
 
 
 def _share(progress: Progress | None, begin: float, end: float) -> Progress | None:
-    """Return what hears of a part of the work as of its share of all of it."""
+    """Return a progress callback for a part of the work, scaled to its share."""
     if progress is None:
         return None
     return lambda share, line: progress(begin + (end - begin) * share, line)

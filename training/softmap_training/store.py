@@ -135,7 +135,7 @@ class Store:
 
 
 def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[str, Any]:
-    """Return what a store says of a sweep of `finger` over `axes`.
+    """Return the description in a store of a sweep of `finger` over `axes`.
 
     It is under its own gravity, in chunks of `chunk` rows.
     """

@@ -24,7 +24,7 @@ use crate::registers::{BAUD_RATES, FAST_FIRMWARE};
 use servo::Servo;
 use table::refusal;
 
-/// What the wire does to answers; probabilities from 0 to 1.
+/// Faults of the wire on answers; probabilities from 0 to 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Faults {
     /// An answer is lost.
@@ -149,8 +149,8 @@ impl Emulator {
         }
     }
 
-    /// Whoever lets time go on slept for `time` s: what the master said meanwhile is yet to be
-    /// heard, and its silence is not what it was.
+    /// The stepping program slept for `time` s: messages of the master are still to be
+    /// read, and its silence does not count.
     pub fn excuse(&mut self, time: f64) {
         self.servos.iter_mut().for_each(|servo| servo.excuse(time));
     }
@@ -374,7 +374,7 @@ fn laid_over(first: &[u8], second: &[u8], late: usize) -> Vec<u8> {
     (0..length).map(both).collect()
 }
 
-/// What one servo does when it is asked by itself.
+/// The reaction of one servo to a packet of its own.
 fn single(servo: &mut Servo, asked: u8, parameters: &[u8]) -> Result<Vec<u8>, u8> {
     let word = |at: usize| {
         parameters

@@ -26,12 +26,12 @@ pub struct Motion {
     pub load: Vec<(f64, f64)>,
 }
 
-/// What is broken about a servo.
+/// The faults of a servo.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Broken {
     /// It never answers.
     pub mute: bool,
-    /// Its encoder says what it said last.
+    /// Its encoder repeats the last reading.
     pub stuck: bool,
     /// Its tendon pulls no more.
     pub torn: bool,

@@ -21,7 +21,7 @@ use crate::urgent::urgent;
 
 /// Below that of a control loop.
 const PRIORITY: i32 = 40;
-/// ns for which the thread sleeps at most: servos move while nobody speaks.
+/// ns for which the thread sleeps at most: servos move while the bus is silent.
 const NAP: i64 = 2_000_000;
 /// s after which a turn of the thread comes late: the computer had no time for it, or somebody held
 /// the emulator.
@@ -74,7 +74,7 @@ impl Terminal {
         self.emulator.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Pull the plug: whoever has the port open finds it gone.
+    /// Pull the plug: a program that has the port open finds it gone.
     pub fn unplug(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -109,7 +109,7 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
             let mut emulator = emulator.lock().unwrap_or_else(PoisonError::into_inner);
             let now = turn(&mut emulator);
             while let Some(answer) = emulator.speak(now) {
-                // A master that does not read loses what it was told, as on a wire.
+                // A master that does not read loses answers, as on a wire.
                 let _ = write(master, &answer);
             }
             emulator.run(now);
@@ -123,7 +123,7 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
         };
         if !matches!(poll(&mut ready, Some(&nap)), Ok(count) if count > 0) {
             // A port forgets at its last close who had it alone; this one is kept open, and would
-            // keep out whoever comes after a master that was killed. Were it refused, nobody but
+            // keep out the next program after a master that was killed. If refused, no user but
             // root could open it again.
             let _ = ioctl_tiocnxcl(slave);
             continue;

@@ -285,7 +285,7 @@ impl Servo {
 
     pub fn action(&mut self) {
         if let Some((address, data)) = self.waiting.take() {
-            // An action is not answered, so that nobody hears what it refuses.
+            // An action is not answered, so that its refusals are not reported.
             let _ = self.write(address, &data);
         }
     }
@@ -385,7 +385,7 @@ impl Servo {
         if self.strained > PATIENCE {
             self.fail(OVERLOAD);
         }
-        // One that measures no current tells its load in its place, in thousandths of what it
+        // One that measures no current reports its load in its place, in thousandths of what it
         // stalls at.
         let unit = if self.model.has_current() {
             self.model.current_unit

@@ -84,7 +84,7 @@ fn a_late_computer_is_left_out_of_paced_time_and_counted() {
 }
 
 #[test]
-fn paced_time_stands_while_whoever_drives_is_away() {
+fn paced_time_stands_while_the_driving_program_is_away() {
     let servos = simulated();
     let mut master = port(&servos);
     let begun = master.now();

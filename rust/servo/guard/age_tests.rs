@@ -1,5 +1,5 @@
 //! How old an answer may be by its servo's own clock: one that stands, falls behind, runs slow or
-//! begins anew.
+//! begins again.
 
 use super::robot::*;
 use super::*;
@@ -50,7 +50,7 @@ fn delayed(robot: &mut Robot, late: u16, ticks: usize) -> Vec<(usize, State, Cau
 
 #[test]
 fn answers_that_fall_behind_are_no_answers() {
-    // Up to `late` is data's age; beyond it they count as silence, whoever brings them at the full
+    // Up to `late` is data's age; beyond it they count as silence, even if they come at the full
     // rate.
     for (late, holds) in [(1, false), (5, false), (6, true), (20, true)] {
         let mut robot = Robot::within(State::Engaged);

@@ -146,7 +146,7 @@ fn every_cause_in_every_state_at_its_period() {
             assert_eq!(output.torque, expected == State::SafeStop, "{said}");
             let keeps = reaction != Reaction::Release || cause == Cause::Emergency;
             // Who falls silent without torque is unplugged or without power: nothing turned, and
-            // the mark tells power.
+            // the mark detects loss of power.
             let took = !keeps && known && (active || cause != Cause::Silent);
             assert_eq!(robot.guard.forgot_home(), took, "{said}");
             if expected == State::Fault {
@@ -200,7 +200,7 @@ fn what_is_just_within_its_limit_is_no_trouble() {
         };
         assert_eq!(robot.tick(None).state, state, "30 ticks a period, and 64");
     }
-    // Of a position 60 ticks from its goal nothing is said, of one 61 away after `grace`.
+    // A position 60 ticks from its goal is not reported; one 61 ticks away is, after `grace`.
     for (away, state) in [(60, State::Engaged), (61, State::Fault)] {
         let mut robot = Robot::within(State::Engaged);
         robot.wrong = if away == 60 {

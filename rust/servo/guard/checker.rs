@@ -1,7 +1,7 @@
 //! An examiner of the guard, written from docs/reference/safety.md and not from the guard: it sees
 //! what goes in and what comes out.
 //!
-//! Times are counted in periods, which the guard never counts as fewer, so that what is judged here
+//! Times are counted in periods, which the guard never counts as fewer, so that the check here
 //! holds for any clock.
 
 use super::examined::Known;
@@ -10,7 +10,7 @@ use super::{Axis, Cause, Denied, Input, Limits, Output, Request, State};
 /// Round-off that is forgiven, in ticks.
 const ROUND: f64 = 1e-6;
 
-/// What came out of a period, as an examiner may also make it up.
+/// The outputs of a period; an examiner may also invent them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Said {
     pub output: Output,
@@ -27,13 +27,13 @@ pub struct Checker {
     /// Steps of the last period.
     steps: Vec<f64>,
     began: Vec<f64>,
-    /// Periods since the deadman was heard pressed, and since a sound target.
+    /// Periods since the enable key was heard pressed, and since a sound target.
     deadman: Option<u64>,
     target: Option<u64>,
     inside: u64,
     /// By the clock, when that began.
     entered: f64,
-    /// Time by the clock, s, in periods, and what the clock said.
+    /// Time by the clock, s, in periods, and the reading of the clock.
     time: (f64, u64),
     last: Option<u64>,
 }

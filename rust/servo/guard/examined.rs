@@ -1,4 +1,4 @@
-//! What the examiner knows of one servo, and how old that is by the servo's own clock.
+//! The examiner's data on one servo, and their age by the servo's own clock.
 
 use super::{Feedback, Limits};
 
@@ -21,8 +21,8 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Take in what a servo said, if anything, in the period that ends at `time` (s by the clock,
-    /// and periods); `near` tells whether a position is where it was sent.
+    /// Take in the answer of a servo, if any, in the period that ends at `time` (s by the clock,
+    /// and periods); `near` checks whether a position is where it was sent.
     pub fn hear(
         &mut self,
         said: Option<Feedback>,

@@ -1,4 +1,4 @@
-//! Ten million periods of anything that can happen, judged by `checker.rs`; and guards that are
+//! Ten million periods of anything that can happen, checked by `checker.rs`; and guards that are
 //! broken on purpose.
 
 use super::checker::{Checker, Said};
@@ -86,7 +86,7 @@ fn limits(chance: &mut Chance) -> Limits {
     .unwrap()
 }
 
-/// A robot that mostly does what it is told, somebody who mostly means well, and everything else
+/// A robot that mostly follows its commands, a user who mostly means well, and everything else
 /// now and then.
 struct World {
     chance: Chance,
@@ -123,7 +123,7 @@ impl World {
         }
     }
 
-    /// What the guard is told next; its last goals and state are known to the world.
+    /// The next input of the guard; its last goals and state are known to the world.
     fn tell(
         &mut self,
         guard: &Guard,
@@ -247,7 +247,7 @@ impl World {
     }
 }
 
-/// Play `ticks` periods; `breaks` may change what the guard said.
+/// Play `ticks` periods; `breaks` may change the outputs of the guard.
 fn play(
     seed: u64,
     ticks: usize,
@@ -298,7 +298,7 @@ fn ten_million_periods_without_an_unsafe_tick() {
         play(7919 * episode + 1, EPISODE, &mut seen, &mut |_, _| {}).unwrap();
     }
     if periods < TICKS {
-        // Too few for what is rare to have come about: only the checker judges.
+        // Too few for rare events: only the checker decides.
         return;
     }
     for state in State::ALL {

@@ -52,7 +52,7 @@ fn each_limit_has_its_edges_and_is_refused_by_name_beyond_them() {
         ("silent", |l, v| l.silent = v, 0.01, 1.0),
         ("grace", |l, v| l.grace = v, 0.001, 2.0),
         ("ramp", |l, v| l.ramp = v, 0.0, 10.0),
-        ("jump (told)", |l, v| l.jump.0 = v, 0.0, far),
+        ("jump (reported)", |l, v| l.jump.0 = v, 0.0, far),
         ("jump (refused)", |l, v| l.jump = (5.0, v), 5.0, far),
         ("jog_travel", |l, v| l.jog_travel = v, 1.0, 4096.0),
         ("jog_slew", |l, v| l.jog_slew = v, 1.0, 1000.0),
@@ -126,7 +126,7 @@ fn each_limit_has_its_edges_and_is_refused_by_name_beyond_them() {
         let ticks = ["servos", "home", "low", "high"].contains(&name);
         assert!(there != ticks, "{name} is tried here or with the ticks");
     }
-    assert!(told("fly", 0.0).check().is_err(), "what has no range");
+    assert!(named("fly", 0.0).check().is_err(), "what has no range");
     let mut slow = widest();
     (slow.period, slow.late, slow.stale) = (0.1, 0.5, 0.5);
     assert!(slow.checked().is_ok());
@@ -168,7 +168,7 @@ fn ticks_lie_about_home_within_what_the_servos_count() {
 #[test]
 fn what_other_limits_leave_of_a_range() {
     type Set = fn(&mut Axis);
-    // What is just allowed, what is not, and what is said then.
+    // What is just allowed, what is not, and the message then.
     let table: [(Set, Set, &str); 5] = [
         (
             |axis| (axis.warm, axis.hot) = (60.0, 60.0),

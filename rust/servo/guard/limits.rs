@@ -1,4 +1,4 @@
-//! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is
+//! The limits of rig and finger, checked before anything moves: a limit that makes no sense is
 //! refused, not clamped.
 
 use crate::guard::Budget;
@@ -7,7 +7,7 @@ use crate::guard::path::Bounds;
 /// Limits of one servo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
-    /// Tick at which the finger is straight, as proved after power-up.
+    /// Tick at which the finger is straight, as homed after power-up.
     pub home: i32,
     /// Lowest and highest goal, ticks; home lies between.
     pub low: i32,
@@ -21,7 +21,7 @@ pub struct Axis {
     pub fastest: f64,
     /// Ticks between goal and position that are not believed to be lag.
     pub following: f64,
-    /// °C from which its current is cut back, and at which it slackens.
+    /// °C from which its current is cut back, and at which it releases tension.
     pub warm: f64,
     pub hot: f64,
     /// Volts between which it runs.
@@ -36,7 +36,7 @@ pub struct Limits {
     pub axes: Vec<Axis>,
     /// Seconds without a command after which it holds.
     pub stale: f64,
-    /// Seconds of holding after which it slackens.
+    /// Seconds of holding after which it releases tension.
     pub hold: f64,
     /// Seconds after which slackening ends wherever it is, torque off.
     pub slacken: f64,
@@ -47,7 +47,7 @@ pub struct Limits {
     pub grace: f64,
     /// Seconds over which speed grows after engaging.
     pub ramp: f64,
-    /// Ticks by which a target may jump: what is more is slowed down and told, or beyond the second
+    /// Ticks by which a target may jump: more is slowed down and reported, or beyond the second
     /// refused.
     pub jump: (f64, f64),
     /// Moves of commissioning: ticks from where they began, ticks/s, mA.
@@ -108,7 +108,7 @@ pub const RANGES: [(&str, f64, f64, &str); 27] = [
 ];
 
 /// A value, whose it is, and what the other limits leave of its range.
-struct Told {
+struct Named {
     servo: Option<usize>,
     name: &'static str,
     /// Which of a pair.
@@ -118,8 +118,8 @@ struct Told {
     most: f64,
 }
 
-fn told(name: &'static str, value: f64) -> Told {
-    Told {
+fn named(name: &'static str, value: f64) -> Named {
+    Named {
         servo: None,
         name,
         side: "",
@@ -129,22 +129,22 @@ fn told(name: &'static str, value: f64) -> Told {
     }
 }
 
-impl Told {
-    fn of(self, servo: usize) -> Told {
+impl Named {
+    fn of(self, servo: usize) -> Named {
         let servo = Some(servo);
-        Told { servo, ..self }
+        Named { servo, ..self }
     }
 
-    fn side(self, side: &'static str) -> Told {
-        Told { side, ..self }
+    fn side(self, side: &'static str) -> Named {
+        Named { side, ..self }
     }
 
-    fn least(self, least: f64) -> Told {
-        Told { least, ..self }
+    fn least(self, least: f64) -> Named {
+        Named { least, ..self }
     }
 
-    fn most(self, most: f64) -> Told {
-        Told { most, ..self }
+    fn most(self, most: f64) -> Named {
+        Named { most, ..self }
     }
 
     fn check(&self) -> Result<(), BadLimit> {
@@ -179,41 +179,41 @@ impl Limits {
     pub fn checked(self) -> Result<Limits, BadLimit> {
         let (period, jump, budget) = (self.period, self.jump, self.budget);
         let robot = [
-            told("servos", self.axes.len() as f64),
-            told("period", period),
-            told("stale", self.stale).least(2.0 * period),
-            told("hold", self.hold).least(period),
-            told("slacken", self.slacken),
-            told("late", self.late).least(2.0 * period),
-            told("silent", self.silent).least(self.late),
-            told("grace", self.grace).least(period),
-            told("ramp", self.ramp),
-            told("jump", jump.0).side(" (told)"),
-            told("jump", jump.1).side(" (refused)").least(jump.0),
-            told("jog_travel", self.jog_travel),
-            told("jog_slew", self.jog_slew),
-            told("jog_current", self.jog_current),
-            told("band", budget.band),
-            told("turns", budget.turns),
-            told("burst", budget.burst),
+            named("servos", self.axes.len() as f64),
+            named("period", period),
+            named("stale", self.stale).least(2.0 * period),
+            named("hold", self.hold).least(period),
+            named("slacken", self.slacken),
+            named("late", self.late).least(2.0 * period),
+            named("silent", self.silent).least(self.late),
+            named("grace", self.grace).least(period),
+            named("ramp", self.ramp),
+            named("jump", jump.0).side(" (reported)"),
+            named("jump", jump.1).side(" (refused)").least(jump.0),
+            named("jog_travel", self.jog_travel),
+            named("jog_slew", self.jog_slew),
+            named("jog_current", self.jog_current),
+            named("band", budget.band),
+            named("turns", budget.turns),
+            named("burst", budget.burst),
         ];
-        robot.iter().try_for_each(Told::check)?;
+        robot.iter().try_for_each(Named::check)?;
         for (k, axis) in self.axes.iter().enumerate() {
             let (home, far, volts) = (f64::from(axis.home), f64::from(FARTHEST), axis.voltage);
             let servo = [
-                told("home", home),
-                told("low", f64::from(axis.low) - home).least(-far - home),
-                told("high", f64::from(axis.high) - home).most(far - home),
-                told("slew", axis.slew),
-                told("acceleration", axis.acceleration),
-                told("fastest", axis.fastest).least(axis.slew),
-                told("following", axis.following),
-                told("hot", axis.hot),
-                told("warm", axis.warm).most(axis.hot),
-                told("voltage", volts.1).side(" (highest)"),
-                told("voltage", volts.0).side(" (lowest)").most(volts.1),
+                named("home", home),
+                named("low", f64::from(axis.low) - home).least(-far - home),
+                named("high", f64::from(axis.high) - home).most(far - home),
+                named("slew", axis.slew),
+                named("acceleration", axis.acceleration),
+                named("fastest", axis.fastest).least(axis.slew),
+                named("following", axis.following),
+                named("hot", axis.hot),
+                named("warm", axis.warm).most(axis.hot),
+                named("voltage", volts.1).side(" (highest)"),
+                named("voltage", volts.0).side(" (lowest)").most(volts.1),
             ];
-            let current = axis.current.map(|current| told("current", current));
+            let current = axis.current.map(|current| named("current", current));
             let mut all = servo.into_iter().chain(current);
             all.try_for_each(|one| one.of(k).check())?;
         }
@@ -233,7 +233,7 @@ impl Axis {
     }
 
     /// The share of its current that it gets at `temperature` (°C): all while cool, a third where
-    /// it slackens.
+    /// it releases tension.
     pub fn share(&self, temperature: f64) -> f64 {
         let above = (temperature - self.warm) / (self.hot - self.warm).max(1e-9);
         1.0 - above.clamp(0.0, 1.0) * (2.0 / 3.0)

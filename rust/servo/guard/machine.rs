@@ -19,7 +19,7 @@ pub struct Guard {
     jogs: Vec<Bounds>,
     state: State,
     cause: (Cause, Option<u8>),
-    /// Home was proved and nothing has happened since that could lose it.
+    /// The robot was homed and nothing has happened since that could lose home.
     homed: bool,
     /// A cause took home away since it was known.
     forgot: bool,
@@ -80,7 +80,7 @@ impl Guard {
         self.state
     }
 
-    /// Whether a cause took home away, so that it must be proved anew. Silence without torque does
+    /// Whether a cause took home away, so that it must be homed again. Silence without torque does
     /// not: nothing was turned.
     pub fn forgot_home(&self) -> bool {
         self.forgot
@@ -279,7 +279,7 @@ impl Guard {
         }
     }
 
-    /// What time brings.
+    /// Transitions that come with time.
     fn go_on(&mut self, trouble: bool) {
         let driven = self.driven();
         match self.state {
@@ -377,7 +377,7 @@ impl Guard {
         self.deadman.0 && self.time.since(self.deadman.1) <= self.limits.stale
     }
 
-    /// The deadman is pressed and a target is there, both fresh.
+    /// The enable key is pressed and a target is there, both fresh.
     fn driven(&self) -> bool {
         let stale = |since| self.time.since(since) > self.limits.stale;
         self.pressed() && self.fresh.is_some_and(|since| !stale(since))

@@ -44,9 +44,9 @@ pub use reversals::Budget;
 pub enum State {
     /// Nothing is known of the servos.
     Off,
-    /// All servos answer; where home is has not been proved since power-up.
+    /// All servos answer; the robot has not been homed since power-up.
     Connected,
-    /// Home is proved.
+    /// The robot is homed.
     Homed,
     /// Checked and waiting to engage.
     Ready,
@@ -84,21 +84,21 @@ impl State {
     }
 }
 
-/// What a user asks for. What a state does not allow is denied: nothing happens.
+/// The requests of a user. A request that the state does not allow is denied: nothing happens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Request {
     /// OFF → CONNECTED, once all servos are heard, healthy and without torque.
     Connect,
-    /// CONNECTED → HOMED: somebody proved where home is, and all positions lie in the window.
+    /// CONNECTED → HOMED: a user confirmed home, and all positions lie in the window.
     Home,
     /// HOMED → READY, without any trouble.
     Arm,
-    /// READY → ENGAGED, with the deadman pressed and a fresh target.
+    /// READY → ENGAGED, with the enable key pressed and a fresh target.
     Engage,
     /// ENGAGED → HOLD.
     Hold,
-    /// Slacken, then torque off; while commissioning torque off at once.
+    /// Release tension, then torque off; while commissioning torque off at once.
     Stop,
     /// FAULT → HOMED or CONNECTED, once its cause is gone.
     Acknowledge,
@@ -129,7 +129,7 @@ pub enum Cause {
     None,
     /// Somebody asked for it.
     Asked,
-    /// The deadman was released, or not heard of for `stale`.
+    /// The enable key was released, or not heard of for `stale`.
     Deadman,
     /// No valid target for `stale`.
     Stale,
@@ -176,7 +176,7 @@ impl Cause {
         Cause::Tripped,
     ];
 
-    /// What is done about it.
+    /// The reaction to it.
     pub fn reaction(self) -> Reaction {
         match self {
             Cause::None | Cause::Asked => Reaction::None,
@@ -199,19 +199,19 @@ pub enum Denied {
     From(State),
     /// Something is wrong.
     Trouble(Cause),
-    /// A servo has torque, or has not said whether it has.
+    /// A servo has torque, or has not reported whether it has.
     Torque,
     /// A servo stands outside the window.
     Outside,
-    /// The deadman is not pressed, or there is no fresh target.
+    /// The enable key is not pressed, or there is no fresh target.
     Undriven,
 }
 
-/// What is done about a cause; the later the graver.
+/// The reaction to a cause; the later the graver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reaction {
     None,
-    /// Brake and hold; goes on by itself once the cause is gone, slackens when it lasts.
+    /// Brake and hold; goes on by itself once the cause is gone, releases tension when it lasts.
     Hold,
     /// Go home at half the slew, then torque off and FAULT.
     Slacken,
@@ -219,7 +219,7 @@ pub enum Reaction {
     Release,
 }
 
-/// What a servo said in one answer.
+/// One answer of a servo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Feedback {
     /// Ticks.
@@ -232,11 +232,11 @@ pub struct Feedback {
     pub voltage: f64,
     /// °C.
     pub temperature: f64,
-    /// What is asked for less often.
+    /// Readings that are asked for less often.
     pub health: Option<Health>,
 }
 
-/// What a servo says of itself.
+/// The health that a servo reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Health {
     /// Bits of its hardware error status.
@@ -246,7 +246,7 @@ pub struct Health {
     pub tripped: bool,
 }
 
-/// What came from the user's side in this period.
+/// The user's inputs in this period.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Message<'a> {
     pub deadman: bool,
@@ -270,7 +270,7 @@ pub struct Input<'a> {
     pub emergency: bool,
 }
 
-/// What is to be done now; goals and currents are asked of the guard.
+/// The actions for now; goals and currents are asked of the guard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Output {
     pub state: State,

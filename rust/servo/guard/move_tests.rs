@@ -1,11 +1,11 @@
-//! What targets become: passed, told or refused, and how goals move engaged, slackening and
+//! Outcomes of targets: passed, reported or refused, and how goals move engaged, slackening and
 //! commissioning.
 
 use super::robot::*;
 use super::*;
 
 #[test]
-fn targets_pass_are_told_or_are_refused() {
+fn targets_pass_are_reported_or_are_refused() {
     for (target, refused, jumped, outside) in [
         ([450.0, 300.0], false, false, false),
         ([450.1, 300.0], false, true, false),
@@ -42,7 +42,7 @@ fn targets_pass_are_told_or_are_refused() {
 }
 
 #[test]
-fn aiming_anew_is_no_news() {
+fn aiming_again_is_no_news() {
     let mut robot = Robot::within(State::Engaged);
     let aim = |robot: &mut Robot, again: &[f64]| {
         robot.now += 10_000_000;
@@ -155,7 +155,7 @@ fn without_torque_the_goal_is_where_the_servo_stands() {
 }
 
 #[test]
-fn commissioning_moves_little_slowly_and_only_while_the_deadman_is_pressed() {
+fn commissioning_moves_little_slowly_and_only_while_the_key_is_pressed() {
     let mut robot = Robot::within(State::Homed);
     robot.target = Some([400.0, 300.0]);
     robot.tick(None);
@@ -235,7 +235,7 @@ fn commissioning_keeps_to_the_window_and_from_outside_leads_back_only() {
 }
 
 #[test]
-fn a_deadman_let_go_ends_commissioning_after_hold() {
+fn a_released_key_ends_commissioning_after_hold() {
     let mut robot = Robot::within(State::Commissioning);
     robot.deadman = None;
     let (took, output) = robot.until_change();

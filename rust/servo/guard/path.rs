@@ -51,7 +51,7 @@ impl Path {
         self.step(self.at, 0.0, bounds);
     }
 
-    /// The whole tick to send.
+    /// The tick to send, rounded.
     pub fn goal(&self) -> i32 {
         self.at.round() as i32
     }

@@ -127,7 +127,7 @@ fn conditions_of_requests() {
 }
 
 #[test]
-fn who_was_disconnected_tells_its_torque_anew() {
+fn a_servo_that_was_disconnected_reports_its_torque_again() {
     let off: [Break; 2] = [
         |robot| assert_eq!(robot.ask(Request::Disconnect).state, State::Off),
         |robot| {
@@ -168,7 +168,7 @@ fn only_homing_ends_that_home_was_forgotten() {
 }
 
 #[test]
-fn silence_of_the_user_holds_then_slackens_then_ends() {
+fn silence_of_the_user_holds_then_releases_tension_then_ends() {
     for (deadman, cause, count) in [
         (Some(false), Cause::Deadman, 1),
         (None, Cause::Deadman, 11),
@@ -199,7 +199,7 @@ fn silence_of_the_user_holds_then_slackens_then_ends() {
 }
 
 #[test]
-fn after_a_hold_that_was_asked_for_or_refused_targets_the_deadman_is_let_go_first() {
+fn after_a_requested_hold_or_refused_targets_the_key_is_released_first() {
     let mut robot = Robot::within(State::Hold);
     assert_eq!(robot.run(20).state, State::Hold, "still pressed");
     robot.deadman = Some(false);

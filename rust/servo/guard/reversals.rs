@@ -1,7 +1,7 @@
 //! Reversals that are worth their cost: a still hand must not make a servo chatter through an
 //! inverted backlash.
 //!
-//! Whoever inverts a play of 0.5 mm jumps by 0.5 mm at every reversal, be it one of 5 µm. So a
+//! Compensating a play of 0.5 mm jumps by 0.5 mm at every reversal, even one of 5 µm. So a
 //! command follows exactly while it keeps its direction, turns only once the goal has come back by
 //! more than `band`, and turns at most `turns` times a second in the long run (`burst` at once).
 //! While it may not turn it stands, never further off than the goal has come back.

@@ -4,7 +4,7 @@
 use super::*;
 
 pub const PERIOD: f64 = 0.01;
-/// Health is told with every answer here, so that what it says counts at once.
+/// Health comes with every answer here, so that it counts at once.
 pub const FINE: Health = Health {
     hardware: 0,
     torque: false,
@@ -52,14 +52,14 @@ pub fn limits() -> Limits {
     limits.checked().unwrap()
 }
 
-/// Two servos that do at once what they are told, and what somebody asks of them.
+/// Two servos that follow commands at once, and the requests of a user.
 #[derive(Clone)]
 pub struct Robot {
     pub guard: Guard,
     pub now: u64,
     pub at: [i32; 2],
     pub said: Feedback,
-    /// What servo 2 says otherwise; it says nothing, or what it said last.
+    /// The answer of servo 2 instead: none, or its last one.
     pub wrong: fn(&mut Feedback),
     pub mute: bool,
     pub stuck: bool,
@@ -162,7 +162,7 @@ impl Robot {
         self.tick(Some(request))
     }
 
-    /// Periods until the state is another one, and what was said then; at most 500.
+    /// Periods until the state is another one, and the output then; at most 500.
     pub fn until_change(&mut self) -> (usize, Output) {
         let before = self.guard.state();
         for count in 1..=500 {

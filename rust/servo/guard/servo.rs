@@ -1,4 +1,4 @@
-//! What is known of one servo, and what is wrong with it.
+//! State and faults of one servo.
 
 use super::limits::{Axis, Limits};
 use super::time::{Stamp, Time};
@@ -10,9 +10,9 @@ const LOOSE: f64 = 64.0;
 const CLOCK_STANDS: f64 = 0.1;
 /// The share by which its clock may run slower than this side's: a cheap oscillator.
 const DRIFT: f64 = 0.005;
-/// ms after which its clock begins anew.
+/// ms after which its clock begins again.
 const ROUND: u16 = 0x8000;
-/// Seconds of old answers after which its clock is read anew; no `silent` is longer.
+/// Seconds of old answers after which its clock is read again; no `silent` is longer.
 const ANEW: f64 = 1.0;
 /// Seconds from torque on until a servo that reports none is believed; its health is to be asked
 /// for at least that often.
@@ -33,7 +33,7 @@ pub(super) struct Servo {
     heard: Stamp,
     ticked: Stamp,
     /// When its answers were last in time, and by how many s its clock went on since. How far it
-    /// falls behind is told from there and not from answer to answer: a late period and the next
+    /// falls behind counts from there and not from answer to answer: a late period and the next
     /// that makes up for it would count as two.
     punctual: Stamp,
     gone: f64,
@@ -89,7 +89,7 @@ impl Servo {
         let passed = f64::from(round) - f64::from(ROUND) * f64::from(u8::from(round >= ROUND / 2));
         let gone = self.gone + 1e-3 * passed;
         let behind = (1.0 - DRIFT) * time.since(self.punctual) - gone;
-        // Who has said nothing of use for so long may have started anew; whoever needed it has
+        // A servo without useful answers for so long may have restarted; the guard has already
         // reacted.
         let anew = time.since(self.heard) > ANEW;
         let stands = clock == self.clock && time.since(self.ticked) > CLOCK_STANDS;

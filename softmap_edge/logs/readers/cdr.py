@@ -7,10 +7,10 @@ Other names are such as `pose.position.x`.
 Sequences get the index in brackets, or a name where the message has one: a sibling `name` or
 `joint_names` of the same length (JointState), or the element's own `child_frame_id` or `…name`
 (TFMessage, rigid bodies). Times are seconds. Texts, bytes and sequences of more than 1024 elements
-are passed over. Nothing here trusts the bytes: a length is checked against what is left before it
-is used, types cannot nest without end, and every fault is a `CdrError`. Reference: OMG DDS-XTypes
-1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py against
-mcap-ros2-support.
+are passed over. Nothing here trusts the bytes: a length is checked against the bytes that remain
+before it is used, types cannot nest without end, and every fault is a `CdrError`. Reference: OMG
+DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by
+tests/logs/test_import_mcap.py against mcap-ros2-support.
 
 Why not mcap-ros2-support 0.6.0 itself: of 10 000 messages and definitions with 1 to 4 mutations
 (joint states, transforms, empty types), this reader returned 1343 and raised CdrError for 8657. The

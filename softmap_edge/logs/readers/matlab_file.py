@@ -94,7 +94,7 @@ class _Found:
             )
 
     def leave(self, name: str, why: str) -> None:
-        """Note what is left out."""
+        """Note that a variable is left out."""
         self.left_out.append(f"{name} ({why})")
 
     def answer(self) -> Answer:

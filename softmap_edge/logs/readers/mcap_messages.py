@@ -56,7 +56,7 @@ class Messages:
     """
 
     def __init__(self, path: Path, shown: Path | None = None) -> None:
-        self._path, self._shown = path, shown or path  # the file, and the path that the user knows
+        self._path, self._shown = path, shown or path  # the file, and the path that the user gave
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # of the summary

@@ -1,7 +1,7 @@
 """Read a log in Parquet, such as an episode of a LeRobot dataset, by pyarrow in a child process.
 
 A column of numbers keeps its name; one of lists of numbers becomes `action[0]` … or, where the
-dataset's `meta/info.json` names them, `action[shoulder_pan.pos]`. Of several episodes one is read.
+dataset's `meta/info.json` names them, `action[shoulder_pan.pos]`. One of several episodes is read.
 Times become seconds, texts labels; checksums of pages are checked where the file has them. Images
 and structs are left out and named.
 """

@@ -38,7 +38,7 @@ _TABLES = {
     "topics": {"id", "name", "type", "serialization_format"},
     "messages": {"topic_id", "timestamp", "data"},
 }
-_RECOVER = "copy it again, or save what is left: sqlite3 FILE .recover | sqlite3 NEW.db3"
+_RECOVER = "copy it again, or save the readable part: sqlite3 FILE .recover | sqlite3 NEW.db3"
 
 
 @dataclass(frozen=True)

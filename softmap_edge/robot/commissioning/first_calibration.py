@@ -3,10 +3,10 @@
 It uses the pulleys' radius, which way each servo bends the finger, and one ruler reading.
 
 A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b
-= 0). What was not measured is not claimed: no coupling is known, so that every other entry is 0 with
-a standard deviation of COUPLING of the servo's own; home was set by eye, as far as homing lets
-it be off. `held_out` is what these deviations expect over the model's range, since no block was
-left out. A camera's calibration (`softmap model calibrate`) replaces it. Pinned by
+= 0). Nothing else is claimed: no coupling was measured, so that every other entry is 0 with a
+standard deviation of COUPLING of the servo's own; home was set by eye, as far as homing lets it be
+off. `held_out` is what these deviations expect over the model's range, since no block was left out.
+A camera's calibration (`softmap model calibrate`) replaces it. Pinned by
 tests/robot/test_calibrate_bench.py.
 """
 

@@ -6,8 +6,8 @@ They take place in the guard's commissioning state.
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it
-brakes when no key is held, and torque goes off after the limit `hold`. What the bench allows
-(`[ceiling]` and each `[[servo]]`) binds a jog as it binds a drive, its ticks where it is homed.
+brakes when no key is held, and torque goes off after the limit `hold`. The limits of the rig
+(`[ceiling]` and each `[[servo]]`) bind a jog like a drive, the ticks only once it is homed.
 Pinned by tests/robot/test_move.py.
 """
 
@@ -64,7 +64,7 @@ class Deadman(Protocol):
 
 
 class Held:
-    """A deadman that the program holds as long as it runs; Ctrl-C lets go."""
+    """An enable key that the program holds as long as it runs; Ctrl-C releases it."""
 
     how, stopped, emergency = "Ctrl-C lets go", False, False
 
@@ -77,8 +77,8 @@ class Jog:
     """The servos of `rig`, jogged one at a time; from entering to leaving.
 
     Args:
-        travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's;
-            the bench's bind what is given too. tell: called with each line for the user on the
+        travel, slew, current: ticks, ticks/s and mA of a jog, by default the rig's or softmap's;
+            the rig's also limit the given values. tell: called with each line for the user on the
             servos and the bus.
 
     Raises:
@@ -173,7 +173,7 @@ class Jog:
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        # What the guard allows, so that arriving there counts.
+        # Within the guard's limits, so that the target can be reached.
         limits, at = self.robot.limits["servos"][servo], float(began[servo])
         low, high = (
             max(at - self.travel, min(at, limits["low"])),
@@ -194,7 +194,7 @@ class Jog:
         return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
     def keep(self) -> None:
-        """Keep everything where it is, deadman pressed."""
+        """Keep everything where it is, with the enable key pressed."""
         if self._target is not None:
             self.robot.target(self._target)
 
@@ -271,7 +271,7 @@ class Jog:
 
 
 def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
-    """Return how far one jog may go, ticks: as the bench says, or `otherwise`."""
+    """Return how far one jog may go, ticks: the limit of the rig, or `otherwise`."""
     return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 

@@ -175,7 +175,7 @@ def pull(
 
 
 def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
-    """Return the bench with the ceilings that were found, and how."""
+    """Return the rig with the ceilings that were found, and how."""
     by_id, when = (
         {one.servo.id: one for one in done},
         datetime.now(UTC).isoformat(timespec="seconds"),
@@ -279,7 +279,7 @@ def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
 
 
 def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, float]]) -> None:
-    """Turn a servo to `away` ticks about home, and add what it says on the way."""
+    """Turn a servo to `away` ticks about home, and add its readings on the way."""
     servo = jog.rig.servos[k]
 
     def seen(_: Jog) -> bool:

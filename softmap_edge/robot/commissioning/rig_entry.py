@@ -49,7 +49,7 @@ def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: i
         return Entry(None, None)
     if rig.baud != baud:
         raise ServoError(
-            f"the bench runs at {rig.baud} baud, servo {found.id} at {baud}; give --new-baud "
+            f"the rig runs at {rig.baud} baud, servo {found.id} at {baud}; give --new-baud "
             f"{rig.baud}"
         )
     ids = [servo.id for servo in rig.servos]

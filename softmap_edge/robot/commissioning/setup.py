@@ -1,4 +1,4 @@
-"""Set servos up on a bench: find them, read them, make them ready to be driven.
+"""Set servos up on a rig: find them, read them, make them ready to be driven.
 
 What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads
 again. Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_set_up.py.

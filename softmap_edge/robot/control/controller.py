@@ -71,14 +71,13 @@ class Controller(Supervisor):
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
     effects of its model, delays aside, from what was really sent. Entering starts the loop, checks
-    that the servos are what the rig says and that home was confirmed since they got power
-    (`proof.py`), and goes to READY. With `commissioning` it goes to CONNECTED, home is not asked
-    for, and small slow moves are all that is allowed (`jog.py`). Leaving releases tension and switches
-    torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to
-    that file, which must not exist (`recording.py`). A full disk ends the recording and not the
-    loop: `unrecorded` then holds the cause, and leaving raises `RecordingBroken`. `tell` is called
-    with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked
-    for (`bus`).
+    that the servos match the rig and that home was confirmed since they got power (`proof.py`), and
+    goes to READY. With `commissioning` it goes to CONNECTED, home is not asked for, and small slow
+    moves are all that is allowed (`jog.py`). Leaving releases tension and switches torque off,
+    whatever happened. With `record` all inputs, decisions and outputs of the loop go to a file that
+    must not exist (`recording.py`). A full disk ends the recording, not the loop; `unrecorded` then
+    holds the cause; leaving raises `RecordingBroken`. `tell` is called with lines for the user:
+    registers rewritten by a start (`mended`), answers lost or not asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is
@@ -191,7 +190,7 @@ class Controller(Supervisor):
         """
         if name == "home":
             raise ServoError(
-                f"the robot is in state {self.state}, and a running loop cannot prove home (turns "
+                f"the robot is in state {self.state}, and a running loop cannot home it (turns "
                 "are lost without power); close the Controller and start another, which looks "
                 "for the proof of `softmap servo home`"
             )
@@ -252,7 +251,7 @@ class Controller(Supervisor):
         It is the nearest within the window of the servos.
 
         One that is not finite is refused by the guard: then what was asked before will be done. It
-        counts as a pressed deadman: a program that stops calling it lets go.
+        counts as a pressed enable key: a program that stops calling it releases the key.
 
         Raises:
             ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the
@@ -264,7 +263,7 @@ class Controller(Supervisor):
         return self._target(u)
 
     def release(self) -> None:
-        """Let go of the deadman: the guard holds, then releases tension."""
+        """Release the enable key: the guard holds, then releases tension."""
         self._drove_at = None
         self._send(deadman=False)
 
@@ -277,7 +276,7 @@ class Controller(Supervisor):
         Raises:
             ServoError: the loop does not answer; its servos were released from here.
         """
-        self._pressed = pressed  # before anything is sent: every order says it from now on
+        self._pressed = pressed  # before anything is sent: every order contains it from now on
         self._send()
         if not pressed:
             return

@@ -3,8 +3,8 @@
 Its command is `python -m softmap_edge.robot.control.loop_process ORDERS REPORTS < setup`.
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input
-(`Controller`). What cannot be started is reported as `{"error": …}`. Set-up and home of the servos
-are checked here, as late as possible: the guard detects a servo that loses its turns afterwards.
+(`Controller`). A failed start is reported as `{"error": …}`. Set-up and home of the servos are
+checked here, as late as possible: the guard detects a servo that loses its turns afterwards.
 Registers that a start rewrites (a profile, gains) are reported as `{"mended": […]}`. Where a fault
 made home unknown, its proof is taken from the servos at the end. Pinned by
 tests/robot/test_controller.py and tests/robot/test_bad_input.py.

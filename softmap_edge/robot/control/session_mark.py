@@ -121,7 +121,7 @@ def last_session(file: Path) -> str | None:
         how = "its program was killed, and its control loop died before it released the servos"
     kept = f"; `softmap servo replay {_printable(record)}` reads what it recorded" if record else ""
     return (
-        f"the last session of this bench ({program}, begun {begun}) ended without shutting down: "
+        f"the last session of this rig ({program}, begun {begun}) ended without shutting down: "
         f"{how}{kept}"
     )
 

@@ -63,7 +63,7 @@ def _has_more(pipe: int, seconds: float) -> bool:
 
 
 class Supervisor:
-    """What is heard of a loop, and who releases its servos when it can do so no more."""
+    """Reads the reports of a loop, and releases its servos when the loop cannot do so."""
 
     rig: Rig
     limits: LoopLimits
@@ -224,7 +224,7 @@ class Supervisor:
             self._drove |= bool(document.get("torque"))
             if "ended" in document:
                 self._end = document
-            elif "rescued" not in self._last:  # what was said before is no news then
+            elif "rescued" not in self._last:  # earlier reports are no news then
                 denied = self._last.get("denied")
                 self._last |= document
                 self._last["denied"] = document.get("denied") or denied

@@ -6,7 +6,7 @@ Each fault comes with its remedy.
     print(examine())
 
 Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the
-computer, `bench.py` at what belongs to one bench. Pinned by tests/robot/test_doctor.py.
+computer, `bench.py` at what belongs to one rig. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ class Examined:
 def examine(
     rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None
 ) -> Examined:
-    """Look at everything: this computer, and what is given of a bench.
+    """Look at everything: this computer, and what is given of a rig.
 
     Args:
         rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle:
-            its folder. camera: number of a camera, which is opened and closed. With bench and
+            its folder. camera: number of a camera, which is opened and closed. With rig and
             bundle the limits in force are looked at.
     """
     from softmap_edge.robot.doctor import bench, host

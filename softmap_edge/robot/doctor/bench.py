@@ -89,7 +89,7 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
 
 
 def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
-    """A bench: whether its file is sound, its servos answer and are set up, and it is homed.
+    """A rig: whether its file is sound, its servos answer and are set up, and it is homed.
 
     Args:
         file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must

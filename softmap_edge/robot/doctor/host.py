@@ -2,7 +2,7 @@
 
 Versions, processor, real-time rights, serial ports, cameras, MediaPipe.
 
-Each look returns lines and takes where it looks as an argument, so that a test can show it another
+Each check returns lines and takes its paths as arguments, so that a test can examine another
 computer. Pinned by tests/robot/test_doctor.py.
 """
 
@@ -32,7 +32,7 @@ EXTRAS = {  # how to install each; those of driving by hand: `teleoperation`
 }
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # their bits in a set of capabilities
 PRIORITY = 50  # what the loop asks for
-LOCKED = 64 << 20  # bytes that it wants to keep in memory
+LOCKED = 64 << 20  # bytes that it needs in memory
 SIMD = {"x86_64": ("flags", ("avx2", "fma")), "aarch64": ("Features", ("asimd",))}
 QUICK = 1  # ms of a USB adapter's latency timer
 

@@ -3,11 +3,11 @@
 A cut loses its last second at most.
 
 A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when
-each frame came, the frames that were taken, and the CRC-32 of all that; the last line says that it
-is the end. Files of softmap.seen/2 have no such line, those of softmap.seen/1 carry no CRC either.
-Lines are only added, by a thread of its own, and are on the disk every half a second. With what the
-loop recorded meanwhile it becomes a run (`recorded.py`). Pinned by tests/robot/test_record_cut.py
-and tests/robot/test_recorded.py.
+each frame came, the frames that were taken, and the CRC-32 of all that; the last line states that
+it is the end. Files of softmap.seen/2 have no such line, those of softmap.seen/1 carry no CRC
+either. Lines are only added, by a thread of its own, and are on the disk every half a second. With
+what the loop recorded meanwhile it becomes a run (`recorded.py`). Pinned by
+tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def seen_file(recording: str | Path) -> Path:
 class Keeper:
     """Writes what is seen of the robot of `model` to a new file, from entering to leaving.
 
-    `fault` says why it ended early, if it did. `late` s is the delay of the quickest frame.
+    `fault` is why it ended early, if it did. `late` s is the delay of the quickest frame.
 
     Raises:
         RunError: the file is there already, cannot be written, or could not be read again.
@@ -323,7 +323,7 @@ def _checked(line: bytes) -> tuple[bytes, bool]:
 
 
 def _head(head: Document) -> Kept:
-    """Return what the first line says, of which nothing is kept yet."""
+    """Return the content of the first line, before any frame is kept."""
     late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
     if head["schema"] not in (SCHEMA, ENDLESS, UNCHECKED):
         raise ValueError(f"schema {head['schema']!s:.20}")

@@ -2,8 +2,8 @@
 
 The file's clock stands while the robot settles where the file rests, while the guard holds, and
 while the camera is gone; where something is to be done by hand the finger goes home, torque goes
-off, and the user says when to go on. A frame is taken at each look of the file: the one nearest to
-it. Whatever ends it, what was driven and seen so far is kept. Pinned by
+off, and the user confirms when to go on. A frame is taken at each capture of the file: the one
+nearest to it. However it ends, the commands and frames so far are kept. Pinned by
 tests/robot/test_record_robot.py.
 """
 
@@ -30,8 +30,8 @@ from softmap_edge.run.run import Run
 Floats = NDArray[np.float64]
 
 SENT = 50.0  # commands a second
-NEAR = 0.1  # s: a frame this near to a look is the one that was required
-WAIT = 0.5  # s after a look until the frames about it have arrived
+NEAR = 0.1  # s: a frame this near to a capture is the required one
+WAIT = 0.5  # s after a capture until the frames about it have arrived
 # s without a frame after which the file's clock stands, and after which it is over
 GONE, LOST = 0.5, 15.0
 BACK = 15.0  # s within which a finger that was commanded to stop has torque off

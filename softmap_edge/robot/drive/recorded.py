@@ -42,7 +42,7 @@ def open_run(path: str | Path, model: Model | None = None) -> Run:
 
     Raises:
         RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen
-            belongs to it, or it was made by `softmap record`, which alone knows what was declared.
+            belongs to it, or it was made by `softmap record`, which alone has the declarations.
     """
     run, incomplete = open_incomplete(path, model)
     if incomplete is not None:

@@ -2,7 +2,7 @@
 
 The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the
 effects of the model are compensated in the control loop, from what was really sent. Where a camera
-sees the tip, what is left can be fed back (`observe`). Pinned by tests/robot/test_track.py.
+sees the tip, the remaining error can be fed back (`observe`). Pinned by tests/robot/test_track.py.
 """
 
 from __future__ import annotations
@@ -290,13 +290,12 @@ def _errors_of(
 
 
 class _Feedback:
-    """What is seen to be off, as a change of what should act: a disturbance observer.
+    """The observed error as a change of the effective command: a disturbance observer.
 
     What a frame shows beyond the target and beyond the corrections that had reached the tip by then
     is the disturbance; averaged over `AVERAGED` s it is taken back at once. The corrections under
-    way are known, so the servos' answer does not have to be waited for. What comes and goes within
-    that answer, as at a reversal, is not caught. While the tip is not seen what was known of it
-    fades.
+    way are known, so the servos' answer does not have to be waited for. Errors shorter than that
+    answer, as at a reversal, are not corrected. While the tip is not seen, the correction fades.
     """
 
     def __init__(self, kinematics: Kinematics, plan: Plan, answer: float, late: float) -> None:

@@ -195,7 +195,7 @@ def emulated_bench(
 
     Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders
     of its recording) and draw what the model's tendons ask. Without `ready` they are as they are
-    delivered, and the rig knows no home. `real` time serves them at a pseudo-terminal, which any
+    delivered, and the rig has no home. `real` time serves them at a pseudo-terminal, which any
     program can open; else they are simulated for this program, and no load of the computer makes
     them late (`robot/servo/clock.py`).
 

@@ -302,7 +302,7 @@ class TipWeight(Law):
 
 @dataclass(frozen=True)
 class AskewBase(Law):
-    """p_seen = R p + s: the base is not clamped where the camera frame says."""
+    """p_seen = R p + s: the base is not clamped at the origin of the camera frame."""
 
     NAME = "mount"
     turn_deg: Numbers

@@ -3,9 +3,10 @@
     taken = rate · stamp + offset,   arrived − taken ≥ 0, and the quickest frame came at once
 
 A camera has a clock of its own: an offset from the first frame on, a rate once the frames span
-`LONG` s. What every frame takes (exposure, readout, the points found in it) no host can know:
-the program that measured it states so (`late`). Known limit: over frames that all wait in a queue they seem to
-be taken late. Pinned by tests/robot/test_emulated_finger.py and tests/robot/test_camera_points.py.
+`LONG` s. The host cannot measure the fixed latency of a frame (exposure, readout, detection): the
+program that measured it states it (`late`). Known limit: over frames that all wait in a queue they
+seem to be taken late. Pinned by tests/robot/test_emulated_finger.py and
+tests/robot/test_camera_points.py.
 """
 
 from __future__ import annotations

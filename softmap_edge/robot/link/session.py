@@ -7,11 +7,10 @@ HMAC-SHA256 under a shared key: without it a datagram can be read, but neither w
 A session is a random number of the listener's: it offers it, signed, to who signs rightly under
 another one, and sequence numbers must rise within it. So a recorded datagram counts nowhere again,
 also after either side was restarted, and no clocks need agree. While a sender is alive no other
-takes its place. What does not count is counted by why, and nothing of it is answered. The first
-datagrams of a sender only ask for the session. Without a key (programs of one computer) all is the
-same, unsigned. `rust/control/heartbeat.rs` is another listener. Pinned by
-tests/robot/test_landmarks_udp.py, tests/robot/test_camera_points.py and
-tests/robot/test_emergency.py.
+takes its place. Rejected datagrams are counted by reason and not answered. The first datagrams of a
+sender only ask for the session. Without a key (programs of one computer) all is the same, unsigned.
+`rust/control/heartbeat.rs` is another listener. Pinned by tests/robot/test_landmarks_udp.py,
+tests/robot/test_camera_points.py and tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -235,7 +234,7 @@ class Listener(_Link):
         if another:
             self.refused["sender"] += 1
         elif session == offered and now - since < OFFER_LASTS:
-            # Who signs under what was just offered has answered now: no recording could.
+            # A sender that signs under the offered session is live: a recording cannot.
             self._session, self._offered, self._sequence = session, (b"", -math.inf), sequence - 1
         elif session != self._session:
             if session != NO_SESSION:  # who only asks is not refused
@@ -290,7 +289,7 @@ def _open(
     It is IPv4 where a host has both.
 
     Raises:
-        LinkError: it cannot; the line says `what`, and how to `mend` it.
+        LinkError: it cannot; the line states `what`, and how to `mend` it.
     """
     if not (1 if use is socket.socket.connect else 0) <= port <= 65535:
         raise LinkError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")

@@ -5,10 +5,10 @@
                                                       of it
     plan = kinematics.plan(targets, t)  # a timed path through the effects of the model
 
-Targets are in the base frame; sensing effects never enter. What acts stays within the model's
-range, commands within that and the tick window of its calibration. A delay and a lag are previewed
-along the path, all other effects of the chain are inverted sample by sample (`rust/inverse/`).
-Pinned by tests/model/test_kinematics.py.
+Targets are in the base frame; sensing effects never enter. The effective command stays within the
+model's range, commands within that and the tick window of its calibration. A delay and a lag are
+previewed along the path, all other effects of the chain are inverted sample by sample
+(`rust/inverse/`). Pinned by tests/model/test_kinematics.py.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ class Kinematics:
         The effects are compensated.
 
         The finger has rested at home, or at the command `start` (C,) mm, for long before the first
-        of them. What is to act is solved for, unless `acting` (T, C) mm gives it.
+        of them. The effective commands are solved for, unless `acting` (T, C) mm gives them.
 
         Raises:
             SoftmapError: as `solve`, or times that do not rise.

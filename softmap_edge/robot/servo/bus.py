@@ -110,7 +110,7 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
 
 
 def rates() -> list[int]:
-    """Return every baud rate that some servo knows, the usual ones first."""
+    """Return every baud rate that some servo has, the usual ones first."""
     every = sorted({rate for model in _core.servo_models() for rate in model["baud_rates"]})
     usual = [57_600, 1_000_000]
     return usual + [rate for rate in every if rate not in usual]

@@ -1,11 +1,11 @@
-"""The emergency stops of a bench: `[emergency]` of its `rig.toml`.
+"""The emergency stops of a rig: `[emergency]` of its `rig.toml`.
 
     [emergency]
     gpio = {chip = "/dev/gpiochip0", line = 17, active_low = false}
     udp = {port = 5006, key_file = "stop.key", timeout = 0.2}
 
 The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or
-does not beat, is pressed. docs/reference/safety.md says how to wire and use them. Pinned by
+does not beat, is pressed. docs/reference/safety.md explains how to wire and use them. Pinned by
 tests/robot/test_emergency.py.
 """
 
@@ -51,7 +51,7 @@ class Beats:
 
 @dataclass(frozen=True)
 class Emergency:
-    """The stops that a bench has; none by default."""
+    """The stops that a rig has; none by default."""
 
     gpio: Line | None = None
     udp: Beats | None = None
@@ -90,7 +90,7 @@ class Emergency:
 
 
 def read_emergency(table: TomlTable, folder: Path) -> Emergency:
-    """Read the stops of a bench; a key file is looked for from `folder`.
+    """Read the stops of a rig; a key file is looked for from `folder`.
 
     Raises:
         RunError: an unknown name, or a value out of range. ServoError: what a stop needs is

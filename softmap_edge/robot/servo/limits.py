@@ -82,7 +82,7 @@ class EffectiveLimits:
 
     `low` and `high` are in ticks about home.
 
-    calibration: that of the bundle on this bench, its home moved by whole turns and its window that
+    calibration: that of the bundle on this rig, its home moved by whole turns and its window that
     of the limits · safety: what the finger may be asked · derived: the bundle held none, so that it
     was derived from its model.
     """
@@ -187,14 +187,14 @@ class EffectiveLimits:
 def effective_limits(
     rig: Rig, model: Model, calibration: Calibration | None = None, rate: float = RATE
 ) -> EffectiveLimits:
-    """Return the limits in force on the bench `rig` for the finger of `model`.
+    """Return the limits in force on the rig `rig`, for the finger of `model`.
 
     Args:
         calibration: ticks and commands, by default the model's. rate: periods of the loop a second.
 
     Raises:
         ServoError: the bundle has no calibration or another number of servos, what acts at home
-            lies outside the window, or home of the bench is not the calibration's. BundleError:
+            lies outside the window, or home of the rig is not the calibration's. BundleError:
             safety.toml allows a tension far beyond what the model was simulated with.
     """
     found = calibration or calibration_of(model)
@@ -291,7 +291,7 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
         left, most = abs(homes[k] - here.home[k]), ASTRAY * float(np.ptp(box[k]))
         if left > most:
             raise ServoError(
-                f"servo {servo.id}: home of the bench is {servo.home}, the calibration was made "
+                f"servo {servo.id}: home of the rig is {servo.home}, the calibration was made "
                 f"about {calibration.home[k]:g}: {left:g} ticks apart, whole turns removed, "
                 f"allowed are {most:.0f}; home it again where the finger is straight, or "
                 "calibrate again"

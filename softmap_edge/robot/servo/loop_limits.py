@@ -2,9 +2,9 @@
 
 The compiled guard checks it and keeps to it.
 
-docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about
-`home`. Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests
-of rust/servo/guard.
+docs/reference/safety.md explains each limit. Ticks are absolute; the window lies about `home`.
+Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests of
+rust/servo/guard.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLim
     """Return the limits of one servo by its model's data.
 
     Args:
-        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 <
+        model: its name, as in `servo_model`. home: ticks. window: ticks about home, LOW < 0 <
             HIGH.
 
     Raises:
@@ -82,7 +82,7 @@ def following(slew: float) -> float:
     """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
 
     Real servos are behind by their delay at each speed: a limit below that drops the torque of a
-    healthy finger, and it must be homed again. What is really blocked pulls for some tenths of a
+    healthy finger, and it must be homed again. A really blocked servo pulls for some tenths of a
     second more, within its current cap.
     """
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))

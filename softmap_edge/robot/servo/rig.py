@@ -1,6 +1,6 @@
 """One rig: where its servos are and where home is, on the machine that drives them (`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by
+A bundle is somebody else's file; what belongs to a rig never travels with it. Pinned by
 tests/robot/test_rig_file.py.
 """
 
@@ -52,7 +52,7 @@ class Rig:
     """A port, its baud rate, and the servos in the order of the commands.
 
     `ceiling` is what all of them are allowed at most, `emergency` the stops that the loop asks,
-    `made` says how each thing was found. `time` is that of the servos, `file` the one that it was
+    `made` is how each thing was found. `time` is that of the servos, `file` the one that it was
     read from; no file holds them.
 
     Raises:

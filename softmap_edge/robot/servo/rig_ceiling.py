@@ -38,12 +38,12 @@ OF_EACH = ("low", "high", "slew", "acceleration", "current_mA", "following", "wa
 
 @dataclass(frozen=True)
 class Ceiling:
-    """Limits by name (RANGES), as far as the bench sets them."""
+    """Limits by name (RANGES), as far as the rig sets them."""
 
     values: tuple[tuple[str, Value], ...] = ()
 
     def get(self, name: str) -> Value | None:
-        """Return a limit, None where the bench says nothing."""
+        """Return a limit, None where the rig sets none."""
         return dict(self.values).get(name)
 
     def to_toml(self) -> list[str]:
@@ -53,7 +53,7 @@ class Ceiling:
 
 
 def read_ceiling(table: TomlTable) -> Ceiling:
-    """Read the limits of a bench.
+    """Read the limits of a rig.
 
     Raises:
         RunError: an unknown name, or a value out of range. ServoError: a pair that is none, or warm
@@ -81,7 +81,7 @@ def read_ceiling(table: TomlTable) -> Ceiling:
 
 
 def check_bench(rig: Rig, limits: LoopLimits) -> None:
-    """Refuse limits of a robot that its bench does not allow.
+    """Refuse limits of a robot that its rig does not allow.
 
     Raises:
         ServoError: a servo's home differs from the homed one of the rig, or a limit lies above the
@@ -106,7 +106,7 @@ def check_bench(rig: Rig, limits: LoopLimits) -> None:
 
 
 def _both(rig: Rig, limits: Document) -> Iterator[tuple[str, str, Any, Any]]:
-    """Give each limit that the bench sets: of which servo, its name, its value and the ceiling."""
+    """Give each limit that the rig sets: of which servo, its name, its value and the ceiling."""
     for name in RANGES:
         most = rig.ceiling.get(name)
         if name not in OF_EACH:

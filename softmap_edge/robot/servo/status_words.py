@@ -1,6 +1,6 @@
-"""What the guard does and why, in words: of its states, its causes, and what it denies.
+"""Words for the guard's states, their causes, and the requests that it denies.
 
-Whatever shows them to somebody takes them from here. Pinned by tests/robot/test_servo_words.py.
+All commands and pages take them from here. Pinned by tests/robot/test_servo_words.py.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LEVELS: dict[str, Level] = {
 CAUSES = {
     "none": "",
     "asked": "somebody asked for it",
-    "deadman": "the deadman was released",
+    "deadman": "the enable key was released",
     "stale": "no target came in time",
     "refused": "targets were refused: not finite, or a jump too far",
     "late": "a servo did not answer in time",
@@ -61,7 +61,7 @@ DENIED = {
         "a servo stands outside its window; turn it back with `softmap servo move`, or home the "
         "robot again"
     ),
-    "undriven": "no fresh target, or the deadman is not pressed",
+    "undriven": "no fresh target, or the enable key is not pressed",
 }
 STATES = {
     "off": "Not connected, torque is off",
@@ -70,7 +70,7 @@ STATES = {
     "ready": "Ready, torque is off",
     "engaged": "Driving",
     "hold": "Holding where it is; it releases tension soon",
-    "safe_stop": "Slackening: it goes straight, then torque goes off",
+    "safe_stop": "Releasing tension: it goes straight, then torque goes off",
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
@@ -247,7 +247,7 @@ def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | 
 
 
 def sentence(report: LoopReport) -> str:
-    """Return what the guard's newest report says, and why."""
+    """Return the guard's newest report in words, with its cause."""
     name = str(report.get("state", "off"))
     message = STATES.get(name, name)
     why = "" if name in QUIET else cause(report)
@@ -269,7 +269,7 @@ def limits(report: LoopReport) -> list[str]:
 
 
 def lost(report: LoopReport, why: str) -> str:
-    """Return why driving ended, where the guard's report does not say so, and what leads on."""
+    """Return why driving ended, where the guard's report lacks it, and the remedy."""
     state = str(report.get("state", "off"))
     again = "release the key and press it again"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):

@@ -2,10 +2,10 @@
 
     released → waiting → driving → lost → released
 
-A press waits up to PATIENCE for all that driving needs; whatever goes while it lasts ends it, and
-the key must be let go and pressed again. What moves is relative: the hand's pose at the press
-stands for where the finger is (u = 0 after slackening, the paper's), so that nothing jumps. Pinned
-by tests/robot/test_clutch.py.
+A press waits up to PATIENCE for all that driving needs; if a part is lost, the press ends, and the
+key must be let go and pressed again. Motion is relative: the hand's pose at the press stands for
+where the finger is (u = 0 after slackening, the paper's), so that nothing jumps. Pinned by
+tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
 target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
-hand that goes, or a gesture, only ends it (`clutch`). Who holds nothing is released to the guard,
-which holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
+hand that goes, or a gesture, only ends it (`clutch`). Without a held key the guard takes over: it
+holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
 through the real loop on emulated servos.
 """
 
@@ -232,7 +232,7 @@ class Drive:
         return sight
 
     def _holding(self, now: float) -> tuple[str, Controls]:
-        """Return who holds the key, and what counts: theirs, or what the first input says."""
+        """Return who holds the key, and the valid input: theirs, or the first one."""
         said = [(one.name, one.controls(now)) for one in self._inputs]
         for name, controls in said:
             if controls.held:
@@ -324,7 +324,7 @@ class Drive:
     def _acknowledge(self, state: str) -> None:
         try:
             if state == "fault":
-                # the one that was pressed here; a line or heartbeat of the bench stays
+                # the stop pressed here; a stop by a line or heartbeat of the rig stays
                 self._robot.emergency(False)
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":

@@ -50,7 +50,7 @@ class Deadman:
     def __init__(self, rule: Rule = "fist releases") -> None:
         if rule not in get_args(Rule):
             raise TeleopError(
-                f"deadman: no rule {rule!r:.40}; there are {', '.join(get_args(Rule))}"
+                f"enable key: no rule {rule!r:.40}; there are {', '.join(get_args(Rule))}"
             )
         self.rule = rule
         self._fist: bool | None = None  # None: not known yet

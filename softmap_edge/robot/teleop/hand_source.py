@@ -1,8 +1,7 @@
 """Hand observations, newest first: a thread finds landmarks in pictures, or UDP brings them.
 
-A sight replaces the one before; a reader slower than the camera misses some, and none waits. What
-ends it (camera gone, file over) is reported, not raised. Pinned by
-tests/robot/test_teleop_drive.py.
+A sight replaces the one before; a reader slower than the camera misses some, and none waits. Its
+end (camera gone, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
 """
 
 from __future__ import annotations
@@ -72,8 +71,8 @@ class Finder(Protocol):
 class HandSource(ABC):
     """The slot that a thread of its own fills; a context manager.
 
-    `gone` says in a line why nothing comes any more, `over` that a file came to its end. `.taken`
-    and `.hands` count pictures and those with the driving hand.
+    `gone` is a line on why nothing comes any more, `over` the end of a file. `.taken` and `.hands`
+    count pictures and those with the driving hand.
     """
 
     def __init__(self, name: str, view: View) -> None:

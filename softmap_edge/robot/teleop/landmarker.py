@@ -41,7 +41,7 @@ class Landmarker:
     """Finds hands in one picture after another; a context manager, to be closed.
 
     `model` is the task file (`default_path()` without), `hands` how many are looked for,
-    `confidence` from which on a hand counts, 0 to 1. `.model` says which file and checksum.
+    `confidence` from which on a hand counts, 0 to 1. `.model` is the file and its checksum.
 
     Raises:
         TeleopError: mediapipe is absent or cannot run here, or the model is not usable.

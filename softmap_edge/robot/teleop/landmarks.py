@@ -35,7 +35,7 @@ DRIFT = 1e-4  # s a second by which two clocks may part: what counts as the quic
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """What a sender says: the hand that it sees, if any, and whether its operator holds the key."""
+    """A message of a sender: the hand that it sees, if any, and whether the key is held."""
 
     hand: Hand | None = None
     held: bool = False
@@ -66,7 +66,7 @@ def packed(
 def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, float] | str:
     """Return (message, session, sequence, sender's clock) of a datagram, or what is wrong.
 
-    The latter is a word that says why it is rejected.
+    The latter is a word for why it is rejected.
     """
     body = body_of(key, datagram, _BODY.size)
     if isinstance(body, str):

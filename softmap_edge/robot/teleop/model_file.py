@@ -3,10 +3,10 @@
 It is built from an older wheel of it, or copied.
 
 A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of
-mediapipe (Apache 2.0) holds them; the landmarks are those of the published task file. Whatever is
-given was made by somebody else: sizes are bounded before anything is read, nothing is unpacked to a
-disk, and only what has the right form is written. The checksum is kept next to the file, in the
-form of `sha256sum`, and asked each time. Pinned by tests/robot/test_model_file.py.
+mediapipe (Apache 2.0) holds them; the landmarks are those of the published task file. The given
+file is not trusted: sizes are bounded before anything is read, nothing is unpacked to a disk, and
+only what has the right form is written. The checksum is kept next to the file, in the form of
+`sha256sum`, and asked each time. Pinned by tests/robot/test_model_file.py.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
 
 def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
     with archive.open(place) as stream:
-        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever the entry says of itself
+        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever size the entry declares
     if len(content) > LARGEST_NETWORK:
         raise TeleopError(
             f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does"

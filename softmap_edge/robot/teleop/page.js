@@ -1,5 +1,5 @@
-// The page of `softmap teleop`: hears what the program tells (page_drawing.js draws it), and says again and again whether
-// the key is held.
+// The page of `softmap teleop`: receives the state of the program (page_drawing.js draws it), and repeats whether the key
+// is held.
 "use strict";
 
 const SPEED = 0.9;       // of the range a second, by an arrow held
@@ -36,7 +36,7 @@ function connect() {
   mine.onclose = event => {
     opened = false;
     letGo();
-    if (event.code === 1006 && !hello) refused = "The program does not answer, or refuses this link: it may have ended, or was started anew with another link.";
+    if (event.code === 1006 && !hello) refused = "The program does not answer, or refuses this link: it may have ended, or was started again with another link.";
     draw();
     setTimeout(connect, 1000);
   };

@@ -1,7 +1,7 @@
 """The page on localhost: picture, hand, finger and guard; keyboard, mouse and enable key.
 
 Served from this package alone by `websockets` (BSD; its threaded server needs no event loop next to
-the loop that drives). Who has the link drives: its random token is in the part behind `#`, which no
+the loop that drives). The link gives access: its random token is in the part behind `#`, which no
 browser sends to anybody, and is asked of every connection. Host must be an address or localhost (a
 name that was bent to this computer, DNS rebinding, is refused) and Origin this very page. One page
 drives at a time, others watch; its key lapses by `keys.HeldKey`. Nothing is queued: a page is sent
@@ -151,7 +151,7 @@ class Page:
         self._hello, self._view = hello, view
 
     def controls(self, now: float) -> Controls:
-        """Return what the driving page says."""
+        """Return the newest message of the driving page."""
         return Controls(self._key.held(now), self._knob, self._source)
 
     def asked(self) -> str | None:
@@ -193,7 +193,7 @@ class Page:
         return None
 
     def _serve(self, connection: ServerConnection) -> None:
-        """Read what a page says; what it is sent goes by a thread of its own."""
+        """Read the messages of a page; another thread sends to it."""
         with self._lock:
             room = len(self._pages) < MOST_PAGES  # several may have been let in at once
             if room:
@@ -224,7 +224,7 @@ class Page:
         wish = said.get("do")
         if wish in GRAVEST:
             self._wish.ask(wish)
-        if wish in ("stop", "emergency") or age > LATE:  # an old message tells nothing of now
+        if wish in ("stop", "emergency") or age > LATE:  # an old message is out of date
             return
         self._source, self._knob = said["source"], said["knob"]
         self._key.say(said["held"], now - age)

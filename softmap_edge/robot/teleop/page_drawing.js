@@ -1,4 +1,4 @@
-// The page of `softmap teleop`: draws what page.js was told and what its operator does; it changes nothing of either.
+// The page of `softmap teleop`: draws the state in page.js and the inputs of its operator; it changes neither.
 "use strict";
 
 const TRAIL = 60;        // places of the tip that are drawn
@@ -26,10 +26,10 @@ function clear(canvas) {
 
 function words() {
   if (refused) return refused;
-  if (!opened) return "The connection is lost: the finger is let go of, it holds, then slackens. Trying again …";
+  if (!opened) return "Connection lost: the key counts as released; the finger holds, then releases tension. Reconnecting …";
   if (!state) return "Connecting to the program …";
   let said = state.said + ".";
-  if (state.slow_ms) said += ` What this page says arrives up to ${(state.slow_ms / 1000).toFixed(1)} s late; it drives below 0.25 s.`;
+  if (state.slow_ms) said += ` Messages of this page arrive up to ${(state.slow_ms / 1000).toFixed(1)} s late; driving needs less than 0.25 s.`;
   if (state.stage === "lost") said += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
   else if (state.stage === "waiting" && state.why) said += ` Waiting: ${state.why}.`;
   else if (state.stage === "released" && state.lacking && state.level === "ready") said += ` Not yet: ${state.lacking}.`;

@@ -2,8 +2,8 @@
 
 mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the
 folder `cv2/`: pip installs the one over the other, and uninstalling either deletes it. Nothing here
-imports either of them. What is absent is a warning, for a robot may be driven without a hand before
-its own camera; what clashes or is damaged is a fault. Pinned by
+imports either of them. An absent package is a warning, because a robot may be driven without a hand
+before its own camera; a clash or a damaged package is a fault. Pinned by
 tests/robot/test_teleop_installed.py.
 """
 
