@@ -1,7 +1,4 @@
-"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input.
-
-Hooked into servo.py.
-"""
+"""The action `servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input."""
 
 from __future__ import annotations
 

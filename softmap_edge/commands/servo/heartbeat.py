@@ -1,4 +1,4 @@
-"""`softmap servo heartbeat`: the emergency stop on another computer. Hooked into servo.py."""
+"""The action `servo heartbeat`: the emergency stop on another computer."""
 
 from __future__ import annotations
 

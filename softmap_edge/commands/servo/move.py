@@ -1,4 +1,8 @@
-"""The command `servo move`: jog servos by held keys, turn one by some ticks, or go to one command and back."""
+"""The command `servo move`: jog servos by keys, turn one by some ticks, or go to one command.
+
+The enable key and the questions are shared with `commission.py`. Pinned by
+tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_bench.py.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
-from softmap_edge.commands.output import to_stderr, with_files
+from softmap_edge.commands.output import JsonOption, to_stderr, with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
-from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Deadman, Held, Jog, most_travel
 from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
@@ -29,7 +32,7 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
 from softmap_edge.robot.servo.rig import Rig, read_rig
-from softmap_edge.robot.servo.terminal import EMERGENCY
+from softmap_edge.robot.servo.terminal import EMERGENCY, terminal, wait_for_release
 
 Floats = NDArray[np.float64]
 Ticks = NDArray[np.float64] | NDArray[np.int64]
@@ -379,3 +382,53 @@ def _off(robot: Controller, command: Floats, what: str) -> float:
 
 def _mm(numbers: Floats) -> str:
     return ", ".join(f"{one:.2f}" for one in numbers)
+
+
+# --- shared with commission.py: the enable key, and questions -----------------------------------
+def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Declare `--hold`, the same wherever a deadman is; `more` says what else it does."""
+    parser.add_argument(
+        "--hold",
+        action="store_true",
+        help=f"no key needs to be held: the program holds while it runs, Ctrl-C lets go{more}",
+    )
+
+
+@contextlib.contextmanager
+def deadman(held: bool) -> Iterator[Deadman]:
+    """Return what has to be held: the program itself, or a key of the terminal.
+
+    The program is stopped by keys where there is a terminal.
+    """
+    if held and terminal() is None:
+        yield Held()
+    else:
+        with Keys(always=held) as keys:
+            yield keys
+
+
+def announce(args: JsonOption, what: str, hand: Deadman) -> None:
+    """Say what will move, and how it is stopped."""
+    if not args.json:
+        print(f"{what}; {hand.how}", file=sys.stderr)
+
+
+def confirm(question: str, instead: str) -> bool:
+    """Ask a question on the terminal until the answer is yes or no; no answer is a no.
+
+    A key that is still held is no answer: it is waited for. `instead` is the option that says it
+    where there is no terminal.
+
+    Raises:
+        ServoError: there is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise ServoError(f"no terminal to ask at; {instead} says it instead")
+    if (file := terminal()) is not None:
+        wait_for_release(file)
+    while True:
+        print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip().lower()
+        if answer in ("y", "yes", "n", "no", ""):
+            return answer.startswith("y")
+        print("y for yes, n or Enter for no", file=sys.stderr)
