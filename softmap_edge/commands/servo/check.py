@@ -24,7 +24,7 @@ from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig
 
 WELL = 0
-FAULT = 1  # exit code: a fault, limits that let nothing be driven, or a recording decided otherwise
+FAULT = 1  # exit code: a fault, limits that let no servo be driven, a decision that differs
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class DoctorOptions:
 
 
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `doctor`."""
+    """Declare the arguments of `servo doctor`."""
     parser.add_argument(
         "--rig", metavar="rig.toml", help="ask the servos of this bench too; nothing moves"
     )
@@ -47,7 +47,7 @@ def doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def doctor(args: DoctorOptions) -> int:
-    """Look at everything; 1 if something is at fault."""
+    """Check the computer and, with `--rig`, the rig; return 1 if there is a fault."""
     from softmap_edge.robot.doctor import examine
 
     found = examine(args.rig, args.bundle, args.camera)
@@ -88,7 +88,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def limits(args: LimitsOptions) -> int:
-    """Print the limits; 1 when nothing can be driven with them, and why."""
+    """Print the limits; return 1, with the reason, if they let no servo be driven."""
     load_own(args)
     model = open_model(args.bundle)
     found = effective_limits(read_rig(args.rig), model, rate=args.rate)
@@ -117,7 +117,7 @@ class ReplayOptions:
 
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `replay`."""
+    """Declare the arguments of `servo replay`."""
     parser.add_argument("recording", help="what the control loop recorded (.mcap)")
     parser.add_argument(
         "--run", metavar="FILE.npz", help="write it as a run as well, with what was seen"
@@ -126,9 +126,10 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again; 1 if it decides otherwise or is incomplete.
+    """Let the guard decide a recording again.
 
-    It is the recording that is incomplete.
+    Returns:
+        1 if a decision differs or the recording is incomplete, else 0.
     """
     check_file("--run", args.run, ".npz")
     check_no_run("--run", args.run, args.force)

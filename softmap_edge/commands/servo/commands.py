@@ -48,10 +48,10 @@ OnBus = TypeVar("OnBus", "ScanOptions", "ReadOptions")
 
 
 def _ports(port: str | None, baud: int | None) -> list[str]:
-    """Return the ports that are meant.
+    """Return the selected ports.
 
     Raises:
-        ServoError: none, or a rate that no port has.
+        ServoError: there is no port, or `baud` is out of range.
     """
     if baud is not None and not SLOWEST <= baud <= FASTEST:
         raise ServoError(f"--baud {baud}; {SLOWEST} to {FASTEST} is allowed")
@@ -62,7 +62,7 @@ def _ports(port: str | None, baud: int | None) -> list[str]:
 
 
 def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
-    """Return the rig of `--rig`, and options with its port and baud rate if missing."""
+    """Return the rig of `--rig`, and the options with its port and baud rate where not given."""
     if args.rig is None:
         return None, args
     rig = read_rig(args.rig)
@@ -180,7 +180,7 @@ def _registers(
 ) -> tuple[dict[str, int], list[str]]:
     """Return a servo's register values, and a line for each bad or rewritten one.
 
-    A bad one blocks a start; a start rewrites others.
+    A bad value blocks a start; the others are rewritten by a start.
     """
     try:
         with opened(servo.port, servo.baud) as bus:
@@ -209,7 +209,7 @@ def _setup(args: SetupOptions) -> int:
             "--id"
         )
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
-    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # before anything is changed
+    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # raises before anything is changed
     mended: list[str] = []
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
     if args.rig:
@@ -235,7 +235,7 @@ def _setup(args: SetupOptions) -> int:
 
 
 def _next(args: SetupOptions, done: setup.ServoState) -> str:
-    """Return what comes after set-up: homing, which needs a rig that holds the servo."""
+    """Return the step after set-up: homing, which needs a rig that lists the servo."""
     if args.rig:
         return "once all servos are set up,\n" + next_command("servo", "home", "--rig", args.rig)
     where = ("--port", done.port, "--baud", str(done.baud), "--id", str(done.id))
@@ -271,7 +271,7 @@ def _off(args: OffOptions) -> int:
 
 
 def _reboot(args: RebootOptions) -> int:
-    """Restart one servo, torque off first; return 0 if it reports no error afterwards."""
+    """Switch the torque of one servo off and restart it; return 0."""
     if not 0 <= args.id <= 252:
         raise ServoError(f"--id {args.id}; allowed are 0 to 252")
     port, baud = _where(args)
@@ -457,5 +457,5 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def servo(args: argparse.Namespace) -> int:
-    """Run an action on servos; return 0 when all is well."""
+    """Run an action and return its exit code."""
     return run_action(ACTIONS, args)

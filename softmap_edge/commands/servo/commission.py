@@ -33,8 +33,8 @@ from softmap_edge.robot.commissioning.pull import MARGIN, noted, pull
 from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import Rig, read_rig
 
-JOGGED = 200.0  # ticks: seen, and within what a jog may do
-MOVES = 0.5  # of that which a servo must have come
+JOGGED = 200.0  # ticks: visible, and within the travel of a jog
+MOVES = 0.5  # least share of JOGGED that a servo must turn
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def home_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def home(args: HomeOptions) -> int:
-    """Confirm home after a power-up; 0 when it is confirmed."""
+    """Home the robot after a power-up and write its homes into the rig; return 0."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
     relax(rig)
@@ -127,13 +127,13 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def calibrate(args: CalibrateOptions) -> int:
-    """Write the bundle with a first calibration; 0 when it is written."""
+    """Write the bundle with a first calibration; return 0."""
     check_bundle(args.out, args.force)
     load_own(args)
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # refuses before anything moves
+    found = bench_calibration(rig, model, pulley, given)  # raises before anything moves
     if args.signs is None:
         found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
@@ -186,7 +186,7 @@ def _signs(text: str) -> list[int]:
 
 
 def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
-    """Jog each servo a little and back, and ask which way the finger bent."""
+    """Jog each servo a little and back, and ask which way the finger bent; return the signs."""
     signs = []
     for k, servo in enumerate(rig.servos):
         way = bends(model, k)
@@ -251,7 +251,7 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def pull_test(args: PullOptions) -> int:
-    """Measure and write the ceilings; 0 when all are found."""
+    """Measure the current at the stroke and write the ceilings into the rig; return 0."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
     load_own(args)
