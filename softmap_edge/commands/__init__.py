@@ -86,7 +86,7 @@ COMMANDS: list[Command] = [
         "run register",
         DATA,
         "point clouds → vertices of the template",
-        f"{_HERE}.register",
+        f"{_HERE}.align",
         "registration",
         ("run register clouds.npz --out run.npz",),
     ),

@@ -251,7 +251,7 @@ def _answered(
 
 
 def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
-    """Return how the commands are played: on the simulated finger if it is this robot, or on a rig."""
+    """Return the command that plays the file: on the simulated finger if it is this robot, or a rig."""
     from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:

@@ -16,11 +16,10 @@ from pathlib import Path
 import pytest
 from learned_ticks import arm
 
-from softmap_edge.cli import commands_here, main, parser_of
+from softmap_edge.cli import commands_here, main, outliving, parser_of
 from softmap_edge.commands import COMMANDS as BUILTIN
 from softmap_edge.commands import RENAMED
 from softmap_edge.commands.parser import parsers_below
-from softmap_edge.commands.pipe import outliving
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {command.name: command for command in commands_here()}
