@@ -148,11 +148,14 @@ def track(args: TrackOptions) -> int:
         raise SoftmapError(
             "--alternative goes with --table, --reach with --workspace; give that too"
         )
-    idle = [
-        f"--{name}"
-        for name in ("record", "seed", "key", "like", "late")
-        if getattr(args, name) is not None
-    ]
+    driven = {
+        "--record": args.record,
+        "--seed": args.seed,
+        "--key": args.key,
+        "--like": args.like,
+        "--late": args.late,
+    }
+    idle = [option for option, value in driven.items() if value is not None]
     if args.plan and idle:
         raise SoftmapError(
             f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
@@ -368,7 +371,7 @@ def _text(summary: Document) -> str:
 
 # --- what is printed without a robot --------------------------------------------------------------
 def _table(args: TrackOptions, model: Model) -> int:
-    """Print the table."""
+    """Print Table II of the paper; return 0."""
     rival = None if args.alternative is None else open_model(args.alternative)
     seed = 1 if args.seed is None else args.seed
     with Bar(args.json) as bar:
@@ -400,7 +403,7 @@ def _table(args: TrackOptions, model: Model) -> int:
 
 
 def _workspace(args: TrackOptions, kinematics: Kinematics) -> int:
-    """Say what the tip can reach, whether a point is in it, and draw it."""
+    """Print the reach of the tip and whether a point is within it, and draw it; return 0."""
     target = None if args.reach is None else np.asarray(args.reach, float)
     rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
     if target is not None and not (np.abs(target) <= WIDEST).all():

@@ -246,9 +246,7 @@ def modules_of(name, seen=None):
 
 
 def read_in(trees):
-    """The names that are read of an `args`: `args.x`, `getattr(args, "x")`, or any text that is one
-    of them.
-    """
+    """The names that are read of an `args`: `args.x`."""
     read = set()
     for tree in trees:
         for node in ast.walk(tree):
@@ -260,18 +258,6 @@ def read_in(trees):
                 read |= (
                     {node.attr} if node.value.id in ("args", "arguments", "told", "a") else set()
                 )
-            elif isinstance(node, ast.For | ast.comprehension) and isinstance(
-                node.iter, ast.Tuple | ast.List
-            ):
-                read |= {
-                    e.value for e in node.iter.elts if isinstance(e, ast.Constant)
-                }  # getattr(args, name) for name in …
-            elif (
-                isinstance(node, ast.Call)
-                and isinstance(node.func, ast.Name)
-                and node.func.id == "getattr"
-            ):
-                read |= {e.value for e in node.args if isinstance(e, ast.Constant)}
     return read
 
 

@@ -266,12 +266,14 @@ def _bare(args: EmulateOptions, count: int) -> int:
     number = servo_model(args.model)["number"]
     if not 1 <= count <= MOST_SERVOS:
         raise ServoError(f"{count} servos; allowed are 1 to {MOST_SERVOS}")
-    given = [
-        f"--{name}"
-        for name in ("bundle", "hide", "stream", "calibrated", "key")
-        if getattr(args, name)
-    ]
-    if given:
+    of_finger = {
+        "--bundle": args.bundle,
+        "--hide": args.hide,
+        "--stream": args.stream,
+        "--calibrated": args.calibrated,
+        "--key": args.key,
+    }
+    if given := [option for option, value in of_finger.items() if value]:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
     servos = [(id, number, args.baud, 2000.0) for id in range(1, count + 1)]
