@@ -18,7 +18,6 @@ from importlib.metadata import entry_points
 from typing import Any, TextIO, cast
 
 from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
-from softmap_edge.commands.output import to_stderr, with_files
 from softmap_edge.commands.parser import Parser
 from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, nearest, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
@@ -210,6 +209,8 @@ def _run(command: Command, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
+        from softmap_edge.commands.output import with_files  # loads numpy
+
         print(one_line(f"softmap {name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
@@ -244,7 +245,7 @@ def _printing_warnings(name: str) -> Iterator[set[str]]:
             if not issubclass(category, RecordingWarning | SessionWarning):
                 usual(message, category, filename, lineno, file, line)
             elif (text := str(message)) not in printed:
-                to_stderr(f"softmap {name}: {text}")
+                print(f"softmap {name}: {text}", file=sys.stderr, flush=True)
                 if issubclass(category, RecordingWarning):
                     printed.add(text)
 
