@@ -1,4 +1,8 @@
-"""The `softmap` command: runs the command, turns errors into one line and an exit code."""
+"""The `softmap` command: runs the command, turns errors into one line and an exit code.
+
+A command outlives the reader of its output: after `head` closes the pipe, it still writes its
+files. Pinned by tests/commands/test_cli_words.py and tests/files/test_mcap_damage.py.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +11,15 @@ import importlib
 import os
 import re
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import entry_points
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
-from softmap_edge.commands.incomplete import printing_warnings
-from softmap_edge.commands.output import with_files
 from softmap_edge.commands.parser import Parser
-from softmap_edge.commands.pipe import outliving
-from softmap_edge.errors import SoftmapError, nearest, no_name
+from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, nearest, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
 from softmap_edge.version import __version__
 
@@ -36,6 +38,51 @@ def main(argv: list[str] | None = None) -> int:
     live = "--live" in argv  # it ends with its reader
     with nullcontext() if live else outliving(), _printable():
         return _main(argv)
+
+
+class Outliving:
+    """A stream that discards its output once the reader has closed the pipe."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write `text`; return the number of characters."""
+        try:
+            return int(self._stream.write(text))
+        except BrokenPipeError:
+            self._give_up()
+            return len(text)
+
+    def flush(self) -> None:
+        """Write out the buffer."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Redirect the stream, with its buffer, to the null device."""
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def outliving() -> Iterator[None]:
+    """Let standard output and standard error outlive their readers."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)
+    try:
+        yield
+    finally:
+        for one in (sys.stdout, sys.stderr):
+            if one is not None:
+                one.flush()
+        sys.stdout, sys.stderr = streams
 
 
 @contextmanager
@@ -153,7 +200,7 @@ def _run(command: Command, argv: list[str]) -> int:
     options = vars(module).get(command.options)  # none where actions have their own
     args = namespace if options is None else options(**vars(namespace))
     try:
-        with printing_warnings(name) as incomplete:
+        with _printing_warnings(name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by the parent process
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
@@ -162,6 +209,8 @@ def _run(command: Command, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
+        from softmap_edge.commands.output import with_files  # loads numpy
+
         print(one_line(f"softmap {name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
@@ -173,6 +222,37 @@ def _run(command: Command, argv: list[str]) -> int:
     except OSError as error:
         print(one_line(f"softmap {name}: {_of_the_system(error)}"), file=sys.stderr)
         return WRONG_USE
+
+
+@contextmanager
+def _printing_warnings(name: str) -> Iterator[set[str]]:
+    """Print each recording or session warning once on stderr; yield the set of recording warnings.
+
+    A command works with the sound part of a damaged recording, and returns 1.
+    """
+    printed: set[str] = set()
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if not issubclass(category, RecordingWarning | SessionWarning):
+                usual(message, category, filename, lineno, file, line)
+            elif (text := str(message)) not in printed:
+                print(f"softmap {name}: {text}", file=sys.stderr, flush=True)
+                if issubclass(category, RecordingWarning):
+                    printed.add(text)
+
+        for category in (RecordingWarning, SessionWarning):
+            warnings.filterwarnings("always", category=category)
+        warnings.showwarning = show
+        yield printed
 
 
 def _of_the_system(error: OSError) -> str:

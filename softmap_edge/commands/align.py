@@ -1,7 +1,4 @@
-"""The command `align`: from the frame of camera or mocap to the robot's base frame.
-
-It is done once for what was seen.
-"""
+"""The commands `run align` and `run register`: a run in the base frame, vertices of clouds."""
 
 from __future__ import annotations
 
@@ -9,17 +6,20 @@ import argparse
 import dataclasses
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.base_in_clouds import align_clouds
+from softmap_edge.alignment.clouds import read_clouds
+from softmap_edge.alignment.register import PRINTED
+from softmap_edge.alignment.register import register as lay
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.errors import AlignError
+from softmap_edge.errors import AlignError, RegistrationError
 from softmap_edge.geometry.rigid import RigidPose
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
+
+POOR = 1  # exit code where a frame has warnings
 
 _HOW = (
     "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base "
@@ -54,7 +56,7 @@ class AlignOptions:
 
 
 def align_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `align`."""
+    """Declare the arguments of `run align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument(
         "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
@@ -234,3 +236,69 @@ def without(run: Run, names: list[int]) -> Run:
         extra=extra,
         marker_rest=None if rest is None else rest[keep],
     )
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Options of `softmap run register`, as its parser declares them."""
+
+    clouds: list[str]
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    mode: Literal["robust", "paper"]
+    force: bool
+    json: bool
+
+
+def register_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `run register`."""
+    parser.add_argument(
+        "clouds",
+        nargs="+",
+        help=(
+            "a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
+        ),
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it"
+    )
+    effects_argument(parser)
+    parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")
+    parser.add_argument(
+        "--mode",
+        choices=("robust", "paper"),
+        default="robust",
+        help="robust, or the published objective",
+    )
+    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+
+
+def register(args: RegisterOptions) -> int:
+    """Lay the template onto each cloud, and write the run of its vertices."""
+    check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out, args.force)
+    load_own(args)
+    notes: list[str] = []
+    model, run = open_model(args.bundle), read_clouds(args.clouds, notes)
+    try:
+        found = lay(model, run, args.mode)
+    except RegistrationError as fault:  # a guess of columns may be the reason
+        raise RegistrationError("; ".join([str(fault), *notes[:PRINTED]])) from None
+    vertices = found.run(run)
+    vertices.save(args.out)
+    if args.json:
+        print(
+            json.dumps(found.to_dict() | {"notes": notes, "out": args.out, "hash": vertices.hash()})
+        )
+    else:
+        lines = [f"  look at: {note}" for note in notes[:PRINTED]]
+        lines += (
+            [f"  and {len(notes) - PRINTED} more such files (--json)"]
+            if len(notes) > PRINTED
+            else []
+        )
+        after = next_command("compare", args.out, bundle=args.bundle)
+        print("\n".join([str(found), *lines, f"written to {args.out}", after]))
+    return POOR if any(row["warnings"] for row in found.frames) else 0

@@ -186,7 +186,8 @@ def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experimen
     for path in (*args.run, *args.reference):
         open_run(path, model)  # not needed here, but damage is reported
     setting = Setting.after([], model.gravity_reference)
-    given = [f"--{name}" for name in ("standard", "block", "protocol") if getattr(args, name)]
+    ways = {"--standard": args.standard, "--block": args.block, "--protocol": args.protocol}
+    given = [option for option, value in ways.items() if value]
     if len(given) > 1:
         raise SoftmapError(f"{' and '.join(given)} are two protocols; leave one of them out")
     if args.protocol:
@@ -251,7 +252,7 @@ def _answered(
 
 
 def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
-    """Return how the commands are played: on the simulated finger if it is this robot, or on a rig."""
+    """Return the command that plays the file: on the simulated finger if it is this robot, or a rig."""
     from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # suffix of the loop's recording next to the run, until the run is written
-SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
 def record_on_robot(args: RecordOptions) -> int:
@@ -252,8 +251,13 @@ def _cut_in_order() -> Iterator[None]:
 
 def _checked(args: RecordOptions) -> None:
     """Raise SoftmapError for arguments that do not go together, or files that cannot be written."""
-    given = [f"--{name.replace('_', '-')}" for name in SIMULATED if getattr(args, name)]
-    if given:
+    simulated = {
+        "--virtual": args.virtual,
+        "--truth": args.truth,
+        "--finger": args.finger,
+        "--truth-from": args.truth_from,
+    }
+    if given := [option for option, value in simulated.items() if value]:
         raise SoftmapError(f"{given[0]} goes with --sim")
     if args.hide and not args.emulated:
         raise SoftmapError("--hide: only a simulated or emulated finger can hide something")

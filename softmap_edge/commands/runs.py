@@ -1,4 +1,4 @@
-"""Commands about files: import (logs → run, or a proposed mapping), check and show (run or bundle)."""
+"""Commands about files: import (logs → run, or a proposed mapping), check and show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands that look through a camera share: its arguments, and the receiver that they name."""
+"""Shared by commands that use a camera: its arguments, and the receiver of its points."""
 
 from __future__ import annotations
 

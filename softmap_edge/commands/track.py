@@ -1,4 +1,4 @@
-"""The command that leads the tip along a figure."""
+"""The command `track`: lead the tip along a figure, or print Table II or the workspace."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from softmap_edge.commands.output import check_picture, next_command
 from softmap_edge.commands.own import load_own, open_model
@@ -23,20 +25,21 @@ from softmap_edge.commands.robot import (
     plain_map,
 )
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
-from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import RecordingBroken, SoftmapError
 from softmap_edge.files.atomic import Document, write_atomically
+from softmap_edge.model.model import Model
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.drive.observations import Keeper, keeping, seen_file
 from softmap_edge.robot.drive.track import Course, Tracked, course, spread
 from softmap_edge.robot.drive.track import track as follow
 from softmap_edge.robot.emulated.finger import LATE, SERVO
 from softmap_edge.robot.link.frames import Seen
-from softmap_edge.robot.motion.figures import FIGURES
-from softmap_edge.robot.motion.kinematics import METHODS, Kinematics
+from softmap_edge.robot.motion.figures import FIGURES, WIDEST
+from softmap_edge.robot.motion.kinematics import AXES, METHODS, Kinematics
 from softmap_edge.robot.open import Bench
 from softmap_edge.robot.servo.loop_limits import servo_limits
 from softmap_edge.run.folds import LEAST_WITHHOLDING
+from softmap_edge.synthetic.table_two import table_two, text_of
 
 
 @dataclass(frozen=True)
@@ -145,11 +148,14 @@ def track(args: TrackOptions) -> int:
         raise SoftmapError(
             "--alternative goes with --table, --reach with --workspace; give that too"
         )
-    idle = [
-        f"--{name}"
-        for name in ("record", "seed", "key", "like", "late")
-        if getattr(args, name) is not None
-    ]
+    driven = {
+        "--record": args.record,
+        "--seed": args.seed,
+        "--key": args.key,
+        "--like": args.like,
+        "--late": args.late,
+    }
+    idle = [option for option, value in driven.items() if value is not None]
     if args.plan and idle:
         raise SoftmapError(
             f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
@@ -158,9 +164,9 @@ def track(args: TrackOptions) -> int:
     load_own(args)
     whole = open_model(args.bundle)
     if args.table:
-        return table(args, whole)
+        return _table(args, whole)
     if args.workspace:
-        return workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
+        return _workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
         bench = (
@@ -360,4 +366,99 @@ def _text(summary: Document) -> str:
             lines.append(next_command("next", "--standard", "--out", "next.csv", bundle=bundle))
         else:
             lines.append(next_command("diagnose", summary["record"], bundle=bundle))
+    return "\n".join(lines)
+
+
+# --- what is printed without a robot --------------------------------------------------------------
+def _table(args: TrackOptions, model: Model) -> int:
+    """Print Table II of the paper; return 0."""
+    rival = None if args.alternative is None else open_model(args.alternative)
+    seed = 1 if args.seed is None else args.seed
+    with Bar(args.json) as bar:
+        rows = table_two(
+            model,
+            rival,
+            seed=seed,
+            amplitude=args.amplitude,
+            duration=args.duration,
+            rate=3.0 if args.rate is None else args.rate,
+            method=args.method or "paper",
+            progress=bar,
+        )
+    document = {
+        "schema": "softmap.table2/1",
+        "bundle": args.bundle,
+        "rival": None if args.alternative is None else Path(args.alternative).name,
+        "kind": model.kind,
+        "calibrated": model.calibration is not None,
+        "effects": list(model.chain_names),
+        "seed": seed,
+        "amplitude_mm": args.amplitude,
+        "method": args.method or "paper",
+        "waypoints": len(rows[0].expected),
+        "rows": [row.to_dict() for row in rows],
+    }
+    print(json.dumps(document) if args.json else text_of(document))
+    return 0
+
+
+def _workspace(args: TrackOptions, kinematics: Kinematics) -> int:
+    """Print the reach of the tip and whether a point is within it, and draw it; return 0."""
+    target = None if args.reach is None else np.asarray(args.reach, float)
+    rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
+    if target is not None and not (np.abs(target) <= WIDEST).all():
+        raise SoftmapError(f"--reach {target.tolist()}; numbers of up to {WIDEST:g} mm are allowed")
+    places = kinematics.reach.samples[0]
+    solved = None if target is None else kinematics.solve(target[None])
+    unit = kinematics.model.command_unit
+    document: Document = {
+        "schema": "softmap.workspace/1",
+        "axes": kinematics.axes,
+        "command_unit": unit,
+        f"commands_{unit}": kinematics.acting_bounds.tolist(),
+        "rest_mm": rest.tolist(),
+        "range_mm": {axis: [float(v.min()), float(v.max())] for axis, v in zip(AXES, places.T)},
+        "target": None,
+        "picture": args.picture,
+    }
+    if target is not None and solved is not None:
+        document["target"] = {
+            "target_mm": target.tolist(),
+            "reached": bool(kinematics.reaches(target[None])[0]),
+            "distance_mm": float(solved.distance[0]),
+            "nearest_mm": solved.tip[0].tolist(),
+            f"acting_{unit}": solved.acting[0].tolist(),
+        }
+    if args.picture:
+        from softmap_edge.report.track_figure import workspace_figure
+
+        write_atomically(
+            args.picture,
+            workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0]),
+        )
+    print(json.dumps(document) if args.json else _workspace_text(document))
+    return 0
+
+
+def _workspace_text(summary: Document) -> str:
+    def point(numbers: list[float]) -> str:
+        return "(" + ", ".join(f"{v:.2f}" for v in numbers) + ")"
+
+    reach = ", ".join(
+        f"{axis} {low:.1f} to {high:.1f}" for axis, (low, high) in summary["range_mm"].items()
+    )
+    lines = [f"the tip rests at {point(summary['rest_mm'])} mm and reaches {reach} mm"]
+    if target := summary["target"]:
+        where = f"{point(target['target_mm'])} mm, along {summary['axes']}"
+        if target["reached"]:
+            unit = summary["command_unit"]
+            lines.append(
+                f"{where}: within reach, where {point(target[f'acting_{unit}'])} {unit} acts"
+            )
+        else:
+            lines.append(
+                f"{where}: out of reach by {target['distance_mm']:.2f} mm; nearest is "
+                f"{point(target['nearest_mm'])} mm"
+            )
+    lines += [f"{summary['picture']}: written"] if summary["picture"] else []
     return "\n".join(lines)

@@ -16,11 +16,10 @@ from pathlib import Path
 import pytest
 from learned_ticks import arm
 
-from softmap_edge.cli import commands_here, main, parser_of
+from softmap_edge.cli import commands_here, main, outliving, parser_of
 from softmap_edge.commands import COMMANDS as BUILTIN
 from softmap_edge.commands import RENAMED
 from softmap_edge.commands.parser import parsers_below
-from softmap_edge.commands.pipe import outliving
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {command.name: command for command in commands_here()}
@@ -247,9 +246,7 @@ def modules_of(name, seen=None):
 
 
 def read_in(trees):
-    """The names that are read of an `args`: `args.x`, `getattr(args, "x")`, or any text that is one
-    of them.
-    """
+    """The names that are read of an `args`: `args.x`."""
     read = set()
     for tree in trees:
         for node in ast.walk(tree):
@@ -261,18 +258,6 @@ def read_in(trees):
                 read |= (
                     {node.attr} if node.value.id in ("args", "arguments", "told", "a") else set()
                 )
-            elif isinstance(node, ast.For | ast.comprehension) and isinstance(
-                node.iter, ast.Tuple | ast.List
-            ):
-                read |= {
-                    e.value for e in node.iter.elts if isinstance(e, ast.Constant)
-                }  # getattr(args, name) for name in …
-            elif (
-                isinstance(node, ast.Call)
-                and isinstance(node.func, ast.Name)
-                and node.func.id == "getattr"
-            ):
-                read |= {e.value for e in node.args if isinstance(e, ast.Constant)}
     return read
 
 

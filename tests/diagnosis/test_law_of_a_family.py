@@ -34,7 +34,7 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
     assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
-    # its own error is part of its noise
+    # the model error is part of its noise
     assert judged(*laws, kind="memory", noisy=True).law is None
     # it explains less than 0.6 of what the family does
     assert judged(law("gain", 500, 1), kind="memory").law is None

@@ -145,7 +145,7 @@ def test_an_unknown_coupling_is_flagged_with_its_family():
     assert found.families[0].share > 0.8 and found.families[0].moved_mm > 0.3
 
 
-def test_a_known_play_is_found_beside_an_unknown_coupling():
+def test_a_known_play_is_found_alongside_an_unknown_coupling():
     run = finger_run(acting=lambda u: crossed(played(u, [1.2, 1.2])))
     found = diagnose(MODEL, run)
     assert found.verdict == "partly_explained" and names(found) == {"backlash"}
@@ -221,12 +221,12 @@ def test_a_representative_that_is_linearised_about_itself_does_what_the_law_does
     assert record.rms_mm(shift - true) < 0.15 * record.rms_mm(true)
     commands, more = applied(state.body, found, state.commands)
     assert np.abs(commands[0] - state.commands[0]).max() < 1.0 and not np.any(more)
-    beside = State(state.body, fits.null, [found])
-    np.testing.assert_allclose(beside.shift, shift, atol=1e-9)
-    assert record.rms_mm(beside.residual) < 0.4 * record.rms_mm(state.residual)
+    alongside = State(state.body, fits.null, [found])
+    np.testing.assert_allclose(alongside.shift, shift, atol=1e-9)
+    assert record.rms_mm(alongside.residual) < 0.4 * record.rms_mm(state.residual)
 
 
-def test_a_family_that_was_taken_stands_beside_the_others(play):
+def test_a_family_that_was_accepted_is_compared_alongside_the_others(play):
     fits, state, ranking = play
     memory = ranking.rows[0].family
     again = ranked(State(state.body, fits.get(["backlash"])), families(), [memory])

@@ -252,7 +252,7 @@ def test_it_is_a_candidate_and_its_numbers_are_found(off_centre_run):
     )
 
 
-def test_the_verbs_take_it_from_diagnosis_to_comparison(off_centre_run, here, capsys):
+def test_the_commands_take_it_from_diagnosis_to_comparison(off_centre_run, here, capsys):
     off_centre_run.save(here / "run.npz")
     own = ["--effects", str(EXAMPLE)]
     assert main(["diagnose", "run.npz", "--effects", "gain", *own, "--out", "d.json"]) == 0

@@ -1,6 +1,7 @@
 """The package: what an import loads, and how the command answers."""
 
 import importlib
+import os
 import pkgutil
 import subprocess
 import sys
@@ -35,6 +36,15 @@ def test_import_loads_numpy_and_the_core_only():
     }
     assert not extras & set(loaded)
     assert "softmap_edge" in loaded
+
+
+def test_the_command_sets_the_threads_of_blas_before_numpy_is_loaded():
+    code = (
+        "import os, sys; from softmap_edge.cli import main; assert 'numpy' not in sys.modules; "
+        "main(['--version']); assert os.environ['OPENBLAS_NUM_THREADS'] == '1'"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
 def test_every_public_name_is_there_and_named_once():

@@ -11,7 +11,7 @@ from rigs import BAUD, HOME, MODEL, angles, bench, torque
 from typist import typist
 
 from softmap_edge.cli import main
-from softmap_edge.commands.servo import calibrate as servo_calibrate
+from softmap_edge.commands.servo import commission
 from softmap_edge.errors import CalibrationError
 from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.robot.commissioning.first_calibration import (
@@ -135,7 +135,7 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
             moved.append(not torque(bus))
             return next(answers)
 
-        monkeypatch.setattr(servo_calibrate, "confirm", answer)
+        monkeypatch.setattr(commission, "confirm", answer)
         assert main(words(tmp_path, "--hold")) == 0
         assert all(moved), "torque is off while anybody thinks"
         np.testing.assert_allclose(angles(bus), HOME, atol=30)
@@ -173,7 +173,7 @@ def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
 
 
 def test_a_servo_that_bends_neither_way_is_reported(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(servo_calibrate, "confirm", lambda *_: False)
+    monkeypatch.setattr(commission, "confirm", lambda *_: False)
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
         assert main(words(tmp_path, "--hold")) == 2

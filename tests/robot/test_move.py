@@ -21,7 +21,7 @@ from waiting import until
 
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.commands.move import STEP
+from softmap_edge.commands.servo.move import STEP
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.robot import doctor
 from softmap_edge.robot.commissioning import setup

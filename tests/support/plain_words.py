@@ -59,10 +59,6 @@ IN_NAMES = re.compile(rf"\b(?:{'|'.join(SUBSTITUTES)})\b", re.IGNORECASE)
 KEPT = {
     # the bytes of its files date the stored cases: a changed comment makes all of them again
     "benches/bank/": ("secrets", "rivals", "whole", "beside"),
-    "softmap_edge/commands/servo/": ("bench",),
-    "docs/reference/cli.md": ("bench",),  # quotes the help of these commands
-    "tests/diagnosis/test_two_levels.py": ("beside", "own error"),
-    "tests/model/test_own_effect.py": ("verbs",),
 }
 QUOTING = ("plain_words.py", "test_words.py")  # they hold the words
 CODE = re.compile(r"```.*?```|`[^`]{0,120}`", re.DOTALL)

@@ -1,1 +1,4 @@
-"""The commands of `softmap servo`: one module for each, but the shortest."""
+"""The actions of `softmap servo`: find, set up, commission, move, check and emulate servos.
+
+`commands.py` holds the table of actions.
+"""

@@ -1,6 +1,6 @@
-"""The commands servo and replay.
+"""The command `softmap servo`: the table of its actions, and those that find and set up servos.
 
-Servos are found, read, set up and released; emulated ones; a recording is decided again.
+These are scan, read, setup, off and reboot; the others are in the modules next to it.
 """
 
 from __future__ import annotations
@@ -8,37 +8,31 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from softmap_edge.commands.output import (
-    check_file,
-    check_no_run,
-    next_command,
-    to_stderr,
-    with_files,
-)
+from softmap_edge.commands.output import check_file, next_command, with_files
 from softmap_edge.commands.parser import Action, add_actions, run_action
-from softmap_edge.commands.servo.calibrate import (
+from softmap_edge.commands.servo.check import LimitsOptions, limits, limits_arguments
+from softmap_edge.commands.servo.commission import (
     CalibrateOptions,
-    calibrate_bench,
-    calibrate_bench_arguments,
+    HomeOptions,
+    PullOptions,
+    calibrate,
+    calibrate_arguments,
+    home,
+    home_arguments,
+    pull_arguments,
+    pull_test,
 )
 from softmap_edge.commands.servo.emulate import EmulateOptions, emulate, emulate_arguments
 from softmap_edge.commands.servo.heartbeat import HeartbeatOptions, heartbeat, heartbeat_arguments
-from softmap_edge.commands.servo.home import HomeOptions, home, home_arguments
-from softmap_edge.commands.servo.limits import LimitsOptions, limits, limits_arguments
-from softmap_edge.commands.servo.pull import PullOptions, pull_arguments, pull_test
-from softmap_edge.commands.servo.reboot import RebootOptions, reboot, reboot_arguments
-from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
+from softmap_edge.errors import NoAnswer, ServoError
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.commissioning.reboot import restart
 from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
-from softmap_edge.robot.control.recording import read_recording
-from softmap_edge.robot.drive.recorded import run_of
-from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened, ports, release
 from softmap_edge.robot.servo.conditions import unfit
 from softmap_edge.robot.servo.examined import members
@@ -49,15 +43,15 @@ from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.status_words import kept_words
 
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
-OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
+FAULT = 1  # exit code
 OnBus = TypeVar("OnBus", "ScanOptions", "ReadOptions")
 
 
 def _ports(port: str | None, baud: int | None) -> list[str]:
-    """Return the ports that are meant.
+    """Return the selected ports.
 
     Raises:
-        ServoError: none, or a rate that no port has.
+        ServoError: there is no port, or `baud` is out of range.
     """
     if baud is not None and not SLOWEST <= baud <= FASTEST:
         raise ServoError(f"--baud {baud}; {SLOWEST} to {FASTEST} is allowed")
@@ -68,7 +62,7 @@ def _ports(port: str | None, baud: int | None) -> list[str]:
 
 
 def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
-    """Return the rig of `--rig`, and options with its port and baud rate if missing."""
+    """Return the rig of `--rig`, and the options with its port and baud rate where not given."""
     if args.rig is None:
         return None, args
     rig = read_rig(args.rig)
@@ -113,7 +107,7 @@ def _scan(args: ScanOptions) -> int:
         first = found[0]
         where = ("--port", first.port, "--baud", str(first.baud), "--id", str(first.id))
         print(next_command("servo", "setup", *where, "--rig", "rig.toml"))
-    return 0 if found and not remarks else OTHERWISE
+    return 0 if found and not remarks else FAULT
 
 
 def _told(servo: setup.ServoState) -> Document:
@@ -178,7 +172,7 @@ def _read(args: ReadOptions) -> int:
         print(json.dumps({"schema": "softmap.servos/1", "servos": documents, "remarks": remarks}))
     else:
         print("".join(f"! {line}\n" for line in remarks), end="")
-    return 0 if well else OTHERWISE
+    return 0 if well else FAULT
 
 
 def _registers(
@@ -186,7 +180,7 @@ def _registers(
 ) -> tuple[dict[str, int], list[str]]:
     """Return a servo's register values, and a line for each bad or rewritten one.
 
-    A bad one blocks a start; a start rewrites others.
+    A bad value blocks a start; the others are rewritten by a start.
     """
     try:
         with opened(servo.port, servo.baud) as bus:
@@ -215,7 +209,7 @@ def _setup(args: SetupOptions) -> int:
             "--id"
         )
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
-    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # before anything is changed
+    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # raises before anything is changed
     mended: list[str] = []
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
     if args.rig:
@@ -241,7 +235,7 @@ def _setup(args: SetupOptions) -> int:
 
 
 def _next(args: SetupOptions, done: setup.ServoState) -> str:
-    """Return what comes after set-up: homing, which needs a rig that holds the servo."""
+    """Return the step after set-up: homing, which needs a rig that lists the servo."""
     if args.rig:
         return "once all servos are set up,\n" + next_command("servo", "home", "--rig", args.rig)
     where = ("--port", done.port, "--baud", str(done.baud), "--id", str(done.id))
@@ -273,7 +267,45 @@ def _off(args: OffOptions) -> int:
             "not_confirmed": kept,
         }
         print(json.dumps(document))
-    return 0 if released and not kept else OTHERWISE
+    return 0 if released and not kept else FAULT
+
+
+def _reboot(args: RebootOptions) -> int:
+    """Switch the torque of one servo off and restart it; return 0."""
+    if not 0 <= args.id <= 252:
+        raise ServoError(f"--id {args.id}; allowed are 0 to 252")
+    port, baud = _where(args)
+    done = restart(port, baud, args.id)
+    if args.json:
+        print(json.dumps(done.to_dict()))
+    else:
+        print(f"{done}\n{next_command('servo', 'home', '--rig', args.rig or 'FILE')}")
+    return 0
+
+
+def _where(args: RebootOptions) -> tuple[str, int]:
+    """Return port and baud rate of the selected servo."""
+    port, baud = args.port, args.baud
+    if args.rig:
+        rig = read_rig(args.rig)
+        ids = [servo.id for servo in rig.servos]
+        if args.id not in ids:
+            raise ServoError(f"the rig has no servo {args.id}; it has {', '.join(map(str, ids))}")
+        port, baud = port or rig.port, baud or rig.baud
+    if port and baud:
+        return port, baud
+    found = [
+        one
+        for name in ([port] if port else ports())
+        for one in setup.scan(name, baud)
+        if one.id == args.id
+    ]
+    if len(found) != 1:
+        raise ServoError(
+            f"{len(found) or 'no'} servos of id {args.id} answer; say where it is with --rig, or "
+            "--port and --baud"
+        )
+    return found[0].port, found[0].baud
 
 
 def _bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -297,7 +329,7 @@ class ScanOptions:
 
 def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this bench")
+    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this rig")
 
 
 @dataclass(frozen=True)
@@ -338,7 +370,7 @@ def _setup_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
     parser.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
-    parser.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
+    parser.add_argument("--rig", metavar="rig.toml", help="add it to this rig")
 
 
 @dataclass(frozen=True)
@@ -353,7 +385,25 @@ class OffOptions:
 
 def _off_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
+    parser.add_argument("--rig", metavar="rig.toml", help="the rig whose port it is")
+
+
+@dataclass(frozen=True)
+class RebootOptions:
+    """Options of `softmap servo reboot`, as its parser declares them."""
+
+    id: int
+    rig: str | None
+    port: str | None
+    baud: int | None
+    json: bool
+
+
+def _reboot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo reboot`."""
+    parser.add_argument("--id", type=int, required=True, metavar="ID", help="the servo")
+    parser.add_argument("--rig", metavar="rig.toml", help="the rig whose port it is")
+    _bus_arguments(parser)
 
 
 ACTIONS: dict[str, Action] = {
@@ -369,8 +419,8 @@ ACTIONS: dict[str, Action] = {
     ),
     "calibrate": Action(
         "a first calibration without a camera: pulley, jogged signs, a ruler",
-        calibrate_bench_arguments,
-        calibrate_bench,
+        calibrate_arguments,
+        calibrate,
         CalibrateOptions,
     ),
     "pull": Action(
@@ -380,11 +430,11 @@ ACTIONS: dict[str, Action] = {
         PullOptions,
     ),
     "limits": Action(
-        "every limit in force on a bench, and who set it", limits_arguments, limits, LimitsOptions
+        "every limit in force on a rig, and who set it", limits_arguments, limits, LimitsOptions
     ),
     "off": Action("switch the torque of every servo off", _off_arguments, _off, OffOptions),
     "reboot": Action(
-        "restart a servo that has shut itself down", reboot_arguments, reboot, RebootOptions
+        "restart a servo that has shut itself down", _reboot_arguments, _reboot, RebootOptions
     ),
     "heartbeat": Action(
         "be the emergency stop of a robot on another computer",
@@ -407,64 +457,5 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def servo(args: argparse.Namespace) -> int:
-    """Run an action on servos; return 0 when all is well."""
+    """Run an action and return its exit code."""
     return run_action(ACTIONS, args)
-
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """Options of `softmap servo replay`, as its parser declares them."""
-
-    recording: str
-    run: str | None
-    force: bool
-    json: bool
-
-
-def replay_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `replay`."""
-    parser.add_argument("recording", help="what the control loop recorded (.mcap)")
-    parser.add_argument(
-        "--run", metavar="FILE.npz", help="write it as a run as well, with what was seen"
-    )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
-
-
-def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again; 1 if it decides otherwise or is incomplete.
-
-    It is the recording that is incomplete.
-    """
-    check_file("--run", args.run, ".npz")
-    check_no_run("--run", args.run, args.force)
-    recording = read_recording(args.recording)
-    differ, lacks = recording.replay(), recording.incomplete
-    if args.run:
-        run, lacks = run_of(recording)
-        run.save(args.run)
-    first, last = recording.periods[0], recording.periods[-1]
-    seconds = (last["now"] - first["now"]) * 1e-9
-    if args.json:
-        document = {
-            "schema": "softmap.replay/1",
-            "periods": len(recording.periods),
-            "seconds": seconds,
-        }
-        document |= {"bus": recording.bus}
-        print(
-            json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run})
-        )
-    else:
-        said = (
-            "every one decided alike"
-            if not differ
-            else f"{len(differ)} decided otherwise, the first is {differ[0]}"
-        )
-        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
-        if args.run:
-            print(f"{args.run}: written")
-    if lacks:
-        warnings.warn(RecordingWarning(lacks), stacklevel=2)
-    if said := words.bus(recording.bus):
-        to_stderr(f"softmap servo replay: {said}")
-    return OTHERWISE if differ or recording.short else 0

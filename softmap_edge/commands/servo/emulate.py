@@ -1,7 +1,4 @@
-"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input.
-
-Hooked into servo.py.
-"""
+"""The action `servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input."""
 
 from __future__ import annotations
 
@@ -43,7 +40,7 @@ FAULTS = (
     "swap SERVO SERVO · drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
 )
 FINGER_FAULTS = "blind 0|1"
-EMULATED = "emulated"  # in [made] of the bench that it writes
+EMULATED = "emulated"  # key of [made] that marks a rig file as emulated
 KEPT_OPEN = "sleep infinity | softmap servo emulate …"
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 
@@ -99,11 +96,11 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger"
     )
-    parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
+    parser.add_argument("--rig", metavar="FILE.toml", help="write the rig of the emulated robot")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace bench and bundle that stand there, real ones too",
+        help="replace the rig and the bundle there, real ones too",
     )
     parser.add_argument(
         "--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos"
@@ -119,9 +116,9 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def emulate(args: EmulateOptions) -> int:
-    """Emulate until standard input ends or Ctrl-C."""
+    """Emulate a robot until standard input ends or Ctrl-C; return 0."""
     check_file("--rig", args.rig, ".toml")
-    _check_no_bench(args.rig, args.force)
+    _check_no_rig(args.rig, args.force)
     if not 0 <= args.seed < 2**63:
         raise ServoError(f"--seed {args.seed}; 0 to {2**63 - 1} is allowed")
     if args.servos is not None:
@@ -175,8 +172,8 @@ def emulate(args: EmulateOptions) -> int:
     return 0
 
 
-def _check_no_bench(path: str | None, force: bool) -> None:
-    """Raise SoftmapError where `--rig` names a file that no emulator wrote, and no `force`."""
+def _check_no_rig(path: str | None, force: bool) -> None:
+    """Raise SoftmapError if `--rig` names a file that no emulator wrote, unless `force`."""
     if path is None or force or not Path(path).exists():
         return
     try:
@@ -185,18 +182,18 @@ def _check_no_bench(path: str | None, force: bool) -> None:
         emulated = False
     if not emulated:
         raise SoftmapError(
-            f"--rig {path}: a file that no emulator wrote stands there, perhaps a real bench; "
+            f"--rig {path}: a file that no emulator wrote stands there, perhaps a real rig; "
             "give another name, or --force to replace it"
         )
 
 
 def _written(rig: Rig, path: str) -> None:
-    """Write the bench that it is, marked as emulated."""
+    """Write the rig file, marked as emulated."""
     replace(rig, made={**rig.made, EMULATED: {"by": "softmap servo emulate"}}).write(path)
 
 
 def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> str:
-    """Return what stands there now, and what to type next."""
+    """Return a text on the emulated robot, and the commands to type next."""
     lines = [
         f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, "
         f"never called real; it hides {', '.join(names) or 'nothing'}"
@@ -241,7 +238,7 @@ def _senders(args: EmulateOptions) -> list[PointSender]:
 
 @contextlib.contextmanager
 def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[None]:
-    """Send each frame of a finger's camera when it has arrived, from a thread."""
+    """Send each frame of a finger's camera as it arrives, from a thread."""
     done = threading.Event()
 
     def live() -> None:
@@ -269,12 +266,14 @@ def _bare(args: EmulateOptions, count: int) -> int:
     number = servo_model(args.model)["number"]
     if not 1 <= count <= MOST_SERVOS:
         raise ServoError(f"{count} servos; allowed are 1 to {MOST_SERVOS}")
-    given = [
-        f"--{name}"
-        for name in ("bundle", "hide", "stream", "calibrated", "key")
-        if getattr(args, name)
-    ]
-    if given:
+    of_finger = {
+        "--bundle": args.bundle,
+        "--hide": args.hide,
+        "--stream": args.stream,
+        "--calibrated": args.calibrated,
+        "--key": args.key,
+    }
+    if given := [option for option, value in of_finger.items() if value]:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
     servos = [(id, number, args.baud, 2000.0) for id in range(1, count + 1)]
@@ -302,7 +301,7 @@ def _bare(args: EmulateOptions, count: int) -> int:
 
 
 def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
-    """Do the faults that come on standard input."""
+    """Apply the faults read from standard input until it ends."""
     known = FAULTS if finger is None else f"{FAULTS} · {FINGER_FAULTS}"
     with contextlib.suppress(KeyboardInterrupt):
         for line in sys.stdin:
@@ -323,7 +322,7 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
 
 
 def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[str]) -> None:
-    """Do one line of faults."""
+    """Apply one line of faults."""
     name, *numbers = fault
     if name == "unplug" and not numbers:
         bus.unplug()

@@ -1,4 +1,4 @@
-"""`softmap servo heartbeat`: the emergency stop on another computer. Hooked into servo.py."""
+"""The action `servo heartbeat`: the emergency stop on another computer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from softmap_edge.robot.control.heartbeat import Heart
 from softmap_edge.robot.link.session import new_key, read_key
 from softmap_edge.robot.servo.terminal import Typed, terminal
 
-EVERY = 0.02  # s between beats
+EVERY = 0.02  # s between two beats
 UNHEARD = 5.0  # s without an answer after which a warning is printed
 KEYS = "space presses the stop, r releases it, q or Ctrl-C ends the heartbeat, which presses it too"
 
@@ -53,9 +53,10 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def heartbeat(args: HeartbeatOptions) -> int:
-    """Beat until it is ended; keys or lines press and release the stop.
+    """Send beats until Ctrl-C, `q` or `end`; return 0.
 
-    The lines are `press` and `release` on standard input.
+    Keys of the terminal press and release the stop; without a terminal, the lines `press` and
+    `release` on standard input do.
     """
     if args.new_key is not None:
         new_key(args.new_key)
@@ -101,7 +102,7 @@ def heartbeat(args: HeartbeatOptions) -> int:
                 due = max(due + args.every, time.monotonic() - args.every)
                 time.sleep(max(0.0, due - time.monotonic()))
         except KeyboardInterrupt:
-            for _ in range(3):  # so that it need not wait for the timeout
+            for _ in range(3):  # stops the robot before the timeout
                 heart.beat(pressed=True)
     if args.json:
         print(json.dumps({"schema": "softmap.heartbeat/1", "beats": beats, "heard": heart.heard}))
@@ -110,9 +111,9 @@ def heartbeat(args: HeartbeatOptions) -> int:
 
 @contextmanager
 def _keys() -> Iterator[Iterator[str | None]]:
-    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more.
+    """Yield an iterator of new requests: `press`, `release` or `end`, then None once none is left.
 
-    Never waits.
+    The iterator never waits.
     """
     if (file := terminal()) is None:
         yield _lines()
@@ -133,7 +134,7 @@ def _lines() -> Iterator[str | None]:
     while True:
         if open_ and select.select([sys.stdin], [], [], 0.0)[0]:
             more = os.read(sys.stdin.fileno(), 1024).decode("utf-8", "replace")
-            open_ = more != ""  # who gives no lines ends it by a signal
+            open_ = more != ""  # after the end of standard input, a signal ends it
             text += more
         line, end, rest = text.partition("\n")
         if end:

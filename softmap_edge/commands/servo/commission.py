@@ -1,7 +1,4 @@
-"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration.
-
-Hooked into servo.py.
-"""
+"""The actions `servo home`, `servo calibrate` and `servo pull`: commission a rig, in this order."""
 
 from __future__ import annotations
 
@@ -9,9 +6,17 @@ import argparse
 import json
 from dataclasses import dataclass, replace
 
-from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
-from softmap_edge.commands.output import bundle_arguments, check_bundle, next_command, to_stderr
+from softmap_edge.commands.output import (
+    bundle_arguments,
+    check_bundle,
+    check_file,
+    next_command,
+    to_stderr,
+)
 from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.robot import announce_edited_limits
+from softmap_edge.commands.servo.move import announce, confirm, deadman, hold_argument
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
@@ -19,14 +24,63 @@ from softmap_edge.robot.commissioning.first_calibration import (
     COUPLING,
     bench_calibration,
     bends,
-    document,
     radius,
 )
+from softmap_edge.robot.commissioning.first_calibration import document as calibration_document
+from softmap_edge.robot.commissioning.home import prove, relax
 from softmap_edge.robot.commissioning.jog import Jog
+from softmap_edge.robot.commissioning.pull import MARGIN, noted, pull
+from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import Rig, read_rig
 
-JOGGED = 200.0  # ticks: seen, and within what a jog may do
-MOVES = 0.5  # of that which a servo must have come
+JOGGED = 200.0  # ticks: visible, and within the travel of a jog
+MOVES = 0.5  # least share of JOGGED that a servo must turn
+
+
+@dataclass(frozen=True)
+class HomeOptions:
+    """Options of `softmap servo home`, as its parser declares them."""
+
+    rig: str
+    yes: bool
+    new: bool
+    json: bool
+
+
+def home_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo home`."""
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the rig; its homes are written into it"
+    )
+    parser.add_argument("--yes", action="store_true", help="the finger is straight: ask nothing")
+    parser.add_argument(
+        "--new", action="store_true", help="this is home, whatever was stored before"
+    )
+
+
+def home(args: HomeOptions) -> int:
+    """Home the robot after a power-up and write its homes into the rig; return 0."""
+    check_file("--rig", args.rig, ".toml")
+    rig = read_rig(args.rig)
+    relax(rig)
+    confirmed = "by --yes"
+    if not args.yes:
+        if not confirm(
+            "Torque is off. Let the finger hang straight and still. Is it straight?", "--yes"
+        ):
+            raise ServoError(
+                "the robot is not homed: it was not confirmed that the finger is straight"
+            )
+        confirmed = "by the user at the terminal"
+    homed = prove(rig, confirmed, new=args.new)
+    homed.rig.note(args.rig)
+    print(
+        json.dumps(homed.to_dict() | {"rig": args.rig})
+        if args.json
+        else f"{homed}\n{args.rig}: home is confirmed\n"
+        + next_command("servo", "pull", "--rig", args.rig)
+    )
+    return 0
 
 
 @dataclass(frozen=True)
@@ -46,11 +100,9 @@ class CalibrateOptions:
     json: bool
 
 
-def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
+def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
-    parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the bench, its homes known"
-    )
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the rig, its homes known")
     parser.add_argument(
         "--pulley-mm",
         required=True,
@@ -72,14 +124,14 @@ def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
     hold_argument(parser)
 
 
-def calibrate_bench(args: CalibrateOptions) -> int:
-    """Write the bundle with a first calibration; 0 when it is written."""
+def calibrate(args: CalibrateOptions) -> int:
+    """Write the bundle with a first calibration; return 0."""
     check_bundle(args.out, args.force)
     load_own(args)
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # refuses before anything moves
+    found = bench_calibration(rig, model, pulley, given)  # raises before anything moves
     if args.signs is None:
         found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
@@ -97,7 +149,8 @@ def calibrate_bench(args: CalibrateOptions) -> int:
     if args.json:
         print(
             json.dumps(
-                document(found, model, warnings) | {"bundle": str(folder)}, ensure_ascii=False
+                calibration_document(found, model, warnings) | {"bundle": str(folder)},
+                ensure_ascii=False,
             )
         )
         return 0
@@ -131,7 +184,7 @@ def _signs(text: str) -> list[int]:
 
 
 def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
-    """Jog each servo a little and back, and ask which way the finger bent."""
+    """Jog each servo a little and back, and ask which way the finger bent; return the signs."""
     signs = []
     for k, servo in enumerate(rig.servos):
         way = bends(model, k)
@@ -165,3 +218,61 @@ def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
                 "order in rig.toml"
             )
     return signs
+
+
+@dataclass(frozen=True)
+class PullOptions:
+    """Options of `softmap servo pull`, as its parser declares them."""
+
+    rig: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    servo: int | None
+    hold: bool
+    json: bool
+
+
+def pull_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo pull`."""
+    parser.add_argument(
+        "--rig", required=True, metavar="rig.toml", help="the rig; ceilings are written into it"
+    )
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+    )
+    effects_argument(parser)
+    parser.add_argument(
+        "--servo", type=int, metavar="ID", help="this servo alone; all of them without it"
+    )
+    hold_argument(parser)
+
+
+def pull_test(args: PullOptions) -> int:
+    """Measure the current at the stroke and write the ceilings into the rig; return 0."""
+    check_file("--rig", args.rig, ".toml")
+    rig = read_rig(args.rig)
+    load_own(args)
+    model = open_model(args.bundle)
+    announce_edited_limits(model)
+    found = effective_limits(rig, model)
+    with deadman(args.hold) as hand:
+        announce(args, "each servo goes slowly to both ends of its window and back", hand)
+        with Bar(args.json) as bar:
+            done = pull(found, hand, () if args.servo is None else (args.servo,), bar, to_stderr)
+    noted(rig, done).note(args.rig)
+    if args.json:
+        document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}
+        print(json.dumps(document | {"margin": MARGIN, "idle_of_stall": IDLE, "rig": args.rig}))
+    else:
+        how = f"{MARGIN:g} times the most of both, and {IDLE:g} of the stall current"
+        print(
+            "\n".join(
+                [
+                    *map(str, done),
+                    f"{args.rig}: the ceilings are written ({how}); torque is off",
+                    next_command("servo", "doctor", "--rig", args.rig, bundle=args.bundle),
+                ]
+            )
+        )
+    return 0

@@ -1,4 +1,8 @@
-"""The command `servo move`: jog servos by held keys, turn one by some ticks, or go to one command and back."""
+"""The command `servo move`: jog servos by keys, turn one by some ticks, or go to one command.
+
+The enable key and the questions are shared with `commission.py`. Pinned by
+tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_bench.py.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
-from softmap_edge.commands.output import to_stderr, with_files
+from softmap_edge.commands.output import JsonOption, to_stderr, with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
-from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Deadman, Held, Jog, most_travel
 from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
@@ -29,7 +32,7 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
 from softmap_edge.robot.servo.rig import Rig, read_rig
-from softmap_edge.robot.servo.terminal import EMERGENCY
+from softmap_edge.robot.servo.terminal import EMERGENCY, terminal, wait_for_release
 
 Floats = NDArray[np.float64]
 Ticks = NDArray[np.float64] | NDArray[np.int64]
@@ -41,14 +44,14 @@ ENDS = {
     "window": ": the end of its window",
     "travel": ": as far as one jog goes; let go, and on once torque is off",
 }
-NEAR = 25.0  # ticks from a command at which a servo is there
-LAGS = 1.0  # s after its goal came there, when it is as near as it gets
+NEAR = 25.0  # ticks from its target at which a servo has arrived
+LAGS = 1.0  # s after its goal arrived, by which a servo is as near as it gets
 CAME_SHORT = 1  # exit code
 HELD = (
     "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
     "servo pull` measures the current that the stroke needs"
 )
-STEP = 10.0  # ticks that a tap turns: more only once the key repeats
+STEP = 10.0  # ticks of one tap; a held key goes on from its first repetition
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a "
     f"tap is one step of {STEP:.0f} ticks, a held key goes on from its first repetition; space, "
@@ -74,7 +77,7 @@ class MoveOptions:
 
 
 def move_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `move`."""
+    """Declare the arguments of `servo move`."""
     parser.add_argument(
         "command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it"
     )
@@ -104,7 +107,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def move(args: MoveOptions) -> int:
-    """Jog, or go to one command; return 0 if it arrived, 1 if it ended short of its goal."""
+    """Jog, or go to one command; return 0 on arrival, 1 if a servo ends short of its goal."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError(
             "give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys"
@@ -112,7 +115,7 @@ def move(args: MoveOptions) -> int:
     _check_by(args.by, JOG_TRAVEL)
     if args.command:
         return _go(args, args.command)
-    with _bench(args) as rig:
+    with _rig(args) as rig:
         servo = None if args.servo is None else _numbered(rig, args.servo)
         if args.by is not None:
             _check_by(args.by, most_travel(rig))
@@ -126,7 +129,7 @@ def move(args: MoveOptions) -> int:
                 )
                 jog.by(servo, args.by, hand)
             else:
-                assert isinstance(hand, Keys)  # a program holds only where --by is given
+                assert isinstance(hand, Keys)  # `Held` only with --by
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
@@ -152,7 +155,7 @@ def move(args: MoveOptions) -> int:
 
 
 def _turns(rig: Rig, args: MoveOptions) -> Floats:
-    """Return how far (ticks) each servo is asked to turn."""
+    """Return the requested turn of each servo, ticks."""
     return np.array([args.by if servo.id == args.servo else 0.0 for servo in rig.servos], float)
 
 
@@ -162,8 +165,8 @@ def _check_by(by: float | None, most: float) -> None:
 
 
 @contextlib.contextmanager
-def _bench(args: MoveOptions) -> Iterator[Rig]:
-    """Give the rig of `--rig`, or an emulated one."""
+def _rig(args: MoveOptions) -> Iterator[Rig]:
+    """Yield the rig of `--rig`, or an emulated one."""
     if args.rig:
         yield read_rig(args.rig)
         return
@@ -181,9 +184,9 @@ def _numbered(rig: Rig, id: int) -> int:
 
 
 def _by_keys(jog: Jog, hand: Keys) -> None:
-    """Let keys jog until one stops: a step at a press, then on.
+    """Jog by keys until a stop key: one step at a press, continuously while the key repeats.
 
-    The servo is kept under torque while the key may yet be held.
+    The servo keeps its torque until the key is known to be released.
     """
     chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     ended: Literal["", "window", "travel"] = ""
@@ -215,7 +218,7 @@ def _by_keys(jog: Jog, hand: Keys) -> None:
 
 
 def _go(args: MoveOptions, command: str) -> int:
-    """Go to a command through every check of the guard, stay, and come back slack."""
+    """Go to a command through every check of the guard, stay there, and release tension."""
     try:
         u = np.array([float(word) for word in command.split(",")])
     except ValueError:
@@ -275,14 +278,14 @@ def _go(args: MoveOptions, command: str) -> int:
 
 
 def _reported(args: MoveOptions, short: str, stood: str) -> int:
-    """Report a move that ended off its goal, and servos that did not turn; return the exit code."""
+    """Report a move that missed its goal and servos that did not turn; return the exit code."""
     for said in filter(None, (short, stood)):
         to_stderr(f"softmap servo move: {with_files(said, args)}")
     return CAME_SHORT if short or stood else 0
 
 
 def _cut(u: Floats, done: Floats) -> str:
-    """Return a line on a command `u` outside the window; "" if it is inside.
+    """Return a line if the command `u` is outside the window, else "".
 
     `done` is the nearest command inside.
     """
@@ -295,9 +298,10 @@ def _cut(u: Floats, done: Floats) -> str:
 
 
 def _stood(rig: Rig, begin: Floats, end: Floats, target: Ticks) -> str:
-    """Clear the mark of home of servos that did not turn; return a line on them, or "".
+    """Clear the home mark of servos that should have turned but did not.
 
-    They should have turned.
+    Returns:
+        A line that names them, "" if there are none.
     """
     still = (np.abs(end - begin) < ARRIVED) & (np.abs(target - begin) > LEAST_SHORT)
     if not (ids := [servo.id for servo, stood in zip(rig.servos, still) if stood]):
@@ -311,10 +315,7 @@ def _stood(rig: Rig, begin: Floats, end: Floats, target: Ticks) -> str:
 
 
 def _short(robot: Controller, done: Floats) -> str:
-    """Return a line on servos short of the command `done`; else "".
-
-    They are so by the limits of the pull test.
-    """
+    """Return a line on servos short of the command `done` by the limits of the pull test, or ""."""
     home, target = robot.calibration.home, robot.calibration.ticks(done)
     limits = robot.limits["servos"]
     return _far(
@@ -323,7 +324,7 @@ def _short(robot: Controller, done: Floats) -> str:
 
 
 def _jog_short(jog: Jog, servo: int, begin: Floats, by: float) -> str:
-    """Return a line on a jogged servo short of its target; "" if it is not."""
+    """Return a line if a jogged servo is short of its target, else ""."""
     target, asked = jog.goal.copy(), begin[servo] + by
     if abs(target[servo] - asked) > max(LEAST_SHORT, SHORT * abs(by)):
         limits = jog.robot.limits["servos"][servo]
@@ -347,10 +348,7 @@ def _far(
     away: Floats,
     most: Sequence[float | None],
 ) -> str:
-    """Return a line on servos too far from their targets; else "".
-
-    They are farther than a move by `away` ticks allows.
-    """
+    """Return a line on servos too far from their targets after a move by `away` ticks, or ""."""
     said = []
     for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
         allowed = max(LEAST_SHORT, SHORT * abs(way))
@@ -364,9 +362,9 @@ def _far(
 
 
 def _off(robot: Controller, command: Floats, what: str) -> float:
-    """Return the distance (ticks) of the newest report's `goal` or `position` from a command.
+    """Return the distance (ticks) from a command to the newest report's `goal` or `position`.
 
-    ∞ if it has none.
+    It is ∞ if the report has none.
     """
     report = robot.report
     ticks = (report.get("goal") if what == "goal" else report.get("position")) or [None]
@@ -379,3 +377,56 @@ def _off(robot: Controller, command: Floats, what: str) -> float:
 
 def _mm(numbers: Floats) -> str:
     return ", ".join(f"{one:.2f}" for one in numbers)
+
+
+# --- shared with commission.py: the enable key, and questions -----------------------------------
+def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Declare `--hold`, the same for every command with an enable key; `more` extends its help."""
+    parser.add_argument(
+        "--hold",
+        action="store_true",
+        help=f"no key needs to be held: the program holds while it runs, Ctrl-C lets go{more}",
+    )
+
+
+@contextlib.contextmanager
+def deadman(held: bool) -> Iterator[Deadman]:
+    """Yield the enable key: a key of the terminal, or with `held` the program itself.
+
+    With `held`, keys still stop the program if there is a terminal.
+    """
+    if held and terminal() is None:
+        yield Held()
+    else:
+        with Keys(always=held) as keys:
+            yield keys
+
+
+def announce(args: JsonOption, what: str, hand: Deadman) -> None:
+    """Print what will move and how to stop it."""
+    if not args.json:
+        print(f"{what}; {hand.how}", file=sys.stderr)
+
+
+def confirm(question: str, instead: str) -> bool:
+    """Ask a question on the terminal until the answer is yes or no; an empty answer is no.
+
+    A key that is still held is not an answer: its release is awaited.
+
+    Args:
+        question: the question.
+        instead: option that answers it where there is no terminal.
+
+    Raises:
+        ServoError: there is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise ServoError(f"no terminal to ask at; {instead} says it instead")
+    if (file := terminal()) is not None:
+        wait_for_release(file)
+    while True:
+        print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip().lower()
+        if answer in ("y", "yes", "n", "no", ""):
+            return answer.startswith("y")
+        print("y for yes, n or Enter for no", file=sys.stderr)
