@@ -7,7 +7,7 @@ vector, ticks for mm) fall outside.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from softmap_edge.run.output import Output, output_of
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
-RunFields = dict[str, Any]  # fields of a run by name, as `Run` takes them
+Array = NDArray[np.float64]
 Seen = Literal["vertices", "markers", "points"]
 RealField = Literal[
     Seen,
@@ -38,6 +38,28 @@ RealField = Literal[
     "cameras",
 ]
 FieldName = Literal[RealField, "ticks", "present_ticks", "start", "visible", "block"]
+
+
+class RecordedFields(TypedDict, total=False):
+    """Fields of a run by name, but for what was seen of places and its times (`Run`)."""
+
+    t: Required[Array]
+    command: Array | None
+    ticks: NDArray[np.int64] | None
+    present: Array | None
+    present_ticks: NDArray[np.int64] | None
+    current: Array | None
+    temperature: Array | None
+    gravity: Array | None
+    load: Array | float | None
+    visible: NDArray[np.bool_] | None
+    sigma: Array | None
+    block: NDArray[np.generic] | None
+    robot: str | None
+    command_unit: str
+    timeless: bool
+    extra: dict[str, NDArray[np.generic]]
+
 
 # field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in
 # all, S = K + 1; A cameras; a digit is itself.

@@ -16,7 +16,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Literal, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,14 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
-from softmap_edge.run.fields import FieldName, RealField, Seen, mask_of, unmasked
+from softmap_edge.run.fields import (
+    FieldName,
+    RealField,
+    RecordedFields,
+    Seen,
+    mask_of,
+    unmasked,
+)
 from softmap_edge.run.output import Output, output_of
 from softmap_edge.run.plane import PLANE
 
@@ -208,7 +215,7 @@ class Run:
         names: Sequence[str] = (),
         *,
         t_seen: ArrayLike,
-        **recorded: Any,
+        **recorded: Unpack[RecordedFields],
     ) -> Run:
         """Return a run of outputs other than places: forces, angles, levels.
 
@@ -226,7 +233,7 @@ class Run:
         output = output_of(rows, unit, tuple(names))
         shown = np.isfinite(rows)
         if not shown.all():
-            recorded = {"visible": shown} | recorded
+            recorded.setdefault("visible", shown)
         return cls(
             markers=output.markers(rows),
             t_seen=unmasked(t_seen),
