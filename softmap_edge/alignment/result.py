@@ -16,6 +16,7 @@ from softmap_edge.alignment.groups import Moved
 from softmap_edge.errors import AlignError
 from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose, rotation_vector
+from softmap_edge.run.fields import SEEN
 from softmap_edge.run.run import BASE_MARKERS, Run
 
 Floats = NDArray[np.float64]
@@ -107,8 +108,8 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
             in it instead.
     """
     change: Document = {}
-    for name in ("vertices", "markers", "points"):
-        seen = getattr(run, name)
+    for name in SEEN:
+        seen = run.array(name)
         if seen is not None:
             change[name] = (frames or pose)(seen) if seen.ndim == 3 else pose(seen)
     base = base_markers(run)

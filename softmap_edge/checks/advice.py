@@ -179,7 +179,7 @@ def _folds(run: Run) -> Iterator[Advice]:
 
 
 def _noise(run: Run) -> Advice:
-    seen = run.vertices if run.vertices is not None else run.markers
+    seen = run.places
     if seen is None:
         return Advice(
             "noise",

@@ -162,7 +162,7 @@ def _found(run: Run) -> FrameClock | None:
 
 def _motion(run: Run) -> tuple[Floats, Floats] | None:
     """Return times (K,) s and components (K, P) mm of motion in frames with all chosen points."""
-    seen = run.vertices if run.vertices is not None else run.markers
+    seen = run.places
     given = run.command if run.command is not None else run.ticks
     if seen is None or given is None or run.timeless or run.channels == 0:
         return None

@@ -34,7 +34,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     Returns:
         tuple: which points (K, N), and a sentence for each place that stands for "not seen".
     """
-    points = run.vertices if run.vertices is not None else run.markers
+    points = run.places
     if points is None or not points.size or _looked_for(run):
         return np.zeros((len(run.t_seen), 0 if points is None else points.shape[1]), bool), []
     names = (
@@ -74,6 +74,6 @@ def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
     mask, lines = lost_points(run, remedy)
     if not mask.any():
         return run, []
-    points = run.vertices if run.vertices is not None else run.markers
+    points = run.places
     assert points is not None
     return replace(run, visible=known(run, points) & ~mask), lines

@@ -28,6 +28,7 @@ from softmap_edge.logs.plausible import doubts_of_time
 from softmap_edge.model.effect_info import registry
 from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.run.conditions import conditions
+from softmap_edge.run.fields import DRIVE
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -292,7 +293,7 @@ def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
 
 def _opposite(model: Model, run: Run) -> Floats:
     """Return the predicted points (K, N, 3) mm for commands of the opposite sign."""
-    turned = {n: -getattr(run, n) for n in ("command", "present") if getattr(run, n) is not None}
+    turned: Document = {n: -rows for n in DRIVE if (rows := run.array(n)) is not None}
     return np.asarray(model.predict(replace(run, **turned)))
 
 
@@ -493,9 +494,7 @@ def _goes_on(
     """
     part, moved, shown = run.at(rows), np.zeros(model.channels), visible[rows][..., None]
     moved[channel] = step
-    back = {
-        n: getattr(part, n) - moved for n in ("command", "present") if getattr(part, n) is not None
-    }
+    back: Document = {n: own - moved for n in DRIVE if (own := part.array(n)) is not None}
     slope = np.where(shown, model.predict(part) - model.predict(replace(part, **back)), 0.0)
     square = np.sum(slope**2, axis=(1, 2))
     along = np.sum(slope * np.where(shown, left[rows], 0.0), axis=(1, 2))

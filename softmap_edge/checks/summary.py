@@ -55,10 +55,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
     run, depthless = (run, "") if run.points is None else with_depth(run)
-    kind = next(
-        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None
-    )
-    seen = None if kind is None else getattr(run, kind)
+    seen = None if run.seen is None else run.array(run.seen)
     document: Document = {
         "robot": run.robot,
         "channels": run.channels,
@@ -70,7 +67,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "command_range": command_ranges(run),
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
-        "seen": kind,
+        "seen": run.seen,
         "points_mm": None if run.output is not None else _extent(_shown(run, seen)),
         "output": _outputs(run),
         "timeless": run.timeless,
@@ -304,8 +301,8 @@ def _warnings(run: Run) -> list[str]:
             f"{outside} frames lie outside the time of the commands; the nearest command is taken "
             "as held"
         )
-    for name in ("t", "t_seen"):
-        step = np.diff(getattr(run, name))
+    for name, times in (("t", run.t), ("t_seen", run.t_seen)):
+        step = np.diff(times)
         if name == "t_seen" and run.gravity is not None and run.gravity.ndim == 2:
             # While a hand turns the robot, frames do not count.
             lie = np.asarray(run.gravity)[
@@ -336,7 +333,7 @@ def _warnings(run: Run) -> list[str]:
 
 def _too_small(run: Run) -> str | None:
     """Say so where the body is smaller than the pull of its tendons."""
-    seen = run.vertices if run.vertices is not None else run.markers
+    seen = run.places
     if seen is None or run.command is None or run.output is not None or run.command_unit != "mm":
         return None
     places = np.where(known(run, seen)[..., None], seen, np.nan)
@@ -346,7 +343,7 @@ def _too_small(run: Run) -> str | None:
 
 def _far_away(run: Run) -> str | None:
     """Say so where no point comes near the origin, which is the middle of the robot's base."""
-    seen = run.vertices if run.vertices is not None else run.markers
+    seen = run.places
     if seen is None or seen.shape[1] < 2 or run.output is not None or run.frame is not None:
         return None
     flat = seen[:: max(1, len(seen) // 100)].reshape(-1, 3)

@@ -29,7 +29,7 @@ def unanswered(run: Run) -> str | None:
 
     None if not, or if it cannot be known.
     """
-    points = run.markers if run.markers is not None else run.vertices
+    points = run.places
     u = commanded(run)
     if points is None or run.output is not None or run.frames < LEAST or u.shape[1] == 0:
         return None

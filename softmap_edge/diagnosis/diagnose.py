@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -298,7 +298,7 @@ def showing(model: Model, run: Run) -> list[Document]:
     seen = {name: detectability(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
     keys = ("name", "shows", "moved_mm", "deviations", "why", "alike", "experiment", "minutes")
-    rows: list[tuple[Any, ...]] = [
+    rows: list[tuple[object, ...]] = [
         (h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible
     ]
     for name, (moved, white) in seen.items():

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.errors import FingerError, brief
 from softmap_edge.fem.bodies import Meshed, Solid, solid_from
@@ -197,7 +196,7 @@ class Finger:
             ) from None
         return _from_document(document, folder)
 
-    def replace(self, **changes: Any) -> Finger:
+    def replace(self, **changes: object) -> Finger:
         """Return the finger with some fields changed and checked; raises FingerError.
 
         They are its own fields or those of its solid.
@@ -205,8 +204,8 @@ class Finger:
         own, solid = ({field.name for field in fields(part)} for part in (self, self.solid))
         if unknown := set(changes) - own - solid:
             raise FingerError(f"no field {names(unknown)}; a finger has {names(own | solid)}")
-        inside = {key: value for key, value in changes.items() if key in solid}
-        outside = {key: value for key, value in changes.items() if key not in solid}
+        inside: Document = {key: value for key, value in changes.items() if key in solid}
+        outside: Document = {key: value for key, value in changes.items() if key not in solid}
         return replace(
             self, **{"solid": replace(self.solid, **inside), **outside} if inside else outside
         )

@@ -12,12 +12,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.files.atomic import Document
+
+if TYPE_CHECKING:
+    from meshio import Mesh
 
 KINDS = ("tetra", "tetra10")
 # in one array of labels, and cells a group on average; else they number the cells
@@ -73,7 +76,7 @@ def parse(path: str, kind: str) -> Document:
         _check_pieces(Path(path).read_bytes())
         _take_any_version()
     # The readers themselves: meshio.read ends the process where it finds no reader.
-    read: dict[str, Callable[[str], Any]] = {
+    read: dict[str, Callable[[str], object]] = {
         "vtk": meshio.vtk.read,
         "vtu": meshio.vtu.read,
         "msh": meshio.gmsh.read,
@@ -106,20 +109,22 @@ def _take_any_version() -> None:
 
     parse_file, from_text = ElementTree.parse, ElementTree.fromstring
 
-    def parse(*args: Any) -> Any:
-        tree = parse_file(*args)
+    def parse(
+        source: str, parser: ElementTree.XMLParser | None = None
+    ) -> ElementTree.ElementTree[ElementTree.Element]:
+        tree = parse_file(source, parser)
         tree.getroot().attrib.pop("version", None)
         return tree
 
-    def fromstring(*args: Any) -> Any:
-        root = from_text(*args)
+    def fromstring(text: str, parser: ElementTree.XMLParser | None = None) -> ElementTree.Element:
+        root = from_text(text, parser)
         root.attrib.pop("version", None)
         return root
 
     vars(ElementTree).update(parse=parse, fromstring=fromstring)
 
 
-def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
+def _groups(mesh: Mesh, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
     """Return which of the `count` cells of a kind each group holds, by name.
 
     None if it holds all cells or none.
@@ -164,7 +169,7 @@ def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.
     return values[:, 0].astype(np.int64)
 
 
-def _named(mesh: Any, physical: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
+def _named(mesh: Mesh, physical: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
     """Return the groups of Gmsh's physical tags, by the names of volumes where there are any."""
     names = {
         int(tag): str(name)
@@ -174,7 +179,7 @@ def _named(mesh: Any, physical: NDArray[np.int64]) -> dict[str, NDArray[np.bool_
     return {names.get(int(tag), str(tag)): physical == tag for tag in np.unique(physical) if tag}
 
 
-def _sets(mesh: Any, blocks: list[int]) -> dict[str, NDArray[np.bool_]]:
+def _sets(mesh: Mesh, blocks: list[int]) -> dict[str, NDArray[np.bool_]]:
     """Return the named sets of cells; a cell of Gmsh 4.1 may be in several."""
     groups = {}
     for name, parts in mesh.cell_sets.items():

@@ -21,13 +21,15 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVarTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge import errors
 from softmap_edge.errors import SoftmapError, brief
 
+Given = TypeVarTuple("Given")
 PAGE = 1 << 16  # bytes read at a time from the child
 PATIENCE = 4.0  # real time for each second of processor time: the computer may be busy
 _ALIGNED = 64  # bytes: each array begins at a multiple of it
@@ -47,7 +49,10 @@ class ChildLate(ChildFault):
 
 
 def in_child(
-    function: Callable[..., object], *args: Any, megabytes: int = 1000, seconds: float = 60.0
+    function: Callable[[*Given], object],
+    *args: *Given,
+    megabytes: int = 1000,
+    seconds: float = 60.0,
 ) -> Any:
     """Return `function(*args)` as a forked child found it.
 
@@ -100,7 +105,7 @@ def _read(pipe: int, most: int, deadline: float) -> bytearray | None:
     return None
 
 
-def _answer(content: bytearray | None, status: int, megabytes: int, seconds: float) -> Any:
+def _answer(content: bytearray | None, status: int, megabytes: int, seconds: float) -> object:
     if content is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         raise ChildLate(f"takes longer than {seconds:g} s, or gives more than {megabytes} MB")
     if not content:
@@ -211,7 +216,7 @@ def _write(pipe: int, part: memoryview) -> None:
         part = part[os.write(pipe, part[: 1 << 20]) :]
 
 
-def _packed(value: object, arrays: list[memoryview]) -> Any:
+def _packed(value: object, arrays: list[memoryview]) -> object:
     """Return a value as JSON holds it; the bytes of arrays go to `arrays`, padded to `_ALIGNED`."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject or value.dtype.names:
@@ -234,7 +239,7 @@ class _Reader:
     def __init__(self, content: memoryview) -> None:
         self.content, self.at = content, 0
 
-    def value(self, document: object) -> Any:
+    def value(self, document: object) -> object:
         """Return the value of a part of the document; ValueError if it does not fit the content."""
         if not isinstance(document, dict):
             return document
@@ -244,7 +249,7 @@ class _Reader:
             return {key: self.value(item) for key, item in document["dict"]}
         return [self.value(item) for item in document["list"]]
 
-    def _array(self, kind: str, shape: list[int]) -> Any:
+    def _array(self, kind: str, shape: list[int]) -> NDArray[np.generic]:
         dtype, count = np.dtype(kind), int(np.prod(shape, dtype=object))
         if dtype.hasobject:
             raise ValueError(f"an array of {dtype}")

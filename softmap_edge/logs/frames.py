@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
+from softmap_edge.files.atomic import Document
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
@@ -19,7 +20,6 @@ from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
-from softmap_edge.run.fields import RunFields
 from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
@@ -33,7 +33,7 @@ def seen(
     tables: list[LogTable],
     mapping: Mapping,
     t: Array | None,
-    fields: RunFields,
+    fields: Document,
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
@@ -102,7 +102,7 @@ def seen(
     return table.t
 
 
-def _commands_at(t_seen: Array, t: Array, fields: RunFields) -> Array | None:
+def _commands_at(t_seen: Array, t: Array, fields: Document) -> Array | None:
     """Return the commands or ticks (K, C) at the times of the frames; None without."""
     rows = next(
         (np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None
@@ -184,7 +184,7 @@ def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: 
     return points
 
 
-def _flatten(fields: RunFields, mapping: Mapping, notes: list[str]) -> None:
+def _flatten(fields: Document, mapping: Mapping, notes: list[str]) -> None:
     """Set the coordinate across the plane of the markers to 0, and keep its axis in the run."""
     axis = [k for k, _ in mapping.axes].index(2)
     fields["markers"][..., axis] = 0.0
@@ -205,7 +205,7 @@ def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) 
 
 
 def _outputs(
-    table: LogTable, log: Log, measured: Measured, fields: RunFields, notes: list[str]
+    table: LogTable, log: Log, measured: Measured, fields: Document, notes: list[str]
 ) -> Array:
     """Return the times of rows with an output; add outputs and labels to `fields`.
 
@@ -290,7 +290,7 @@ def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: l
 
 
 def choose_frames(
-    t: Array, t_seen: Array, fields: RunFields, mapping: Mapping, notes: list[str]
+    t: Array, t_seen: Array, fields: Document, mapping: Mapping, notes: list[str]
 ) -> Array:
     """Drop frames outside the mapping's interval, thin to its rate, cut into blocks.
 
@@ -339,7 +339,7 @@ def choose_frames(
     return t_seen
 
 
-def _blocks(t_seen: Array, fields: RunFields, mapping: Mapping) -> None:
+def _blocks(t_seen: Array, fields: Document, mapping: Mapping) -> None:
     if "block" in fields or not len(t_seen):
         return
     since = t_seen - t_seen[0]

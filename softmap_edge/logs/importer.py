@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, differing_times
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import corrected
@@ -40,7 +41,7 @@ from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
 from softmap_edge.logs.unwrap import counted_on
-from softmap_edge.run.fields import ROW_S, RunFields
+from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.plane import AXES, PLANE
 from softmap_edge.run.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 
@@ -87,7 +88,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     for one, table in zip(logs, tables):
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
         doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
-    fields: RunFields = _timeless(mapping, notes)
+    fields: Document = _timeless(mapping, notes)
     if fields:
         doubts += [
             f"{one.label}: {doubt}"
@@ -163,7 +164,7 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
     return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
 
 
-def _looked_for(mapping: Mapping, fields: RunFields) -> dict[str, NDArray[np.generic]]:
+def _looked_for(mapping: Mapping, fields: Document) -> dict[str, NDArray[np.generic]]:
     """Return the field on the search for places that stand for "not seen": done, or off."""
     if "markers" not in fields:
         return {}
@@ -175,7 +176,7 @@ def _looked_for(mapping: Mapping, fields: RunFields) -> dict[str, NDArray[np.gen
     return {NOT_SEEN: np.array("keep" if kept else "checked")}
 
 
-def _timeless(mapping: Mapping, notes: list[str]) -> RunFields:
+def _timeless(mapping: Mapping, notes: list[str]) -> Document:
     """Return the field of a run whose log has no time.
 
     Raise RunError where times would have to be joined.
@@ -233,7 +234,7 @@ def _sha256(path: Path) -> str:
 def _command_rows(
     tables: list[LogTable],
     mapping: Mapping,
-    fields: RunFields,
+    fields: Document,
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
@@ -343,8 +344,8 @@ def _interpolate(t: Array, own: Array, values: Array) -> Array:
 
 
 def _resample_commands(
-    t: Array, fields: RunFields, mapping: Mapping, notes: list[str]
-) -> tuple[Array, RunFields]:
+    t: Array, fields: Document, mapping: Mapping, notes: list[str]
+) -> tuple[Array, Document]:
     if mapping.command_rate_hz is None or len(t) < 2:
         return t, fields
     count = (t[-1] - t[0]) * mapping.command_rate_hz
@@ -380,7 +381,7 @@ def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -
     return moved
 
 
-def _rest(t_seen: Array, fields: RunFields, mapping: Mapping, notes: list[str]) -> None:
+def _rest(t_seen: Array, fields: Document, mapping: Mapping, notes: list[str]) -> None:
     """Take the markers' rest places from a stretch of the log when the robot is straight."""
     if mapping.marker_rest_s is None:
         return
@@ -406,7 +407,7 @@ def _rest(t_seen: Array, fields: RunFields, mapping: Mapping, notes: list[str]) 
     )
 
 
-def _constants(files: list[Path], mapping: Mapping, fields: RunFields, notes: list[str]) -> None:
+def _constants(files: list[Path], mapping: Mapping, fields: Document, notes: list[str]) -> None:
     fields |= {"robot": mapping.robot, "command_unit": mapping.command_unit}
     fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
     if mapping.marker_rest_mm is not None:

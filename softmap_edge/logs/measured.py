@@ -6,7 +6,6 @@ Pinned by tests/run/test_output.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,19 +81,16 @@ def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
     return tuple(float(x) for x in numbers)
 
 
-def columns_of(table: TomlTable) -> list[Any]:
+def columns_of(table: TomlTable) -> list[str | int]:
     """Return the columns that a table names, with nested lists flattened.
 
     Raises:
         RunError: there are none, or one is no name and no number.
     """
     listed = table.get("columns", (list,), [])
-    flat: list[Any] = [
-        cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])
-    ]
-    if not flat or not all(
-        isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat
-    ):
+    cells = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
+    flat = [cell for cell in cells if isinstance(cell, str | int) and not isinstance(cell, bool)]
+    if not flat or len(flat) < len(cells):
         raise RunError(
             f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or "
             "numbers"

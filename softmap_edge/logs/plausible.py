@@ -15,9 +15,9 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity
-from softmap_edge.run.fields import RunFields
 from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def _spool_in_metres(turned: float, quantity: Quantity) -> str | None:
     )
 
 
-def doubts_of_both(fields: RunFields) -> list[str]:
+def doubts_of_both(fields: Document) -> list[str]:
     """Report commands and encoders in two units: ranges 57.3 or 1000 times apart."""
     command, present = fields.get("command"), fields.get("present")
     if command is None or present is None or command.shape[1] != present.shape[1]:
@@ -148,7 +148,7 @@ def doubts_of_both(fields: RunFields) -> list[str]:
     return []
 
 
-def doubts_of_frozen(t: Array, fields: RunFields) -> list[str]:
+def doubts_of_frozen(t: Array, fields: Document) -> list[str]:
     """Report drive readings that repeat exactly while a command crosses much of its range.
 
     Args:
@@ -239,7 +239,7 @@ def overlong_stroke(points: Array, command: Array) -> str | None:
     )
 
 
-def doubts_of_base(t: Array, t_seen: Array, fields: RunFields, mapping: Mapping) -> list[str]:
+def doubts_of_base(t: Array, t_seen: Array, fields: Document, mapping: Mapping) -> list[str]:
     """Return doubts about the unit of places, the origin of the base frame, and the frame.
 
     Args:
@@ -293,7 +293,7 @@ def _length(number: float, what: str) -> str | None:
 
 
 # --- the frame -----------------------------------------------------------------------------
-def doubts_of_rest(t: Array, t_seen: Array, fields: RunFields, mapping: Mapping) -> list[str]:
+def doubts_of_rest(t: Array, t_seen: Array, fields: Document, mapping: Mapping) -> list[str]:
     """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
     markers = fields["markers"]
     rest = at_rest(t, t_seen, fields.get("command"), markers)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from softmap_edge.model.chain_labels import named, readings, spread, valued
 from softmap_edge.model.predictors import Shape, all_points, tip
 from softmap_edge.model.servo_calibration import Calibration, converted
 from softmap_edge.model.shapes import BundleArrays, ModeArrays, NetworkArrays, NumbersBefore
-from softmap_edge.model.structure import Structure
+from softmap_edge.model.structure import Structure, StructureFields
 from softmap_edge.run.output import Output
 from softmap_edge.run.plane import flat
 
@@ -143,7 +143,7 @@ class Model:
         """
         return self.structure.weight_per_length
 
-    def with_structure(self, **changes: Any) -> Model:
+    def with_structure(self, **changes: Unpack[StructureFields]) -> Model:
         """Return the model with fields of its structure replaced."""
         return replace(self, structure=replace(self.structure, **changes))
 

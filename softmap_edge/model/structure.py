@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,23 @@ from softmap_edge.model.predictors import Contact, Shape, stations
 
 Floats = NDArray[np.float64]
 NEWTON_PER_GRAM = 9.80665e-3  # standard gravity, exact by convention
+
+
+class StructureFields(TypedDict, total=False):
+    """Fields of a `Structure` by name."""
+
+    prior: Shape
+    fields: Mapping[str, Shape]
+    rest: Floats
+    triangles: NDArray[np.int32]
+    tip_indices: NDArray[np.int64]
+    gravity_reference: Floats
+    command_range: Floats
+    cables: _core.Cables | None
+    second: _core.Second | None
+    body: BodyCoordinates | None
+    stiffness_known: bool
+    residual: Shape | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,10 +98,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
     `check` and `compare` report this number: it depends on the run alone.
     """
-    seen = next(
-        (s for s in (getattr(run, n) for n in ("vertices", "markers")) if s is not None), None
-    )
-    command = commanded(run)
+    seen, command = run.places, commanded(run)
     if seen is None or not command.shape[1] or not len(seen):
         return None
     visible = known(run, seen)

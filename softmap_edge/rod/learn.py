@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,6 +103,18 @@ class LearnedRod:
         ]
         lines += [str(one) for one in self.learned_in]
         return "\n".join([*lines, *(f"  {number}" for number in self.numbers), *self.notes])
+
+
+class LearnOptions(TypedDict, total=False):
+    """Options of `learn` by name."""
+
+    blocks: int
+    gap_s: float
+    base: ArrayLike | None
+    degree: int | None
+    rate_hz: float
+    static: bool
+    seed: int
 
 
 def learn(
@@ -393,7 +405,7 @@ def learn_model(
     input: Source | None = None,
     hold_out: Sequence[tuple[float, float]] = (),
     robot: Robot | None = None,
-    **options: Any,
+    **options: Unpack[LearnOptions],
 ) -> Model:
     """Learn a rod and return it as a model; arguments as for `learn`."""
     learned = learn(runs, input, hold_out=hold_out, robot=robot, **options)

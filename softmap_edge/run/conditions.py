@@ -105,7 +105,7 @@ def conditions(run: Run, command: Floats) -> Conditions:
     v = velocity(seen)
     speed = np.linalg.norm(v, axis=1)
     moving = speed > threshold
-    gravity = _at_seen(run, "gravity", t, seen, 3)
+    gravity = _at_seen(run.gravity, t, seen, 3)
     visit = last + 1
     # a robot that is turned while it stands still is not seen twice alike
     if gravity is not None and len(seen):
@@ -122,7 +122,7 @@ def conditions(run: Run, command: Floats) -> Conditions:
         history=np.maximum.accumulate(np.max(np.abs(u), axis=1))[index],
         time=seen,
         gravity=gravity,
-        temperature=_at_seen(run, "temperature", t, seen, 1),
+        temperature=_at_seen(run.temperature, t, seen, 1),
     )
 
 
@@ -154,7 +154,7 @@ def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
     return {name: [cell for cell in row if cell.frames.any()] for name, row in found.items()}
 
 
-def _uncommanded(run: object, t: Floats, seen: Floats) -> Conditions:
+def _uncommanded(run: Run, t: Floats, seen: Floats) -> Conditions:
     count, zero = len(seen), np.zeros(len(seen))
     return Conditions(
         command=np.zeros((count, 0)),
@@ -165,8 +165,8 @@ def _uncommanded(run: object, t: Floats, seen: Floats) -> Conditions:
         dwell=seen - seen[0] if count else zero,
         history=zero,
         time=seen,
-        gravity=_at_seen(run, "gravity", t, seen, 3),
-        temperature=_at_seen(run, "temperature", t, seen, 1),
+        gravity=_at_seen(run.gravity, t, seen, 3),
+        temperature=_at_seen(run.temperature, t, seen, 1),
     )
 
 
@@ -175,12 +175,11 @@ def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
     return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
-def _at_seen(run: object, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
+def _at_seen(raw: Floats | None, t: Floats, seen: Floats, width: int) -> Floats | None:
     """Return a declared field at the seen frames.
 
     (K, 3) for a vector, (K,) (mean over channels) for a number.
     """
-    raw = getattr(run, name, None)
     if raw is None:
         return None
     value = np.asarray(raw, float)

@@ -21,9 +21,6 @@ def contents(run: Run) -> Document:
         a list of `{recording, rows, frames, from_s, to_s, at_s}`: the hash of each recording, the
         span of its clock, and the time in this run at which it begins.
     """
-    seen = next(
-        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None
-    )
     return {
         "robot": run.robot,
         "hash": run.hash(),
@@ -36,7 +33,7 @@ def contents(run: Run) -> Document:
         "to_s": rounded(run.t[-1]),
         "timeless": run.timeless,
         "frames": run.frames,
-        "seen": seen,
+        "seen": run.seen,
         "names": run.marker_names,
         "output_unit": None if run.output is None else run.output.unit,
         "declared": _declared(run),
@@ -53,8 +50,7 @@ def _declared(run: Run) -> Document:
     if run.gravity is not None:
         rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0) + 0.0
         found["gravity"] = rows[:4].tolist()
-    for name in DECLARED:
-        value = getattr(run, name)
+    for name, value in (("temperature", run.temperature), ("load", run.load)):
         if value is not None and value.size:
             found[name] = [rounded(value.min()), rounded(value.max())]
     if run.sigma is not None:

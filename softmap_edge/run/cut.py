@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, no_name
-from softmap_edge.files.atomic import Document
-from softmap_edge.run import fields as run_fields
 from softmap_edge.run import pieces as run_pieces
+from softmap_edge.run.fields import cut_rows
 from softmap_edge.run.join import join_runs
 from softmap_edge.run.run import OURS, Run
 
@@ -109,21 +108,7 @@ def _part(
     extra = dict(part.extra)
     extra |= {name: array[kept] for name, array, kept in _along(run, rows, frames)}
     extra |= run_pieces.fields(run_pieces.within(run_pieces.pieces(run), rows, frames))
-    return dataclasses.replace(part, **_rows(run, rows), extra=extra)
-
-
-def _rows(run: Run, rows: slice) -> Document:
-    """Return the fields that have a row for each command, cut."""
-    values = {
-        name: getattr(run, name)
-        for name, (axes, _) in run_fields.AXES.items()
-        if axes.startswith("T")
-    }
-    return {
-        name: value[rows]
-        for name, value in values.items()
-        if value is not None and value.ndim == len(run_fields.AXES[name][0])
-    }
+    return dataclasses.replace(part, **cut_rows(run, rows), extra=extra)
 
 
 def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[np.generic], slice]]:

@@ -7,7 +7,7 @@ vector, ticks for mm) fall outside.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,51 @@ from softmap_edge.run.output import Output, output_of
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
+Array = NDArray[np.float64]
+Seen = Literal["vertices", "markers", "points"]
+RealField = Literal[
+    Seen,
+    "t",
+    "t_seen",
+    "command",
+    "present",
+    "current",
+    "temperature",
+    "gravity",
+    "load",
+    "sigma",
+    "marker_rest",
+    "frame",
+    "frame_sigma",
+    "cameras",
+]
+FieldName = Literal[RealField, "ticks", "present_ticks", "start", "visible", "block"]
+
+
+class RecordedFields(TypedDict, total=False):
+    """Fields of a run by name, but for what was seen of places and its times (`Run`)."""
+
+    t: Required[Array]
+    command: Array | None
+    ticks: NDArray[np.int64] | None
+    present: Array | None
+    present_ticks: NDArray[np.int64] | None
+    current: Array | None
+    temperature: Array | None
+    gravity: Array | None
+    load: Array | float | None
+    visible: NDArray[np.bool_] | None
+    sigma: Array | None
+    block: NDArray[np.generic] | None
+    robot: str | None
+    command_unit: str
+    timeless: bool
+    extra: dict[str, NDArray[np.generic]]
+
+
 # field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in
 # all, S = K + 1; A cameras; a digit is itself.
-RunFields = dict[str, Any]  # fields of a run by name, as `Run` takes them
-
-AXES: dict[str, tuple[str, str]] = {
+AXES: dict[FieldName, tuple[str, str]] = {
     "t": ("T", "real"),
     "t_seen": ("K", "real"),
     "command": ("TC", "real"),
@@ -46,7 +86,11 @@ AXES: dict[str, tuple[str, str]] = {
     "frame_sigma": ("6", "real"),
     "cameras": ("A34", "real"),
 }
-PLACES = ("vertices", "markers")  # of which some may not be seen
+SEEN: tuple[Seen, ...] = ("vertices", "markers", "points")  # a run holds one of them at most
+BY_ROW = tuple(name for name, (axes, _) in AXES.items() if axes[0] == "T")
+BY_FRAME = tuple(name for name, (axes, _) in AXES.items() if axes[0] == "K")
+PLACES: tuple[Seen, ...] = ("vertices", "markers")  # of which some may not be seen
+DRIVE: tuple[RealField, ...] = ("command", "present")  # in `command_unit`
 # s for each row of a log without time: the rate at which a model is learned, so that no row is left
 # out
 ROW_S = 0.05
@@ -54,7 +98,7 @@ _TIME = (-1e11, 1e11, "s", "convert the time to seconds")
 _TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
 _PLACE = (-1e4, 1e4, "mm", "convert the points to mm")
 # field: (low, high, unit, what to do about a value outside)
-RANGES: dict[str, tuple[float, float, str, str]] = {
+RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "t": _TIME,
     "t_seen": _TIME,
     "ticks": _TICKS,
@@ -82,7 +126,7 @@ _TICK = 1e-9  # s: no clock of ours is finer
 _SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
 
 
-def convert(name: str, value: object) -> NDArray[np.generic]:
+def convert(name: FieldName, value: object) -> NDArray[np.generic]:
     """Return a read-only copy of `value` in the type of field `name`.
 
     Raises:
@@ -148,6 +192,16 @@ def text(name: str, value: NDArray[np.generic]) -> str:
     return found
 
 
+def cut_rows(run: Run, rows: slice) -> Document:
+    """Return the fields that have a row for each command, cut."""
+    values = {name: run.array(name) for name in BY_ROW}
+    return {
+        name: value[rows]
+        for name, value in values.items()
+        if value is not None and value.ndim == len(AXES[name][0])
+    }
+
+
 def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
     """Replace the fields of outputs in a file by those of a run; return these.
 
@@ -197,7 +251,7 @@ def check(run: Run) -> None:
     """Check a complete run: shapes, then values, then how the fields fit together."""
     sizes = _sizes(run)
     for name, (axes, _) in AXES.items():
-        value = getattr(run, name)
+        value = run.array(name)
         if value is not None:
             _shape(name, value, axes, sizes)
             _values(name, value, run)
@@ -215,15 +269,14 @@ def _sizes(run: Run) -> dict[str, tuple[int, str]]:
     if run.t_seen.ndim == 1:
         sizes["K"] = (len(run.t_seen), "t_seen")
         sizes["S"] = (len(run.t_seen) + 1, "t_seen plus one")
-    for name in ("command", "ticks"):
-        value = getattr(run, name)
-        if value is not None and value.ndim == 2:
-            sizes["C"] = (value.shape[1], name)
+    for name, rows in (("command", run.command), ("ticks", run.ticks)):
+        if rows is not None and rows.ndim == 2:
+            sizes["C"] = (rows.shape[1], name)
             break
-    for name in ("vertices", "markers"):
-        value = getattr(run, name)
-        if value is not None and value.ndim == 3:
-            sizes["N"] = (value.shape[1], name)
+    for place in PLACES:
+        points = run.array(place)
+        if points is not None and points.ndim == 3:
+            sizes["N"] = (points.shape[1], place)
     return sizes
 
 
@@ -261,7 +314,7 @@ def _shape(
     )
 
 
-def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
+def _values(name: FieldName, value: NDArray[np.generic], run: Run) -> None:
     if value.dtype.kind != "f" and name not in RANGES:
         return
     if value.dtype.kind == "f":
@@ -319,7 +372,7 @@ def _times(name: str, t: NDArray[np.float64]) -> None:
 
 
 def _together(run: Run) -> None:
-    seen = [name for name in ("vertices", "markers", "points") if getattr(run, name) is not None]
+    seen = [name for name in SEEN if run.array(name) is not None]
     if len(run.t) == 0:
         raise RunError("t: empty; a run needs at least one command row")
     if len(seen) > 1:
@@ -336,9 +389,8 @@ def _together(run: Run) -> None:
         raise RunError(f"{missing}: missing; clouds need points (P, 3) and start (K + 1,)")
     if run.start is not None and run.points is not None:
         _clouds(run.start, len(run.points))
-    for name in ("visible", "sigma"):
-        value = getattr(run, name)
-        if value is not None and value.ndim and not {"vertices", "markers"} & set(seen):
+    for name, value in (("visible", run.visible), ("sigma", run.sigma)):
+        if value is not None and value.ndim and run.places is None:
             raise RunError(
                 f"{name}: given for each point, but the run holds no vertices or markers; give "
                 "them or drop it"
@@ -398,8 +450,8 @@ def _units(run: Run) -> None:
                 "cameras: their first three columns are no rotations; give poses [R | t] base to "
                 "camera"
             )
-    for name in ("command", "present"):
-        value = getattr(run, name)
+    for name in DRIVE:
+        value = run.array(name)
         if (
             run.command_unit == "mm"
             and value is not None
@@ -423,8 +475,9 @@ def _units(run: Run) -> None:
         hidden = None if run.visible is None else ~run.visible[..., None]
         seen = run.markers if hidden is None else np.where(hidden, np.nan, run.markers)
         _same_units(seen, run.marker_rest)
-    for name in ("vertices", "markers", "points", "marker_rest"):
-        value = getattr(run, name)
+    in_mm: tuple[RealField, ...] = (*SEEN, "marker_rest")
+    for name in in_mm:
+        value = run.array(name)
         if value is None or value.size < 6 or (value.ndim == 3 and value.shape[1] < 2):
             continue
         value = shown_only(name, value, run)

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from softmap_edge.errors import RunError
+from softmap_edge.run.fields import FieldName, RealField
 from softmap_edge.run.run import Run
 
 REST_MM = 1e-6  # mm by which the markers at rest may differ
-ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs
-OPTIONAL = (
+# fields that belong to the robot, equal in all runs
+ONCE: tuple[RealField, ...] = ("marker_rest", "cameras")
+OPTIONAL: tuple[FieldName, ...] = (
     "present",
     "present_ticks",
     "current",
@@ -20,6 +22,7 @@ OPTIONAL = (
     "gravity",
     "sigma",
     "frame_sigma",
+    "frame",
 )
 
 
@@ -33,8 +36,11 @@ def check_fit(runs: Sequence[Run]) -> None:
                     "runs of one robot, recorded and imported in the same way"
                 )
     for number, run in enumerate(runs, start=1):
-        for name in (*OPTIONAL, "frame", *ONCE):
-            _check_all(name, number, run, runs)
+        for name in OPTIONAL:
+            _check_held(name, number, run, runs[0])
+        for own in ONCE:
+            _check_held(own, number, run, runs[0])
+            _check_equal(own, number, run, runs[0])
 
 
 def _facts(one: Run, other: Run) -> Iterator[tuple[str, object, object]]:
@@ -75,28 +81,28 @@ def _kind(run: Run) -> str:
 
 def _seen(run: Run) -> str:
     """Return the kind of points that a run holds."""
-    return next(
-        (name for name in ("vertices", "markers", "points") if getattr(run, name) is not None),
-        "nothing",
-    )
+    return run.seen or "nothing"
 
 
 def _count(run: Run) -> int:
     """Return the number of points in a frame; 0 for clouds."""
-    seen = run.vertices if run.vertices is not None else run.markers
-    return 0 if seen is None else int(seen.shape[1])
+    return 0 if run.places is None else int(run.places.shape[1])
 
 
-def _check_all(name: str, number: int, run: Run, runs: Sequence[Run]) -> None:
-    """Raise RunError if a field is in some runs only, or differs although it must agree."""
-    first, value = getattr(runs[0], name), getattr(run, name)
-    if (first is None) != (value is None):
-        holds, lacks = (1, number) if value is None else (number, 1)
+def _check_held(name: FieldName, number: int, run: Run, first: Run) -> None:
+    """Raise RunError if a field is in one of two runs only."""
+    if (first.array(name) is None) != (run.array(name) is None):
+        holds, lacks = (1, number) if run.array(name) is None else (number, 1)
         raise RunError(
             f"{name}: run {holds} holds it, run {lacks} does not; declare it in both, or leave it "
             f"out (--drop {name})"
         )
-    if name not in ONCE or first is None:
+
+
+def _check_equal(name: RealField, number: int, run: Run, other: Run) -> None:
+    """Raise RunError if a field of two runs differs although it must agree."""
+    first, value = other.array(name), run.array(name)
+    if first is None or value is None:
         return
     if first.shape != value.shape or not np.allclose(first, value, rtol=0.0, atol=REST_MM):
         off = (

@@ -19,6 +19,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.run import pieces as run_pieces
 from softmap_edge.run.blocks import joined_blocks
+from softmap_edge.run.fields import BY_ROW, SEEN
 from softmap_edge.run.fits import check_fit
 from softmap_edge.run.folds import GAP
 from softmap_edge.run.run import BASE_MARKERS, MAX_NUMBERS, PIECES, Run
@@ -28,8 +29,7 @@ Floats = NDArray[np.float64]
 GAP_S = 10.0
 NEXT = 1.5  # usual steps of rows within which a piece continues the one before it
 SLACK = 1e-6  # s by which times of one recording may differ after a shift and its inverse
-POINTS = ("vertices", "markers")
-BY_ROW = ("command", "ticks", "present", "present_ticks", "current", "temperature", "load")
+STACKED = tuple(name for name in BY_ROW if name not in ("t", "gravity"))
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def join_runs(runs: Sequence[Run], gap_s: float = GAP_S, drop: Collection[str] =
 
 def _without(run: Run, drop: Collection[str]) -> Run:
     """Return a run without some fields."""
-    needed = {"t", "t_seen", "command", "ticks", "start", *POINTS, "points"} & set(drop)
+    needed = {"t", "t_seen", "command", "ticks", "start", *SEEN} & set(drop)
     if needed:
         raise RunError(f"drop: {', '.join(sorted(needed))} cannot be left out of a run")
     known: Document = {
@@ -200,11 +200,11 @@ def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
 # --- the fields -----------------------------------------------------------------------------
 def _by_row(placed: Sequence[_Placed]) -> Document:
     """Return the fields that have an entry for each row."""
-    names = [name for name in BY_ROW if getattr(placed[0].run, name) is not None]
-    found: Document = {
-        name: np.concatenate([getattr(one.run, name)[one.skip :] for one in placed])
-        for name in names
-    }
+    found: Document = {}
+    for name in STACKED:
+        rows = [(one.run.array(name), one.skip) for one in placed]
+        parts = [values[skip:] for values, skip in rows if values is not None]
+        found |= {name: np.concatenate(parts)} if parts else {}
     gravity = [one.run.gravity for one in placed if one.run.gravity is not None]
     if gravity:
         same = all(rows.ndim == 1 and np.array_equal(rows, gravity[0]) for rows in gravity)
@@ -218,11 +218,10 @@ def _by_row(placed: Sequence[_Placed]) -> Document:
 
 def _seen(runs: Sequence[Run]) -> Document:
     """Return the seen data: points, their visibility and their sigma."""
-    found: Document = {
-        name: np.concatenate([getattr(run, name) for run in runs])
-        for name in POINTS
-        if getattr(runs[0], name) is not None
-    }
+    found: Document = {}
+    places = [run.places for run in runs if run.places is not None]
+    if runs[0].seen is not None and places:
+        found[runs[0].seen] = np.concatenate(places)
     clouds = [
         (run.points, run.start) for run in runs if run.points is not None and run.start is not None
     ]
@@ -249,9 +248,7 @@ def _visible(run: Run) -> NDArray[np.bool_]:
     """Return which points (K, N) are not hidden."""
     if run.visible is not None:
         return run.visible
-    count = next(
-        (getattr(run, name).shape[1] for name in POINTS if getattr(run, name) is not None), 0
-    )
+    count = 0 if run.places is None else run.places.shape[1]
     return np.ones((run.frames, count), bool)
 
 

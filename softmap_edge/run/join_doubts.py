@@ -22,7 +22,6 @@ from softmap_edge.run.run import Run
 Floats = NDArray[np.float64]
 LONGEST_S = 3600.0  # s between two runs: a longer pause is no pause of one experiment
 _NUMBERS = 24  # that must be equal: as many are no chance, even of coarse sensors
-_MEASURED = ("present", "present_ticks", "current")
 _AGREE = 1e-9  # of the pause
 
 
@@ -75,13 +74,11 @@ def _followed(k: int, one: Run, other: Run, gap_s: float) -> str | None:
 # --- the same data twice -------------------------------------------------------------------
 def _measured(run: Run) -> _Rows | None:
     """Return what a run saw, else what its sensors read; None of a run without measurements."""
-    for name in ("markers", "vertices"):
-        seen = getattr(run, name)
-        if seen is not None and len(seen):
-            return _Rows("frames", run.t_seen, np.asarray(seen, float).reshape(len(seen), -1))
-    rows = [
-        np.asarray(value, float) for name in _MEASURED if (value := getattr(run, name)) is not None
-    ]
+    seen = run.places
+    if seen is not None and len(seen):
+        return _Rows("frames", run.t_seen, np.asarray(seen, float).reshape(len(seen), -1))
+    read = (run.present, run.present_ticks, run.current)
+    rows = [np.asarray(value, float) for value in read if value is not None]
     return _Rows("rows", run.t, np.concatenate(rows, axis=1)) if rows and rows[0].size else None
 
 

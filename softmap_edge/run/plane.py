@@ -106,7 +106,7 @@ class Plane:
 
 def plane_of(run: Run) -> Plane | None:
     """Return the plane of all points of a run; None if they fill space or lie on one line."""
-    seen = run.vertices if run.vertices is not None else run.markers
+    seen = run.places
     if seen is None or run.output is not None or not seen.size:
         return None
     points = seen if run.visible is None else seen[run.visible]

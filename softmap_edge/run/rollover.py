@@ -7,17 +7,17 @@ has the same size, but the motion does not go on across it. Pinned by tests/run/
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.files.printable import listed
+from softmap_edge.run.fields import FieldName
 from softmap_edge.run.run import Run, spool_radius
 
 Floats = NDArray[np.float64]
 TURNS = (2 * np.pi, 360.0, 3600.0, 36000.0, *(2.0**bits for bits in range(8, 25)))
-DRIVES = ("command", "ticks", "present", "present_ticks")
+DRIVES: tuple[FieldName, ...] = ("command", "ticks", "present", "present_ticks")
 _SLOW = 0.25  # of a turn: all other steps are shorter
 _NEAR = 5  # rows on either side that show how fast the motion is
 _FASTER = 2.0  # times the fastest of them: the largest step across the roll-over
@@ -90,7 +90,7 @@ def roll_overs_of(run: Run) -> list[str]:
     radius = spool_radius(run.extra)
     found: list[str] = []
     for name in DRIVES:
-        rows: Any = getattr(run, name)
+        rows = run.array(name)
         in_mm = "ticks" not in name and run.command_unit == "mm"
         if rows is None or (in_mm and radius is None):
             continue

@@ -16,7 +16,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Literal, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,14 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
-from softmap_edge.run.fields import mask_of, unmasked
+from softmap_edge.run.fields import (
+    FieldName,
+    RealField,
+    RecordedFields,
+    Seen,
+    mask_of,
+    unmasked,
+)
 from softmap_edge.run.output import Output, output_of
 from softmap_edge.run.plane import PLANE
 
@@ -208,7 +215,7 @@ class Run:
         names: Sequence[str] = (),
         *,
         t_seen: ArrayLike,
-        **recorded: Any,
+        **recorded: Unpack[RecordedFields],
     ) -> Run:
         """Return a run of outputs other than places: forces, angles, levels.
 
@@ -226,7 +233,7 @@ class Run:
         output = output_of(rows, unit, tuple(names))
         shown = np.isfinite(rows)
         if not shown.all():
-            recorded = {"visible": shown} | recorded
+            recorded.setdefault("visible", shown)
         return cls(
             markers=output.markers(rows),
             t_seen=unmasked(t_seen),
@@ -237,13 +244,12 @@ class Run:
     def __post_init__(self) -> None:
         self._hide_masked()
         for name in fields.AXES:
-            value = getattr(self, name)
+            value = self.array(name)
             if value is not None:
                 object.__setattr__(self, name, fields.convert(name, value))
-        for name in ("temperature", "load"):
-            value = getattr(self, name)
-            if value is not None and value.ndim == 0 and self.t.ndim == 1:
-                object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(value))))
+        for name, rows in (("temperature", self.temperature), ("load", self.load)):
+            if rows is not None and rows.ndim == 0 and self.t.ndim == 1:
+                object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(rows))))
         if self.command is None and self.ticks is None and self.t.ndim == 1:
             object.__setattr__(self, "command", fields.frozen(np.zeros((len(self.t), 0))))
         self.validate()
@@ -251,7 +257,7 @@ class Run:
     def _hide_masked(self) -> None:
         """Mark points with a masked coordinate as not seen in `visible`."""
         for name in fields.PLACES:
-            hidden = mask_of(getattr(self, name))
+            hidden = mask_of(self.array(name))
             if hidden is not None and hidden.ndim == 3:
                 shown = ~hidden.any(axis=2)
                 if self.visible is not None and np.shape(self.visible) == shown.shape:
@@ -271,8 +277,10 @@ class Run:
     # --- files ---------------------------------------------------------------------------
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return the fields that are set as stored (texts as 0-d arrays), unknown ones last."""
-        known = {name: getattr(self, name) for name in fields.AXES}
-        stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
+        known = {name: self.array(name) for name in fields.AXES}
+        stored: dict[str, NDArray[np.generic]] = {
+            name: np.asarray(value) for name, value in known.items() if value is not None
+        }
         stored |= {"command_unit": np.asarray(self.command_unit)}
         stored |= {} if self.robot is None else {"robot": np.asarray(self.robot)}
         stored |= fields.stored_outputs(self)
@@ -297,6 +305,29 @@ class Run:
         return digest.hexdigest()
 
     # --- what it holds -------------------------------------------------------------------
+    @overload
+    def array(self, name: RealField) -> Array | None: ...
+    @overload
+    def array(self, name: FieldName) -> NDArray[np.generic] | None: ...
+    def array(self, name: FieldName) -> NDArray[np.generic] | None:
+        """Return the array of a field; None where the run has none.
+
+        Args:
+            name: of the field, such as `command`.
+        """
+        value: NDArray[np.generic] | None = getattr(self, name)
+        return value
+
+    @property
+    def seen(self) -> Seen | None:
+        """The field that holds what was seen; None where nothing was."""
+        return next((name for name in fields.SEEN if self.array(name) is not None), None)
+
+    @property
+    def places(self) -> Array | None:
+        """(K, N, 3) mm: the vertices or the markers, whichever the run holds; None of clouds."""
+        return self.vertices if self.vertices is not None else self.markers
+
     @property
     def channels(self) -> int:
         """C, the number of command channels."""
@@ -341,9 +372,8 @@ class Run:
         Raises:
             RunError: the run holds clouds of points, or nothing seen.
         """
-        for seen in (self.vertices, self.markers):
-            if seen is not None:
-                return seen
+        if self.places is not None:
+            return self.places
         if self.points is not None:
             raise RunError(
                 "points: clouds have no correspondence yet; lay a template onto them with "
@@ -410,8 +440,8 @@ class Run:
         if index.size and (index.min() < -self.frames or index.max() >= self.frames):
             raise RunError(f"select: frame {index.max()}, the run has {self.frames}")
         change: Document = {}
-        for name in ("t_seen", "vertices", "markers", "visible", "block", "sigma"):
-            value = getattr(self, name)
+        for name in fields.BY_FRAME:
+            value = self.array(name)
             if value is not None and value.ndim:
                 change[name] = value[index]
         if self.points is not None and self.start is not None:
@@ -442,26 +472,7 @@ class Run:
                 f"{self.t[-1]:g} s"
             )
         part = self.at((self.t_seen >= t0) & (self.t_seen < t1))
-        rows = (
-            "t",
-            "ticks",
-            "command",
-            "present_ticks",
-            "present",
-            "current",
-            "temperature",
-            "load",
-            "gravity",
-        )
-        change = {name: getattr(self, name) for name in rows}
-        cut = {
-            name: value[first:last]
-            for name, value in change.items()
-            if value is not None and value.ndim != 0
-        }
-        if self.gravity is not None and self.gravity.ndim == 1:
-            del cut["gravity"]
-        return dataclasses.replace(part, **cut)
+        return dataclasses.replace(part, **fields.cut_rows(self, slice(first, last)))
 
     def cut(
         self,
@@ -488,10 +499,7 @@ class Run:
         return cut(self, start, end, block=block, lead_s=lead_s)
 
     def __repr__(self) -> str:
-        seen = next(
-            (name for name in ("vertices", "markers", "points") if getattr(self, name) is not None),
-            "nothing",
-        )
+        seen: str = self.seen or "nothing"
         if self.output is not None:
             seen = f"{', '.join(self.output.names)} ({self.output.unit})"
         rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"

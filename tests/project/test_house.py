@@ -5,12 +5,17 @@ import os
 import pkgutil
 import subprocess
 import sys
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 import softmap_edge
 from softmap_edge.cli import main
+from softmap_edge.model.structure import Structure, StructureFields
+from softmap_edge.rod.learn import LearnOptions, learn, learn_model
+from softmap_edge.run.fields import RecordedFields
+from softmap_edge.run.run import Run
 
 
 def test_import_loads_numpy_and_the_core_only():
@@ -68,6 +73,16 @@ def test_public_names_are_loaded_late_and_unknown_ones_are_reported():
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'; there are .*compare"):
         softmap_edge.nonsense  # noqa: B018
+
+
+def test_typed_keyword_arguments_are_those_of_what_takes_them():
+    run = set(signature(Run).parameters)
+    places = {"vertices", "points", "start", "marker_rest", "frame", "frame_sigma", "cameras"}
+    taken = run - places - {"t_seen", "markers", "output"}
+    assert set(RecordedFields.__annotations__) == taken
+    assert set(StructureFields.__annotations__) == set(signature(Structure).parameters)
+    named = set(signature(learn).parameters) & set(signature(learn_model).parameters)
+    assert set(LearnOptions.__annotations__) == set(signature(learn).parameters) - named
 
 
 LONGEST = 600  # lines: a longer file rarely holds one idea

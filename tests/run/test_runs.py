@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import zipfile
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sound_run import C, K, N, T, fields, sound
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
+from softmap_edge.run.fields import AXES, FieldName, RealField
 from softmap_edge.run.run import Run
 
 
@@ -110,6 +112,23 @@ def test_a_sound_run_has_no_fault_and_knows_its_sizes():
     assert run.validate() is None
     with pytest.raises(ValueError, match="read-only"):
         run.command[0, 0] = 1.0
+
+
+def test_the_names_of_fields_are_those_of_the_table():
+    assert set(get_args(FieldName)) == set(AXES)
+    assert set(get_args(RealField)) == {name for name, (_, kind) in AXES.items() if kind == "real"}
+    run = sound()
+    assert all(run.array(name) is getattr(run, name) for name in AXES)
+
+
+@pytest.mark.parametrize("kind", ["vertices", "markers", "points", None])
+def test_a_run_says_which_field_holds_what_was_seen(kind):
+    points = np.random.default_rng(0).normal(size=(4, 5, 3)) * 20.0
+    clouds = {"points": points.reshape(-1, 3), "start": np.arange(5) * 5}
+    seen = {} if kind is None else clouds if kind == "points" else {kind: points}
+    run = Run(t=np.arange(4.0), t_seen=np.arange(4.0), **seen)
+    assert run.seen == kind
+    assert run.places is (run.array(kind) if kind in ("vertices", "markers") else None)
 
 
 def test_nan_is_allowed_only_where_not_visible():

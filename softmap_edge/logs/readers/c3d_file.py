@@ -12,12 +12,15 @@ from __future__ import annotations
 import io
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, HeldColumns
+
+if TYPE_CHECKING:
+    from c3d import Reader
 
 LIMIT = 2**28  # bytes of one file: an hour of 50 markers at 100 Hz
 _SIZES = 2  # bytes of the smallest coordinate
@@ -80,7 +83,7 @@ def open_c3d(path: Path) -> HeldColumns:
     return HeldColumns(path, ["frame", "time", *names], numbers, units, notes=notes)
 
 
-def _labels(reader: Any) -> list[str]:
+def _labels(reader: Reader) -> list[str]:
     count = int(reader.point_used)
     found: list[str] = []
     for name in ("LABELS", "LABELS2"):
@@ -103,7 +106,7 @@ def _labels(reader: Any) -> list[str]:
     return unique
 
 
-def _text(reader: Any, name: str) -> str:
+def _text(reader: Reader, name: str) -> str:
     group = reader.get("POINT")
     param = group.get(name) if group else None
     return bytes(param.bytes).decode("latin-1") if param is not None and param.bytes else ""
@@ -122,10 +125,10 @@ def _check(path: Path, count: int, first: int, last: int, rate: float, size: int
         )
 
 
-def _points(reader: Any, count: int) -> tuple[Array, Array]:
+def _points(reader: Reader, count: int) -> tuple[Array, Array]:
     """Frame numbers (K,), and (K, M, 3) in the file's unit, NaN where not seen."""
     frames: list[int] = []
-    rows: list[Any] = []
+    rows: list[Array] = []
     for frame, points, _ in reader.read_frames(copy=True, check_nan=False):
         frames.append(frame)
         rows.append(points[:, :4])

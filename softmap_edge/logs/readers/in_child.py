@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +39,9 @@ class Answer:
     document: Document = field(default_factory=dict)
 
 
-def read_in_child(path: Path, what: str, parse: Callable[..., Answer], **arguments: Any) -> Answer:
+def read_in_child(
+    path: Path, what: str, parse: Callable[..., Answer], **arguments: object
+) -> Answer:
     """Call a parser on a file in a child process with limits.
 
     Args:
@@ -73,7 +74,7 @@ def read_in_child(path: Path, what: str, parse: Callable[..., Answer], **argumen
 
 
 def _parts(
-    parse: Callable[..., Answer], path: Path, **arguments: Any
+    parse: Callable[..., Answer], path: Path, **arguments: object
 ) -> tuple[dict[str, Array], Document]:
     answer = parse(path, **arguments)
     return answer.arrays, answer.document

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.arrays import ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.columns import as_floats
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
+
+if TYPE_CHECKING:
+    from h5py import Dataset, Group
 
 LIMIT = 2**30  # bytes of one file
 _DEEPEST = 8  # structs within structs
@@ -221,7 +224,7 @@ def read_hdf5(path: Path) -> Answer:
 
 
 def _take_group(
-    h5py: ModuleType, name: str, group: Any, found: _Found, depth: int, matlab: bool
+    h5py: ModuleType, name: str, group: Group, found: _Found, depth: int, matlab: bool
 ) -> None:
     """Take what a group links to, without links out of it."""
     for key in group:
@@ -239,7 +242,7 @@ def _take_group(
             _take_dataset(h5py, here, entry, found, matlab)
 
 
-def _take_dataset(h5py: ModuleType, name: str, entry: Any, found: _Found, matlab: bool) -> None:
+def _take_dataset(h5py: ModuleType, name: str, entry: Dataset, found: _Found, matlab: bool) -> None:
     kind = entry.attrs.get("MATLAB_class", b"") if matlab else b""
     kind = kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
     if entry.is_virtual or entry.external:

@@ -17,9 +17,12 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from softmap_edge.errors import RunError, brief
+
+if TYPE_CHECKING:
+    from zstandard import ZstdDecompressor
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 _SKIPPED = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")  # a frame without content, as pzstd writes first
@@ -146,7 +149,7 @@ def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
         ) from None
 
 
-def _frames(packer: Any, packed: BinaryIO) -> Iterator[bytes]:
+def _frames(packer: ZstdDecompressor, packed: BinaryIO) -> Iterator[bytes]:
     """The content of frames of zstd; a piece of _SMALL bytes holds 64 MiB at most."""
     frame, count, total = None, 0, 0
     while piece := packed.read(_SMALL):

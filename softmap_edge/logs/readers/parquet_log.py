@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,11 @@ from softmap_edge.logs.lerobot import Info, info_near
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.columns import as_floats
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
+
+if TYPE_CHECKING:
+    from pyarrow import Array as PyArray
+    from pyarrow import DataType
+    from pyarrow.parquet import ParquetFile
 
 EPISODE = "episode_index"
 LIMIT = 2**32  # bytes of one file
@@ -83,7 +88,7 @@ def episodes_in(path: Path) -> tuple[int, int] | None:
 
 
 # --- in the child --------------------------------------------------------------------------
-def _file(path: Path) -> Any:
+def _file(path: Path) -> ParquetFile:
     try:
         import pyarrow.parquet
     except ImportError:
@@ -146,7 +151,7 @@ class _Gathered:
         self.ragged: set[str] = set()
         self.numbers = 0
 
-    def of_episode(self, table: Mapping[str, Any]) -> NDArray[np.bool_] | None:
+    def of_episode(self, table: Mapping[str, PyArray]) -> NDArray[np.bool_] | None:
         """Return which rows of a batch belong to the episode; None where there are no episodes."""
         if EPISODE not in table:
             return None
@@ -215,7 +220,7 @@ def _ask(path: Path, rows: int) -> None:
     )
 
 
-def _is_read(pyarrow: ModuleType, kind: Any) -> bool:
+def _is_read(pyarrow: ModuleType, kind: DataType) -> bool:
     """Whether a column holds numbers, lists of numbers, times or texts."""
     types = pyarrow.types
     if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
@@ -232,7 +237,7 @@ def _is_read(pyarrow: ModuleType, kind: Any) -> bool:
     return bool(numbers or times or types.is_string(kind) or types.is_large_string(kind))
 
 
-def _values(pyarrow: ModuleType, column: Any) -> NDArray[np.generic] | None:
+def _values(pyarrow: ModuleType, column: PyArray) -> NDArray[np.generic] | None:
     """Return a column as an array: (rows,), or (rows, elements) of lists.
 
     None of lists of different lengths.
@@ -258,7 +263,7 @@ def _values(pyarrow: ModuleType, column: Any) -> NDArray[np.generic] | None:
     return as_floats(column.to_numpy(zero_copy_only=False))
 
 
-def _lists(column: Any) -> NDArray[np.float64] | None:
+def _lists(column: PyArray) -> NDArray[np.float64] | None:
     """Return lists of one length as rows; None where they differ or one is absent."""
     if column.null_count:
         return None

@@ -112,8 +112,8 @@ def _told(leg: Leg) -> str:
 
 def strokes(found: EffectiveLimits) -> list[tuple[float, float]]:
     """Return how far each servo may go, (low, high) ticks about home: the window in force."""
-    sides = [{limit.name: limit.value for limit in limits} for limits in found.servos]
-    return [(float(one["low"]), float(one["high"])) for one in sides]
+    sides = [{limit.name: limit for limit in limits} for limits in found.servos]
+    return [(float(one["low"].number), float(one["high"].number)) for one in sides]
 
 
 def pull(

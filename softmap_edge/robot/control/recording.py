@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,7 @@ class Recording:
         except CalibrationError as fault:
             raise RunError(f"{self.file}: damaged ({fault}); record again") from None
 
-    def _told(self) -> list[tuple[Any, ...]]:
+    def _told(self) -> list[tuple[object, ...]]:
         """Return the inputs of the guard in each period, as `_core.replay` takes it.
 
         Raises:
@@ -197,9 +197,9 @@ def _servos(period: Document, servos: int | None) -> int:
     return len(period["goal"])
 
 
-def _told(period: Document) -> tuple[Any, ...]:
+def _told(period: Document) -> tuple[object, ...]:
     """Return one period, as `_core.replay` takes it."""
-    sensed: list[Any] = []
+    sensed: list[tuple[object, ...] | None] = []
     for k, position in enumerate(period["position"]):
         if position is None:
             sensed.append(None)

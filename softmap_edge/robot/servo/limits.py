@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ from softmap_edge.robot.servo.loop_limits import (
 from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import ServoModel, servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
-from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES
+from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES, Value
 
 Floats = NDArray[np.float64]
 
@@ -60,10 +60,16 @@ class Limit:
     """One limit in force: its value, its unit, who set it, and in words how."""
 
     name: str
-    value: Any
+    value: Value
     unit: str
     by: str
     why: str = ""
+
+    @property
+    def number(self) -> float:
+        """The value of a limit that is one number."""
+        assert not isinstance(self.value, tuple)
+        return self.value
 
     def to_dict(self) -> Document:
         """Return it as a document."""
@@ -111,7 +117,7 @@ class EffectiveLimits:
         for servo, limits in zip(self.rig.servos, self.servos):
             assert servo.home is not None
             values = {limit.name: limit.value for limit in limits}
-            values |= {name: servo.home + values[name] for name in ("low", "high")}
+            values |= {name: servo.home + _of(limits, name).number for name in ("low", "high")}
             servos.append(cast(ServoLimits, {"home": servo.home} | values))
         try:
             return loop_limits(
@@ -220,7 +226,7 @@ def effective_limits(
         _servo(rig, k, found, safety, box[k], off[k], rates[k]) for k in range(len(rig.servos))
     )
     window = tuple(
-        fit(float(_of(one, name).value) - by for one, by in zip(servos, off))
+        fit(float(_of(one, name).number) - by for one, by in zip(servos, off))
         for name, fit in (("low", max), ("high", min))
     )
     return EffectiveLimits(
@@ -355,7 +361,7 @@ def _servo(
     pulled = [] if safety.tension is None else [_current(safety, entry, calibration, k)]
     least("current", own, *pulled, of="current_mA")
     current = limits.pop()
-    real = (slowed(entry, float(current.value)), DATA, "its fastest turn")
+    real = (slowed(entry, current.number), DATA, "its fastest turn")
     if by_pwm(entry):
         real = (real[0], DATA, "its fastest turn, in proportion to its PWM")
     least("slew", real, (safety.slew * worth, FINGER, f"{safety.slew:g} {unit}/s {through}"))
@@ -373,7 +379,7 @@ def _servo(
             "half above its fastest turn is not believed",
         )
     )
-    start["following"] = following(float(_of(limits, "slew").value))
+    start["following"] = following(_of(limits, "slew").number)
     for name in ("following", "warm", "hot"):
         least(name)
     limits.append(Limit("voltage", start["voltage"], "V", DATA))
@@ -390,8 +396,8 @@ def shown(limit: Limit, entry: ServoModel) -> Limit:
     if limit.name not in ("current", "jog_current") or not by_pwm(entry):
         return limit
     stall = entry["stall_current_mA"]
-    share = round(100.0 * min(1.0, limit.value / stall), 1)
-    why = f"goal PWM for {limit.value:g} mA of {stall:g} mA at stall" + (
+    share = round(100.0 * min(1.0, limit.number / stall), 1)
+    why = f"goal PWM for {limit.number:g} mA of {stall:g} mA at stall" + (
         f": {limit.why}" if limit.why else ""
     )
     return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
@@ -418,14 +424,18 @@ def _robot(
     rig: Rig, safety: Safety, rates: Floats, servos: Iterable[tuple[Limit, ...]], rate: float
 ) -> tuple[Limit, ...]:
     """Return the limits that hold for all servos together."""
-    ends = [(float(_of(one, "low").value), float(_of(one, "high").value)) for one in servos]
+    ends = [(float(_of(one, "low").number), float(_of(one, "high").number)) for one in servos]
     placed = [servo_limits(servo.model, 0, end) for servo, end in zip(rig.servos, ends)]
     usual = loop_limits(placed, rate)
     allowed = of_bench(rig)
-    jump = [allowed("jump") or (usual["jump"], OWN, "")]
-    ticks = tuple(float(by * rates.min()) for by in safety.jump)
-    jump.append((ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"))
-    warned, refused = (min(jump, key=_side(side)) for side in (0, 1))
+    bench = rig.ceiling.get("jump")
+    ticks = (float(safety.jump[0] * rates.min()), float(safety.jump[1] * rates.min()))
+    jump = [
+        (bench, CEILING, "its [ceiling]") if isinstance(bench, tuple) else (usual["jump"], OWN, ""),
+        (ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"),
+    ]
+    warned = min(jump, key=lambda one: one[0][0])
+    refused = min(jump, key=lambda one: one[0][1])
     limits = [
         Limit(
             "jump", (min(warned[0][0], refused[0][1]), refused[0][1]), "ticks", warned[1], warned[2]
@@ -440,13 +450,9 @@ def _robot(
     return tuple(limits)
 
 
-def _side(side: int) -> Callable[[Any], float]:
-    return lambda one: float(one[0][side])
-
-
 def of_bench(
     rig: Rig, servo: RigServo | None = None
-) -> Callable[[str], tuple[Any, str, str] | None]:
+) -> Callable[[str], tuple[float, str, str] | None]:
     """Return a look-up of the strictest value that the rig sets: value, who, how.
 
     It covers what the rig sets for all its servos and for this one.
@@ -455,12 +461,12 @@ def of_bench(
     servo's data.
     """
 
-    def look(name: str) -> tuple[Any, str, str] | None:
-        values: list[tuple[Any, str]] = [(rig.ceiling.get(name), "its [ceiling]")]
-        values.append((getattr(servo, name, None), "its [[servo]]"))
+    def look(name: str) -> tuple[float, str, str] | None:
+        own: float | None = getattr(servo, name, None)
+        values = [(rig.ceiling.number(name), "its [ceiling]"), (own, "its [[servo]]")]
         there = [(value, CEILING, why) for value, why in values if value is not None]
-        hot = rig.ceiling.get("hot")
-        if name == "warm" and not there and isinstance(hot, float):
+        hot = rig.ceiling.number("hot")
+        if name == "warm" and not there and hot is not None:
             by = COOL[0] - COOL[1]
             there = [
                 (max(hot - by, RANGES["warm"][0]), CEILING, f"{by:g} °C below hot of its [ceiling]")
@@ -476,12 +482,6 @@ def _of(limits: Iterable[Limit], name: str) -> Limit:
 
 def _line(limit: Limit) -> str:
     value = limit.value
-    numbers = (
-        " to ".join(f"{v:g}" for v in value)
-        if isinstance(value, tuple)
-        else "none"
-        if value is None
-        else f"{value:g}"
-    )
+    numbers = " to ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else f"{value:g}"
     why = f": {limit.why}" if limit.why else ""
     return f"  {limit.name:<13} {numbers + ' ' + limit.unit:<24} {limit.by}{why}"

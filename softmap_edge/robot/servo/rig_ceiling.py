@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
@@ -45,6 +45,11 @@ class Ceiling:
     def get(self, name: str) -> Value | None:
         """Return a limit, None where the rig sets none."""
         return dict(self.values).get(name)
+
+    def number(self, name: str) -> float | None:
+        """Return a limit that is one number, None where the rig sets none."""
+        value = self.get(name)
+        return None if isinstance(value, tuple) else value
 
     def to_toml(self) -> list[str]:
         """Return the lines of its table, none where it is empty."""
@@ -96,27 +101,27 @@ def check_bench(rig: Rig, limits: LoopLimits) -> None:
                 "its home)"
             )
     for where, name, value, most in _both(rig, cast(Document, limits)):
-        pairs = zip(value, most) if isinstance(value, (list, tuple)) else [(value, most)]
-        for one, end in pairs:
-            if one is not None and (one < end if name in AT_LEAST else one > end):
-                raise ServoError(
-                    f"{where}{name} is {one:g}, the rig allows {end:g}; make the limits of the "
-                    "rig (`combined`), or change its [ceiling] knowingly"
-                )
+        if value is not None and (value < most if name in AT_LEAST else value > most):
+            raise ServoError(
+                f"{where}{name} is {value:g}, the rig allows {most:g}; make the limits of the "
+                "rig (`combined`), or change its [ceiling] knowingly"
+            )
 
 
-def _both(rig: Rig, limits: Document) -> Iterator[tuple[str, str, Any, Any]]:
+def _both(rig: Rig, limits: Document) -> Iterator[tuple[str, str, float | None, float]]:
     """Give each limit that the rig sets: of which servo, its name, its value and the ceiling."""
     for name in RANGES:
         most = rig.ceiling.get(name)
         if name not in OF_EACH:
-            if most is not None:
+            if isinstance(most, tuple):
+                yield from (("", name, one, end) for one, end in zip(limits[name], most))
+            elif most is not None:
                 yield "", name, limits[name], most
             continue
         for servo, table in zip(rig.servos, limits["servos"]):
             value = table["current" if name == "current_mA" else name]
             if name in ("low", "high"):
                 value -= table["home"]
-            for end in (most, getattr(servo, name, None)):
+            for end in (rig.ceiling.number(name), getattr(servo, name, None)):
                 if end is not None:
                     yield f"servo {servo.id}: ", name, value, end

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import cast
 
 import tomlkit
 from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Array, InlineTable, Item, Table
+from tomlkit.items import AoT, Array, InlineTable, Item, Table
 
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import written
 
+Tables = Container | Table | InlineTable
 TOP = ("port", "baud")
 SERVO, MADE = "servo", "made"
 
@@ -54,16 +55,16 @@ def _merged(old: Mapping[str, object], new: Mapping[str, object], kept: Sequence
     }
 
 
-def _change(document: tomlkit.TOMLDocument, target: Mapping[str, Any]) -> None:
+def _change(document: tomlkit.TOMLDocument, target: Document) -> None:
     """Change the document into `target`; new servos stand after the others, new provenance last."""
     _set(document, {key: target[key] for key in TOP})
-    servos: Any = document[SERVO]
+    servos = cast(AoT | Array, document[SERVO])
     for table, values in zip(servos, target[SERVO]):
         _set(table, values, remove=True)
     for values in target[SERVO][len(servos) :]:
         servos.append(_new(values, inline=isinstance(servos, Array)))
     for name, values in target.get(MADE, {}).items():
-        made: Any = document.setdefault(MADE, tomlkit.table(is_super_table=True))
+        made: Tables = document.setdefault(MADE, tomlkit.table(is_super_table=True))
         if name in made:
             _set(made[name], values, remove=True)
         else:
@@ -82,7 +83,7 @@ def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
     return table
 
 
-def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
+def _set(table: Tables, values: Mapping[str, object], remove: bool = False) -> None:
     """Give a table these values; what is equal stays as it is written.
 
     `remove` takes the other keys out.
@@ -96,7 +97,7 @@ def _set(table: Any, values: Mapping[str, Any], remove: bool = False) -> None:
             table[key] = tomlkit.value(written(value))
 
 
-def _add(table: Any, key: str, item: Item) -> None:
+def _add(table: Tables, key: str, item: Item) -> None:
     """Add a key after the last one, before comments and blank lines of the next table."""
     inside = table if isinstance(table, Container) else table.value
     rest = len(inside.body)

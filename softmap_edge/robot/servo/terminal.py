@@ -18,7 +18,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 # s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
 FIRST, REPEAT = 0.7, 0.2
@@ -80,7 +80,8 @@ class Typed:
     """
 
     def __init__(self, file: int) -> None:
-        self._file, self._before = file, list[Any]()
+        self._file = file
+        self._before: list[int | list[bytes | int]] = []  # as termios has its settings
         self.gone = False
 
     def __enter__(self) -> Self:

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, TracebackType
-from typing import Any
+from typing import Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -161,6 +161,13 @@ class FileFrames:
         self.close()
 
 
+class _Device(Protocol):
+    """What OpenCV opens."""
+
+    def read(self) -> tuple[bool, NDArray[np.uint8]]: ...
+    def release(self) -> None: ...
+
+
 class CameraFrames:
     """The newest pictures of a camera, in a loop `for frame in …`; a context manager, to be closed.
 
@@ -171,7 +178,9 @@ class CameraFrames:
         TeleopError: OpenCV is absent, there is no such camera, or it cannot be opened.
     """
 
-    def __init__(self, index: int, *, silence: float = SILENCE, device: Any = None) -> None:
+    def __init__(
+        self, index: int, *, silence: float = SILENCE, device: _Device | None = None
+    ) -> None:
         self.name, self.silence, self.dropped = f"camera {index}", silence, 0
         self._device = _opened(index) if device is None else device
         self._new = threading.Condition()
@@ -248,7 +257,7 @@ class CameraFrames:
                 self._new.notify_all()
 
 
-def _opened(index: int) -> Any:
+def _opened(index: int) -> _Device:
     cv2 = _cv2()
     file = devices.DEVICES / f"video{index}"
     if not file.exists():
@@ -275,7 +284,8 @@ def _opened(index: int) -> Any:
         ("BUFFERSIZE", 1),
     ):
         device.set(getattr(cv2, f"CAP_PROP_{key}"), value)
-    return device
+    opened: _Device = device
+    return opened
 
 
 def _cv2() -> ModuleType:

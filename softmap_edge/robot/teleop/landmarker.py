@@ -13,9 +13,10 @@ import importlib.metadata
 import signal
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +128,21 @@ class Landmarker:
         self.close()
 
 
-def _hand(points: Any, side: Any, width: int, height: int) -> Hand | None:
+class _Point(Protocol):
+    """A landmark of mediapipe, in shares of the picture."""
+
+    x: float
+    y: float
+
+
+class _Side(Protocol):
+    """Which hand mediapipe saw, and how sure it is."""
+
+    category_name: str
+    score: float
+
+
+def _hand(points: Iterable[_Point], side: _Side, width: int, height: int) -> Hand | None:
     """What mediapipe saw as a hand, None where its numbers are none.
 
     Its sides are those of unmirrored pictures.

@@ -323,20 +323,20 @@ class _Link:
         return True
 
 
-def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
+def _door(connection: Any, opening: threading.BoundedSemaphore) -> Callable[..., object]:
     """Return the class by which websockets makes connections.
 
     Those that have brought no token yet are counted, and few.
     """
 
     class Door(connection):  # type: ignore[misc]
-        def handshake(self, *how: Any, **named: Any) -> None:
+        def handshake(self, *how: object, **named: object) -> None:
             try:
                 super().handshake(*how, **named)
             finally:
                 opening.release()
 
-    def made(*how: Any, **named: Any) -> Any:
+    def made(*how: object, **named: object) -> object:
         if not opening.acquire(blocking=False):
             # websockets closes the socket
             raise ConnectionRefusedError("too many connections are being opened")
