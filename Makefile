@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.toml
 
-.PHONY: demo build test test-long lint bench bank outside prove docs figures wheel data builtin clean test-rust test-python
+.PHONY: demo build test test-long soak lint bench bank outside prove docs figures wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -30,6 +30,11 @@ test-python: $(VENV)/.test
 # Complete stories from hidden effect to diagnosis, training, and five hundred damaged files of each format.
 test-long: $(VENV)/.test
 	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not prove" -n $$(nproc) --dist loadfile --no-loadscope-reorder --durations 12
+
+# Goes on where it stopped; `rm out/soak.jsonl` begins again.
+soak: $(VENV)/.test
+	mkdir -p out
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/support/soak.py out/soak.jsonl
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint
