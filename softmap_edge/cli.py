@@ -7,6 +7,7 @@ files. Pinned by tests/commands/test_cli_words.py and tests/files/test_mcap_dama
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import re
@@ -260,7 +261,11 @@ def _of_the_system(error: OSError) -> str:
     path = error.filename2 or error.filename
     if path is None or error.strerror is None:
         return str(error)
-    return f"{path}: {error.strerror.lower()}; give a path that exists and may be used for this"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        remedy = "free some space, or give a place with more of it"
+    else:
+        remedy = "give a path that exists and may be used for this"
+    return f"{path}: {error.strerror.lower()}; {remedy}"
 
 
 def _plugged_in() -> list[Command]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -47,8 +48,15 @@ def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = F
         raise SoftmapError(f"{option} {path}: it is saved as {suffix}; give a name that ends so")
     if not file.parent.is_dir():
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
+    _check_writable(f"{option} {path}", file.parent)
     if new and file.exists():
         raise SoftmapError(f"{option} {path}: it exists; give another name")
+
+
+def _check_writable(what: str, folder: Path) -> None:
+    """Raise SoftmapError if nothing can be written into `folder`, before the work that it costs."""
+    if folder.is_dir() and not os.access(folder, os.W_OK):
+        raise SoftmapError(f"{what}: nothing can be written into {folder}; give another place")
 
 
 def check_picture(option: str, path: str | None) -> None:
@@ -113,6 +121,7 @@ def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
     """
     folder = Path(path)
     check_folder(folder)
+    _check_writable(f"{option} {path}", folder.absolute().parent)
     if not force and (folder / "manifest.json").exists():
         way = "remove it" if force is None else "--force to replace it"
         raise BundleError(

@@ -193,12 +193,17 @@ def diagnose(args: DiagnoseOptions) -> int:
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
     found = find(model, runs, held_out, wanted, teller(args), reference=references or None)
-    if args.out:
-        _write_json(args.out, found.to_dict())
-    if args.html:  # before anything is printed: a reader may close the pipe
-        kind = "fitted" if held_out is None else "held out"
-        write_page(args.html, held_out or runs[0], model, found.model, found, kind)
-    print(json.dumps(found.to_dict(), indent=1) if args.json else found)
+    text = json.dumps(found.to_dict(), indent=1) if args.json else str(found)
+    try:  # files before the text: a reader may close the pipe
+        if args.out:
+            _write_json(args.out, found.to_dict())
+        if args.html:
+            kind = "fitted" if held_out is None else "held out"
+            write_page(args.html, held_out or runs[0], model, found.model, found, kind)
+    except OSError:
+        print(text)  # a full disk does not cost the result
+        raise
+    print(text)
     if before is not None and not args.json:
         print("\n".join(["", *progress_lines(before, found.to_dict())]))
     if not args.json and (after := _after_diagnosis(args, found)):

@@ -6,7 +6,6 @@ is the template. Solids are in `bodies.py`, tendons, commands and regions in `te
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
@@ -36,7 +35,7 @@ from softmap_edge.fem.tendons import (
     unit_of,
 )
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.toml import quoted
+from softmap_edge.files.toml import parsed, quoted
 
 __all__ = ["Finger", "Region", "Tendon"]
 
@@ -188,7 +187,7 @@ class Finger:
         if len(text) > _MOST_TEXT:
             raise FingerError(f"longer than {_MOST_TEXT} characters; give a finger.toml")
         try:
-            document = tomllib.loads(text)
+            document = parsed(text)
         # a number of thousands of digits is a plain ValueError
         except (ValueError, RecursionError) as error:
             raise FingerError(

@@ -1,8 +1,9 @@
-"""Files that are complete or absent: written next to their place, then moved there."""
+"""Files and folders that are complete or absent: written next to their place, then moved there."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,22 +32,57 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 def replacement_of(file: Path) -> Iterator[Path]:
     """Yield a new file next to `file` to write into.
 
-    It replaces `file` once complete, and is deleted on failure.
+    It replaces `file` once complete, and is deleted on failure. Errors of the system name `file`.
     """
-    try:
+    with _errors_name(file):
         descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-    except OSError as error:
-        raise type(error)(error.errno, error.strerror, str(file)) from None
-    os.close(descriptor)
-    partial = Path(name)
+        os.close(descriptor)
+        partial = Path(name)
+        try:
+            yield partial
+            partial.chmod(0o666 & ~_mask())
+            partial.replace(file)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacement_of_folder(folder: Path) -> Iterator[Path]:
+    """Yield a new folder next to `folder` to write into.
+
+    It replaces `folder` once complete, and is deleted on failure. Errors of the system name
+    `folder`.
+    """
+    with _errors_name(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            partial.chmod(0o777 & ~_mask())
+            yield partial
+            if folder.exists():
+                shutil.rmtree(folder)
+            partial.replace(folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def _errors_name(path: Path) -> Iterator[None]:
+    """Raise errors of the system with `path` in place of the name of a temporary file."""
     try:
-        yield partial
-        mask = os.umask(0)
-        os.umask(mask)
-        partial.chmod(0o666 & ~mask)
-        partial.replace(file)
-    finally:
-        partial.unlink(missing_ok=True)
+        yield
+    except OSError as error:
+        other = error.filename is not None and f".{path.name}." not in str(error.filename)
+        if error.errno is None or other:
+            raise
+        raise type(error)(error.errno, os.strerror(error.errno), str(path)) from error
+
+
+def _mask() -> int:
+    """Return the rights that new files do not get; temporary files are for their owner alone."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) -> str:

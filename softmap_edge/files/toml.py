@@ -6,6 +6,8 @@ Every fault is one RunError that names the file, the key, what was found and wha
 
 from __future__ import annotations
 
+import re
+import tomllib
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, nearest, no_name
+from softmap_edge.files.atomic import Document
 
 Array = NDArray[np.float64]
 _KINDS: dict[type, str] = {
@@ -23,6 +26,34 @@ _KINDS: dict[type, str] = {
     list: "a list",
     dict: "a table",
 }
+
+
+MOST_PARTS = 16  # of a key with dots: time and memory of tomllib grow with the square of them
+_BASIC, _LITERAL = r'"(?:[^"\\\n]|\\.)*+"', r"'[^'\n]*+'"
+_PART = rf"(?:(?<![\w-])[\w-]++|{_BASIC}|{_LITERAL})"
+_LONG_KEY = rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS}}}"
+_TEXTS = (  # comments and strings, in which dots join nothing
+    r"#[^\n]*+",
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\\?\Z)',
+    r"'''(?:[^']|'(?!''))*+(?:'''|\Z)",
+    rf"{_BASIC[:-1]}(?:\"|(?=\n)|\\?\Z)",  # without an end, up to that of the line: no second search
+    rf"{_LITERAL[:-1]}(?:'|(?=\n)|\Z)",
+)
+_TOKENS = re.compile(rf"(?P<long>{_LONG_KEY})|{'|'.join(_TEXTS)}", re.DOTALL)
+
+
+def parsed(text: str) -> Document:
+    """Return the tables of a TOML text.
+
+    Raises:
+        tomllib.TOMLDecodeError: it is no TOML, or a key has more than `MOST_PARTS` parts.
+    """
+    if long := next((token for token in _TOKENS.finditer(text) if token["long"]), None):
+        line = text.count("\n", 0, long.start()) + 1
+        raise tomllib.TOMLDecodeError(
+            f"a key of more than {MOST_PARTS} parts with dots between them (at line {line})"
+        )
+    return tomllib.loads(text)
 
 
 class TomlTable:

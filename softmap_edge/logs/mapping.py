@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.toml import TomlTable, shown
+from softmap_edge.files.toml import TomlTable, parsed, shown
 from softmap_edge.logs.measured import (
     Column,
     Measured,
@@ -168,7 +168,7 @@ def parse_mapping(text: str, path: Path) -> Mapping:
         RunError: as `read_mapping`.
     """
     try:
-        document = tomllib.loads(text)
+        document = parsed(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as cause:
         raise RunError(
             f"{path}: is not a TOML file ({brief(cause)}); examples/trunk.toml shows the form"

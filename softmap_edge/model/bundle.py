@@ -37,9 +37,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +46,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
-from softmap_edge.files.atomic import MOST_TEXT, Document
+from softmap_edge.files.atomic import MOST_TEXT, Document, replacement_of_folder
 from softmap_edge.files.npz import Arrays, read_npz, write_npz
 from softmap_edge.model.manifest import (
     LARGEST,
@@ -108,17 +105,21 @@ def save_bundle(model: Model, path: str | Path) -> Path:
             "this model has no arrays to write; build it, learn it, or load it from a bundle"
         )
     check_folder(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    partial.chmod(0o777 & ~_umask())
+    with replacement_of_folder(folder) as partial:
+        _write(model, model.arrays, partial)
+    return folder
+
+
+def _write(model: Model, arrays: BundleArrays, partial: Path) -> None:
+    """Write the files of a bundle into a folder."""
     files = list(_FILES)
-    for name, network in model.arrays.networks().items():
+    for name, network in arrays.networks().items():
         files.append(f"{name}.onnx")
         (partial / files[-1]).write_bytes(network)
-    for name, arrays in model.arrays.contents().items():
-        if arrays or f"{name}.npz" in _FILES:
+    for name, content in arrays.contents().items():
+        if content or f"{name}.npz" in _FILES:
             files += [] if f"{name}.npz" in _FILES else [f"{name}.npz"]
-            write_npz(partial / f"{name}.npz", arrays)
+            write_npz(partial / f"{name}.npz", content)
     write_npz(partial / "template.npz", Template.of(model).to_npz())
     if model.calibration is not None:
         files.append("calibration.json")
@@ -159,10 +160,6 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     (partial / "manifest.json").write_text(
         json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     )
-    if folder.exists():
-        shutil.rmtree(folder)
-    partial.replace(folder)
-    return folder
 
 
 def _loaded() -> Mapping[str, OwnEffect]:
@@ -173,13 +170,6 @@ def _loaded() -> Mapping[str, OwnEffect]:
     from softmap_edge.model.user_effect import loaded
 
     return loaded()
-
-
-def _umask() -> int:
-    """Return which rights new files do not get; temporary folders are for their maker alone."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _schema(model: Model, files: list[str], own: bool) -> int:

@@ -10,7 +10,6 @@ it. Pinned by tests/model/test_safety.py.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
-from softmap_edge.files.toml import TomlTable, quoted
+from softmap_edge.files.toml import TomlTable, parsed, quoted
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -138,7 +137,7 @@ def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
             clamped.
     """
     try:
-        return _read(TomlTable(tomllib.loads(text), where), np.asarray(reach, float), unit)
+        return _read(TomlTable(parsed(text), where), np.asarray(reach, float), unit)
     except BundleError:
         raise
     except SoftmapError as fault:

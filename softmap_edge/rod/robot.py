@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
-from softmap_edge.files.toml import TomlTable
+from softmap_edge.files.toml import TomlTable, parsed
 from softmap_edge.model.elastic_rod import MODES, Coordinates, RodLayout
 
 Floats = NDArray[np.float64]
@@ -77,7 +77,7 @@ class Robot:
             RobotError: as for `load`.
         """
         try:
-            top = TomlTable(tomllib.loads(text), where)
+            top = TomlTable(parsed(text), where)
             return _robot(top)
         except (tomllib.TOMLDecodeError, RecursionError) as cause:
             raise RobotError(f"{where}: is not a TOML file ({brief(cause)}); {EXAMPLE}") from None

@@ -7,7 +7,6 @@ tests/robot/test_rig_file.py.
 from __future__ import annotations
 
 import shlex
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
-from softmap_edge.files.toml import TomlTable, quoted, written
+from softmap_edge.files.toml import TomlTable, parsed, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
 from softmap_edge.robot.servo.models import servo_model
@@ -150,7 +149,7 @@ def read_rig(path: str | Path) -> Rig:
             raise ServoError(f"{file}: no file; give a rig.toml")
         if file.stat().st_size > MOST_TEXT:
             raise ServoError(f"{file}: too large for a rig")
-        table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))
+        table = TomlTable(parsed(file.read_text("utf-8")), str(file))
         table.choice("schema", (SCHEMA,), "")
         port, baud = table.get("port", (str,), ""), table.integer("baud", 57_600, 9_600, 4_500_000)
         servos = []

@@ -17,7 +17,7 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Array, InlineTable, Item, Table
 
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.toml import written
+from softmap_edge.files.toml import parsed, written
 
 Tables = Container | Table | InlineTable
 TOP = ("port", "baud")
@@ -34,7 +34,7 @@ def edited(old: str, new: str, kept: Sequence[str]) -> str:
         new: text of the rig with the findings
         kept: keys of a servo that its findings replace or remove; other keys of a servo stay
     """
-    before, after = tomllib.loads(old), tomllib.loads(new)
+    before, after = parsed(old), parsed(new)
     servos = [_merged(a, b, kept) for a, b in zip(before[SERVO], after[SERVO])]
     target = before | {key: after[key] for key in TOP}
     target |= {SERVO: servos + after[SERVO][len(servos) :]}
@@ -43,7 +43,7 @@ def edited(old: str, new: str, kept: Sequence[str]) -> str:
         document = tomlkit.parse(old)
         _change(document, target)
         text = document.as_string().rstrip("\r\n") + (old[len(old.rstrip("\r\n")) :] or "\n")
-        return text if tomllib.loads(text) == target else new
+        return text if parsed(text) == target else new
     except (TOMLKitError, tomllib.TOMLDecodeError, RecursionError):
         return new
 
