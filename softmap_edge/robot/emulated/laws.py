@@ -39,14 +39,14 @@ NEWTON_PER_GRAM = 9.80665e-3
 
 @dataclass(frozen=True)
 class Law:
-    """One hidden cause; a subclass overrides the one place where it acts."""
+    """One hidden law; a subclass overrides the one method at its place in the chain."""
 
     NAME: ClassVar[str]
     LIMIT: ClassVar[float] = 2.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        """Draw the character at strength 1, about the middle of the plausible range."""
+        """Draw the parameters at strength 1, near the middle of the plausible range."""
         raise NotImplementedError
 
     def scaled(self, s: float) -> Self:
@@ -54,7 +54,7 @@ class Law:
         raise NotImplementedError
 
     def command(self, t: Floats, u: Floats) -> Floats:
-        """Return what reaches the body: t (T,) s, u (T, C) mm → (T, C) mm."""
+        """Return the command that reaches the body: t (T,) s, u (T, C) mm → (T, C) mm."""
         return u
 
     def gravity(self, g: Floats) -> Floats:
@@ -66,11 +66,11 @@ class Law:
         return np.zeros(3)
 
     def seen(self, points: Floats) -> Floats:
-        """Return where points (..., 3) mm appear."""
+        """Return where points (..., 3) mm are seen."""
         return points
 
     def params(self) -> dict[str, float | list[float]]:
-        """Return the numbers of the law, units in the names."""
+        """Return the parameters of the law, with units in their names."""
         return {
             k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()
         }
@@ -78,7 +78,7 @@ class Law:
 
 @dataclass(frozen=True)
 class AskewHorn(Law):
-    """y = round((u + b) r)/r: the horn sits askew by b, the encoder counts r steps per mm."""
+    """y = round((u + b) r)/r: the horn is offset by b, the encoder counts r steps per mm."""
 
     NAME = "offset"
     shift_mm: Numbers
@@ -99,7 +99,7 @@ class AskewHorn(Law):
 
 @dataclass(frozen=True)
 class OtherSpool(Law):
-    """y = (1 + e) u + e k u²/2 per wound side: radius off by e, growing with the wound length."""
+    """y = (1 + e) u + e k u²/2 per side: the radius is off by e and grows with the wound length."""
 
     NAME = "gain"
     radius_excess: Numbers
@@ -138,7 +138,7 @@ class TwoPoles(Law):
 
 @dataclass(frozen=True)
 class LatePackets(Law):
-    """The servo holds the newest packet; packet k, sent at kΔ, arrives late by its own delay."""
+    """The servo holds the newest packet; packet k, sent at kΔ, has its own random delay."""
 
     NAME = "latency"
     delay_s: float
@@ -195,7 +195,7 @@ class BoucWen(Law):
     """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), in steps of at most d0/20."""
 
     NAME = "hysteresis"
-    share: Numbers  # of the motion that is held back after a reversal: H = share · d0
+    share: Numbers  # share of the motion that is lost after a reversal: H = share · d0
     saturation_mm: float  # d0
     sharpness: float  # n
 
@@ -260,7 +260,7 @@ class TrueWeight(Law):
     """g_true = (1 + e) R g: density off by e, the mounting askew by two angles."""
 
     NAME = "gravity"
-    # twice the weight or half of it, 56 degrees: less moves some fingers by less than 1 mm
+    # Half or double the weight, 56 degrees: smaller changes move some fingers by less than 1 mm.
     LIMIT = 4.0
     density_excess: float
     askew_deg: Numbers  # about x and y of the base frame
@@ -302,7 +302,7 @@ class TipWeight(Law):
 
 @dataclass(frozen=True)
 class AskewBase(Law):
-    """p_seen = R p + s: the base is not clamped at the origin of the camera frame."""
+    """p_seen = R p + s: the base is not at the origin of the camera frame."""
 
     NAME = "mount"
     turn_deg: Numbers
@@ -325,7 +325,7 @@ class AskewBase(Law):
         return np.asarray(points @ rotation(self.turn_deg).T + np.array(self.shift_mm))
 
 
-# In the order in which they act: command, transmission, material, body, camera.
+# In the order of the chain: command, transmission, material, body, camera.
 LAWS: dict[str, type[Law]] = {
     law.NAME: law
     for law in (
@@ -372,6 +372,6 @@ def _pole(t: Floats, u: Floats, tau: float) -> Floats:
 
 
 def _spread(rng: np.random.Generator, channels: int) -> Floats:
-    """Draw one number a channel: any signs, sizes within 0.5..1, the largest 1."""
+    """Draw one number per channel: random signs, sizes within 0.5..1, the largest 1."""
     size = rng.uniform(0.5, 1.0, channels)
     return np.asarray(size / size.max() * rng.choice([-1.0, 1.0], channels), dtype=np.float64)
