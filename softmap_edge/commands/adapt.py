@@ -1,7 +1,4 @@
-"""The command `adapt`: from recordings to a calibrated, completed bundle with a residual.
-
-The bundle has the effects that it lacked.
-"""
+"""The command `adapt`: from recordings to a calibrated bundle with missing effects and a residual."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The command `calibrate`: from a run with ticks and shapes to a calibrated bundle.
-
-The calibration maps its servos' ticks to commands.
-"""
+"""The command `calibrate`: fit the map from servo ticks to commands to a run with ticks and shapes."""
 
 from __future__ import annotations
 
@@ -74,10 +71,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def calibrate(args: CalibrateOptions) -> int:
-    """Fit u = A (ticks − home) + b and write the bundle; 1 if the relation is not affine.
-
-    It must clearly not be so.
-    """
+    """Fit u = A (ticks − home) + b and write the bundle; return 1 if the map is clearly not affine."""
     check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)
     if args.window is not None and not args.window[0] < 0.0 < args.window[1]:

@@ -125,7 +125,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def next(args: NextOptions) -> int:
-    """Say which block of commands settles what is open, and write it."""
+    """Find the block of commands that answers the open questions, and write it."""
     from softmap_edge.experiment.choose import SCHEMA
     from softmap_edge.robot.drive.command_file import steps, write_commands
 
@@ -184,7 +184,7 @@ def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experimen
     from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
     for path in (*args.run, *args.reference):
-        open_run(path, model)  # not needed here, but damage is reported
+        open_run(path, model)  # the run is not used here, but damage is reported
     setting = Setting.after([], model.gravity_reference)
     ways = {"--standard": args.standard, "--block": args.block, "--protocol": args.protocol}
     given = [option for option, value in ways.items() if value]
@@ -216,9 +216,9 @@ def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experimen
 def _answered(
     args: NextOptions, file: str, model: Model
 ) -> tuple[Protocol | None, list[Experiment], list[str], int]:
-    """Return the commands for what a diagnosis left open.
+    """Return the commands that answer the open questions of a diagnosis.
 
-    Also the blocks weighed, what is open, and how often to play.
+    Also the weighed blocks, the open questions, and the number of repetitions.
     """
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.separate import REFIT
@@ -252,7 +252,7 @@ def _answered(
 
 
 def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
-    """Return the command that plays the file: on the simulated finger if it is this robot, or a rig."""
+    """Return the command that plays the file: on the simulated finger if it is meant for it."""
     from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:
@@ -465,7 +465,7 @@ def record(args: RecordOptions) -> int:
 
 
 def _ahead(made: Protocol, hidden: bool) -> str:
-    """Print how long the recording would be, and what is simulated; the bar shows progress."""
+    """Print the duration of the recording and what is simulated; the bar shows progress."""
     first = "finding how strong the hidden effects are, then " if hidden else ""
     return (
         f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one "
@@ -476,7 +476,7 @@ def _ahead(made: Protocol, hidden: bool) -> str:
 def _measured(
     args: RecordOptions, made: Protocol, finger: Finger, names: list[str], seed: int
 ) -> tuple[Run, Arrays]:
-    """Return the run of a protocol, and of the virtual finger what is true."""
+    """Return the run of a protocol and, for the virtual finger, the true values."""
     from softmap_edge.synthetic.finger import hide
     from softmap_edge.synthetic.virtual_finger import virtual_finger
 
@@ -486,7 +486,7 @@ def _measured(
 
 
 def _secrets(path: str) -> tuple[list[str], int]:
-    """Return what a demo hid: names and seed."""
+    """Return the hidden effects of a demo: names and seed."""
     try:
         document = json.loads(read_document(path, RunError))
         names, seed = [str(row["name"]) for row in document["hidden"]], document["seed"]

@@ -13,7 +13,7 @@ from softmap_edge.robot.link.session import read_key, udp_address
 
 
 class CameraOptions(Protocol):
-    """What `camera_arguments` declares."""
+    """Options that `camera_arguments` declares."""
 
     @property
     def camera(self) -> str | None: ...
@@ -26,7 +26,7 @@ class CameraOptions(Protocol):
 
 
 def camera_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where points come from."""
+    """Declare the source of the points."""
     parser.add_argument(
         "--camera",
         metavar="udp://:PORT",
@@ -51,10 +51,10 @@ def camera_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
-    """Return the receiver of `--camera`, of frames of `count` points.
+    """Return the receiver of `--camera`, for frames of `count` points.
 
     Raises:
-        SoftmapError: an argument is not usable, or the address is not to be had.
+        SoftmapError: an argument is not valid, or the address is not available.
     """
     frame = None if args.like is None else open_run(args.like).frame
     if args.like is not None and frame is None:
@@ -68,10 +68,10 @@ def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
 
 
 def late(args: CameraOptions, otherwise: float = 0.0) -> float:
-    """Return `--late`, checked.
+    """Return `--late` after a check.
 
     Raises:
-        SoftmapError: it is no such time.
+        SoftmapError: it is not a valid time.
     """
     seconds = otherwise if args.late is None else float(args.late)
     if not 0.0 <= seconds <= LATEST:

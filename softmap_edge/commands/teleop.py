@@ -1,7 +1,4 @@
-"""The command that lets a hand drive, and what it needs.
-
-A model of hands, a key, landmarks sent to another computer.
-"""
+"""The command `teleop` and its helpers: fetch the hand model, make a key, send landmarks."""
 
 from __future__ import annotations
 
@@ -190,7 +187,7 @@ def _drive(args: TeleopOptions) -> int:
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
-        # reported below, after the account
+        # reported below, after the summary
         stack.enter_context(contextlib.suppress(RecordingBroken))
         robot = stack.enter_context(
             Controller(
@@ -308,7 +305,7 @@ def _two(text: str) -> tuple[float, float]:
 
 
 def _flips(text: str) -> tuple[bool, bool]:
-    """Return which axes are turned round."""
+    """Return the axes whose sign is changed."""
     named = [part for part in text.split(",") if part]
     if wrong := [part for part in named if part not in ("x", "y")]:
         raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")

@@ -1,4 +1,4 @@
-"""The command `track`: lead the tip along a figure, or print Table II or the workspace."""
+"""The command `track`: move the tip along a figure, or print Table II or the workspace."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def track(args: TrackOptions) -> int:
-    """Lead the tip along a figure, measure its error, draw it."""
+    """Move the tip along a figure, measure its error, draw it."""
     check_driven(args)
     check_picture("--picture", args.picture)
     if args.camera and not args.rig:
@@ -236,7 +236,7 @@ def track(args: TrackOptions) -> int:
 
 @contextlib.contextmanager
 def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
-    """Report an interrupted recording only after the result is printed, if there is a result."""
+    """Report an interrupted recording after the result, if there is a result."""
     try:
         yield
     except RecordingBroken:
@@ -246,7 +246,7 @@ def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
-    """Give what sees the robot, if anything does."""
+    """Yield the camera of the robot, if there is one."""
     if bench.finger is not None or args.camera is None:
         yield None if bench.finger is None else bench.finger.seen
         return
@@ -260,7 +260,7 @@ def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
 def _kept(
     args: TrackOptions, seen: Seen | None, behind: float, bench: Bench
 ) -> Iterator[Keeper | None]:
-    """Keep what is seen next to the recording, where there is one."""
+    """Store the frames next to the recording, if there is one."""
     if seen is None or args.record is None:
         yield None
         return
@@ -358,7 +358,7 @@ def _text(summary: Document) -> str:
     if summary["seen"]:
         bundle = summary["bundle"] or None
         frames = summary["seen_mm"]["n"] if summary["seen_mm"] else 0
-        if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
+        if frames < LEAST_WITHHOLDING:  # a diagnosis would have no data to validate on
             lines.append(
                 f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or "
                 "more"

@@ -131,7 +131,7 @@ def calibrate(args: CalibrateOptions) -> int:
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # raises before anything moves
+    found = bench_calibration(rig, model, pulley, given)  # raises an error before anything moves
     if args.signs is None:
         found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
@@ -184,7 +184,7 @@ def _signs(text: str) -> list[int]:
 
 
 def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
-    """Jog each servo a little and back, and ask which way the finger bent; return the signs."""
+    """Jog each servo back and forth, and ask which way the finger bent; return the signs."""
     signs = []
     for k, servo in enumerate(rig.servos):
         way = bends(model, k)

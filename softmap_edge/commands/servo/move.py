@@ -44,14 +44,14 @@ ENDS = {
     "window": ": the end of its window",
     "travel": ": as far as one jog goes; let go, and on once torque is off",
 }
-NEAR = 25.0  # ticks from its target at which a servo has arrived
-LAGS = 1.0  # s after its goal arrived, by which a servo is as near as it gets
+NEAR = 25.0  # ticks: largest distance to the target of a servo that has arrived
+LAGS = 1.0  # s from the goal's arrival until a servo is as close as it will come
 CAME_SHORT = 1  # exit code
 HELD = (
     "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
     "servo pull` measures the current that the stroke needs"
 )
-STEP = 10.0  # ticks of one tap; a held key goes on from its first repetition
+STEP = 10.0  # ticks of one tap; a held key continues from its first repetition
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a "
     f"tap is one step of {STEP:.0f} ticks, a held key goes on from its first repetition; space, "
