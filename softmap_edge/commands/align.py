@@ -1,4 +1,4 @@
-"""The commands `run align` and `run register`: a run in the base frame, vertices from point clouds."""
+"""The commands `run align` and `run register`: runs in the base frame, vertices of clouds."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `run align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
     )
     effects_argument(parser)
     parser.add_argument(
@@ -70,25 +70,25 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="POINT",
         help=(
-            "points fixed to the base instead of home frames: clamped, or numbers of markers, "
+            "align by points fixed to the base, not by home frames: clamped, or marker numbers, "
             "each with its place in the base frame in mm unless `marker_rest` has it: 0:30,0,0 "
             "1:0,30,0 2:-30,0,0; b0 is the first of the run's `base_markers`"
         ),
     )
     parser.add_argument(
-        "--follow-base", action="store_true", help="hold a base that moves still, frame by frame"
+        "--follow-base", action="store_true", help="remove the motion of the base, frame by frame"
     )
     parser.add_argument(
         "--drop-base", action="store_true", help="leave the base markers out of the run afterwards"
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
     parser.add_argument(
-        "--like", metavar="RUN", help="take the transform of a run that was aligned already"
+        "--like", metavar="RUN", help="use the transform of a run that is already aligned"
     )
 
 
 def align(args: AlignOptions) -> int:
-    """Find the transform from the measurement frame to the base; write the run in the base frame."""
+    """Find the transform from the measurement frame to the base; write the transformed run."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     run = open_run(args.run)
@@ -255,11 +255,11 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         "clouds",
         nargs="+",
         help=(
-            "a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
+            "a run with clouds (.npz), or a cloud per frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
         ),
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this finger; default: the built-in finger"
     )
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")
@@ -269,7 +269,7 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         default="robust",
         help="robust, or the published objective",
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 
 
 def register(args: RegisterOptions) -> int:

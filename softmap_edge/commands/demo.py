@@ -143,10 +143,13 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["random"],
         metavar="NAME,NAME",
-        help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
+        help="hidden effects of the second finger: names, 'nothing', or 'random' (default)",
     )
     parser.add_argument(
-        "--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})"
+        "--seed",
+        type=int,
+        default=FIRST_SEED,
+        help=f"random seed of the finger and the strengths ({FIRST_SEED})",
     )
     parser.add_argument(
         "--out", default="demo", help="folder for the runs, the bundle and the report (demo)"

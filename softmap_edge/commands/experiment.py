@@ -65,7 +65,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the diagnosis, JSON, of `softmap diagnose --out`",
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     effects_argument(parser)
     parser.add_argument(
         "--run",
@@ -310,7 +310,9 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--sim", action="store_true", help="on a simulated finger: frames are solved, not watched"
+        "--sim",
+        action="store_true",
+        help="on a simulated finger: frames are computed by the simulator",
     )
     where.add_argument(
         "--emulated",
@@ -321,14 +323,16 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera"
     )
     where.add_argument(
-        "--recover", metavar="FILE.seen", help="make the run of what a recording left that was cut"
+        "--recover",
+        metavar="FILE.seen",
+        help="make the run from the files of an interrupted recording",
     )
     camera_arguments(parser)
     parser.add_argument(
         "--yes", action="store_true", help="--rig: do not ask before a condition changes"
     )
     parser.add_argument(
-        "--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded"
+        "--record", metavar="FILE.mcap", help="--rig, --emulated: save the recording of the loop"
     )
     parser.add_argument(
         "--calibrated", metavar="DIR", help="--emulated: write its bundle, with the true map"
@@ -350,11 +354,11 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="the model that the commands are for; the built-in finger without it",
+        help="the model that the commands are for; default: the built-in finger",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="TOML", help="the simulated finger; the built-in one without it"
+        "--finger", metavar="TOML", help="the simulated finger; default: the built-in one"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(
@@ -371,10 +375,12 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
         help="the same hidden effects as in a demo (its --json document)",
     )
     parser.add_argument(
-        "--seed", type=int, help="draws the finger and the strengths of its hidden effects (1)"
+        "--seed",
+        type=int,
+        help="random seed of the finger and the strengths of its hidden effects (1)",
     )
     parser.add_argument(
-        "--noise-seed", type=int, default=0, help="draws the noise of the camera (0)"
+        "--noise-seed", type=int, default=0, help="random seed of the camera noise (0)"
     )
     parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
 

@@ -99,7 +99,7 @@ def effects_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
         nargs="?",
-        help="show this one in full; 'new' writes a file for an effect of your own",
+        help="show this effect in full; 'new' writes a file for an effect of your own",
     )
     parser.add_argument(
         "new_name", nargs="?", metavar="NAME", help="after 'new': its name; NAME.py is written here"

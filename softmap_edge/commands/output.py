@@ -99,7 +99,7 @@ def check_kept(path: str, what: str, force: bool) -> None:
 def bundle_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the output path of a bundle, the same for every command that writes one."""
     parser.add_argument("--out", required=True, metavar="DIR", help="bundle folder to write")
-    parser.add_argument("--force", action="store_true", help="replace the bundle that stands there")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing bundle")
 
 
 def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:

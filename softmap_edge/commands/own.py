@@ -65,7 +65,7 @@ def load_own(args: OwnOptions) -> list[str]:
 
 
 def open_model(path: str | None) -> Model:
-    """Return the model of a bundle, or the built-in finger; a bundle's code runs only if allowed."""
+    """Return a bundle's model, or the built-in finger; a bundle's code runs only if allowed."""
     return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
 
 

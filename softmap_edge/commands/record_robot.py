@@ -1,4 +1,6 @@
-"""`softmap record` on a robot: play a command file on real or emulated servos, watched by a camera."""
+"""`softmap record` on a robot: play a command file on servos, watched by a camera.
+
+The servos may be emulated."""
 
 from __future__ import annotations
 

@@ -54,21 +54,23 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="whose model and effects are used (default: the built-in finger)",
+        help="the model and its effects (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--no-effects", action="store_true", help="leave the effects of the bundle out, to compare"
+        "--no-effects", action="store_true", help="omit the effects of the bundle, for comparison"
     )
     parser.add_argument(
         "--hide",
         "--hidden",
         default="",
         metavar="NAME,NAME",
-        help="--sim: effects that the finger hides: backlash,creep",
+        help="--sim: hidden effects of the finger: backlash,creep",
     )
-    parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
-    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+    parser.add_argument(
+        "--seed", type=int, help=f"--sim: random seed of hidden effects and noise (0){seed}"
+    )
+    parser.add_argument("--record", metavar="FILE.mcap", help="save the recording of the loop")
 
 
 def check_driven(args: DrivenOptions) -> None:

@@ -74,7 +74,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace the run (with --guess the mapping) that stands there",
+        help="overwrite an existing run, or with --guess an existing mapping",
     )
 
 
@@ -161,7 +161,7 @@ def check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="of a run: say which effects would show against this model's",
+        help="of a run: report which effects are detectable with this model",
     )
     effects_argument(parser)
 
@@ -203,7 +203,7 @@ def check(args: CheckOptions) -> int:
 
 
 def _after_check(path: Path, kind: str, bundle: str | None) -> str:
-    """Return the next command for a valid file: compare, build a model from a sweep, or learn one."""
+    """Return the next command for a valid file: compare, build from a sweep, or learn."""
     from softmap_edge.fem.finger import Finger
 
     if kind == "sweep":

@@ -30,23 +30,23 @@ def camera_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera",
         metavar="udp://:PORT",
-        help="where the camera's program sends points (docs/do/camera.md)",
+        help="address to which the camera program sends points (docs/do/camera.md)",
     )
     parser.add_argument(
         "--key",
         metavar="FILE",
-        help="the key that is shared with that program; needed across computers",
+        help="key shared with that program; required between computers",
     )
     parser.add_argument(
         "--like",
         metavar="RUN",
-        help="points are in the camera's frame: bring them to the base as in this aligned run",
+        help="points are in the camera frame: transform them to the base as in this aligned run",
     )
     parser.add_argument(
         "--late",
         type=float,
         metavar="S",
-        help="how long the quickest frame takes from its light to here (0)",
+        help="delay of the fastest frame from exposure to arrival, s (0)",
     )
 
 

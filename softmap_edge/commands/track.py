@@ -104,13 +104,17 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="--workspace: is this point (mm) in it",
+        help="--workspace: check whether this point (mm) is reachable",
     )
     parser.add_argument(
         "--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)"
     )
     parser.add_argument(
-        "--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)"
+        "--duration",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="least duration of the figure (20)",
     )
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)"
@@ -122,7 +126,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
         "--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)"
     )
     parser.add_argument(
-        "--observe", action="store_true", help="feed back what the camera sees of the tip"
+        "--observe", action="store_true", help="feed back the tip position seen by the camera"
     )
     camera_arguments(parser)
     driven_arguments(parser, "; --table: of the stand-in (1)")

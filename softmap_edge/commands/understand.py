@@ -67,13 +67,16 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="while a robot runs, seen by --camera")
     camera_arguments(parser)
     parser.add_argument(
-        "--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)"
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="--live: end after this time, s (default: at Ctrl-C)",
     )
     parser.add_argument(
         "--bundle",
         action="append",
         metavar="DIR",
-        help="the model; the built-in finger without it; give two to see both",
+        help="the model (default: the built-in finger); give two to see both",
     )
     effects_argument(parser)
     parser.add_argument(
@@ -141,7 +144,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="run",
         help="the measured run, .npz or .mcap; several runs are fitted together",
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     parser.add_argument(
         "--held-out",
         metavar="RUN",
@@ -169,7 +172,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def diagnose(args: DiagnoseOptions) -> int:
-    """Identify the family of effects that a model lacks, and its law; return 0 for every verdict."""
+    """Identify the family of effects that a model lacks, and its law; always return 0."""
     from softmap_edge.diagnosis.diagnose import diagnose as find
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines
@@ -246,7 +249,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON"
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     effects_argument(parser)
     bundle_arguments(parser)
 

@@ -450,7 +450,7 @@ def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> No
 
 
 def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return outward normals (N, 3) at vertices: averaged face normals, away from the body's axis."""
+    """Return outward vertex normals (N, 3): averaged face normals, away from the body's axis."""
     corners = points[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre, axis = corners.mean(axis=1), points.mean(axis=0)

@@ -76,7 +76,7 @@ def _shown(value: object) -> str:
 
 
 def pictures_missing() -> str | None:
-    """Return the command that installs the packages for figures; None if matplotlib is installed."""
+    """Return the command that installs matplotlib for the figures; None if it is installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

@@ -40,9 +40,9 @@ class DoctorOptions:
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo doctor`."""
     parser.add_argument(
-        "--rig", metavar="rig.toml", help="ask the servos of this rig too; nothing moves"
+        "--rig", metavar="rig.toml", help="also read the servos of this rig; nothing moves"
     )
-    parser.add_argument("--bundle", metavar="DIR", help="look at this bundle too")
+    parser.add_argument("--bundle", metavar="DIR", help="also check this bundle")
     parser.add_argument("--camera", metavar="N|/dev/…", help="take a picture of this camera")
 
 
@@ -118,11 +118,11 @@ class ReplayOptions:
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo replay`."""
-    parser.add_argument("recording", help="what the control loop recorded (.mcap)")
+    parser.add_argument("recording", help="recording of the control loop (.mcap)")
     parser.add_argument(
-        "--run", metavar="FILE.npz", help="write it as a run as well, with what was seen"
+        "--run", metavar="FILE.npz", help="also write it as a run, with the camera frames"
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 
 
 def replay(args: ReplayOptions) -> int:

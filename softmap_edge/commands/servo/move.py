@@ -79,7 +79,10 @@ class MoveOptions:
 def move_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo move`."""
     parser.add_argument(
-        "command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it"
+        "command",
+        nargs="?",
+        metavar="U1,U2",
+        help="command to go to, mm, and back (default: jog by keys)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
@@ -89,7 +92,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="whose calibration maps mm to ticks (default: built-in finger)",
+        help="bundle with the calibration (default: built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
@@ -101,7 +104,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=3.0,
         metavar="S",
-        help="stay so long where U1,U2 is reached (3)",
+        help="time at U1,U2, s (3)",
     )
     hold_argument(parser, "; with U1,U2 nothing is asked first")
 
@@ -385,7 +388,7 @@ def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--hold",
         action="store_true",
-        help=f"no key needs to be held: the program holds while it runs, Ctrl-C lets go{more}",
+        help=f"no key needs to be held; Ctrl-C releases{more}",
     )
 
 

@@ -71,6 +71,6 @@ class Keys:
         return self._name if not self.stopped and self._key.held(now) else ""
 
     def held(self) -> bool:
-        """Return whether a key is held and repeats, or none is needed, and no stop key was pressed."""
+        """Return whether a key repeats, or none is needed, and no stop key was pressed."""
         self.key()
         return not self.stopped and (self._always or self._key.repeats(time.monotonic()))

@@ -242,7 +242,7 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Wait until a servo is still, at most PATIENCE more; return the readings of the last STANDS."""
+    """Wait at most PATIENCE until a servo is still; return the readings of the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []
@@ -270,7 +270,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
-    """Return the current at the stroke, extrapolated from the outer half of a leg that ended early."""
+    """Return the current at the stroke; extrapolate the outer half of a leg that ended early."""
     outer = side[np.abs(side[:, 0]) >= 0.5 * abs(reached)]
     if abs(stroke) <= abs(reached) or len(outer) < 3:
         return mA

@@ -38,7 +38,7 @@ class Heart(Sender):
         super().__init__(host, port, key, OFFER_MARK, mend)
 
     def beat(self, pressed: bool = False) -> bool:
-        """Send a heartbeat, with the stop `pressed` or not; return False if it cannot be sent now."""
+        """Send a heartbeat, with the stop `pressed` or not; return False if it cannot be sent."""
         session, sequence = self._next()
         flags = PRESSED if pressed else 0
         return self._put(

@@ -90,7 +90,7 @@ def _head(file: Path, why: str, closing: Closing | None) -> str:
 
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
-    """Return the number of missing messages, out of those that the file states or that were found."""
+    """Return the number of missing messages, of those that the file states or that were found."""
     stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:

@@ -153,7 +153,7 @@ def _user() -> str:
 
 
 def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
-    """Report the serial ports and that of `rig`, and whether this user may open them; opens none."""
+    """Report the serial ports and that of `rig`, and whether this user may open them."""
     from softmap_edge.robot.servo.bus import ports as listed
 
     found = listed(dev)
@@ -221,7 +221,7 @@ def latency(sys: Path = SYS) -> Iterator[Line]:
 
 
 def teleoperation() -> Iterator[Line]:
-    """Check the needs of teleoperation: one OpenCV, mediapipe with its libraries, the hand model."""
+    """Check what teleoperation needs: one OpenCV, mediapipe, its libraries, the hand model."""
     from softmap_edge.robot.teleop.requirements import findings
 
     for one in findings():

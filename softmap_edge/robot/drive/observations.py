@@ -316,7 +316,7 @@ def with_crc(document: str) -> str:
 
 
 def _checked(line: bytes) -> tuple[bytes, bool]:
-    """Return the document of a line without its checksum, and whether that is present and correct."""
+    """Return the document of a line without its checksum, and whether that is correct."""
     found = _CRC.search(line)
     if found is None:
         return line, False

@@ -226,7 +226,7 @@ def _play(
     seconds: float,
     say: Callable[[float], None] | None = None,
 ) -> None:
-    """Send `command` of the elapsed time `SENT` times a second; pass the completed share to `say`."""
+    """Send `command` of the elapsed time at `SENT` Hz; pass the completed share to `say`."""
     begun = due = robot.time.now()
     reported = -1.0
     while (now := robot.time.now()) - begun < seconds:

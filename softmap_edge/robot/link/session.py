@@ -113,7 +113,7 @@ def signed(key: bytes | None, body: bytes) -> bytes:
 
 
 def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
-    """Return the first `size` bytes of a `signed` datagram, or what is wrong: length or signature."""
+    """Return the first `size` bytes of a `signed` datagram, or the fault: length or signature."""
     if len(datagram) != size + (0 if key is None else TAG):
         return "length"
     body = datagram[:size]
@@ -171,7 +171,7 @@ class Sender(_Link):
         return self._session != NO_SESSION
 
     def _next(self) -> tuple[bytes, int]:
-        """Return the newest session that the listener offers, and the next sequence number in it."""
+        """Return the newest session offered by the listener, and the next sequence number."""
         size = len(self._mark) + SESSION
         for _ in range(MOST_OFFERS):
             try:

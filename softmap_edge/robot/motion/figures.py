@@ -81,7 +81,7 @@ def figure(name: str, amplitude: float) -> Floats:
 
 
 def even(points: Floats, count: int) -> Floats:
-    """Return `count` evenly spaced points (count, D) along a polyline (n, D), including its ends."""
+    """Return `count` evenly spaced points (count, D) along a polyline (n, D), with its ends."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = np.concatenate([[True], steps > 0])
     along = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])

@@ -305,7 +305,7 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
 
 
 def _alike(slope: Floats) -> Floats:
-    """Return, per servo, the most ticks per unit of command at which all servos may move at once."""
+    """Return, per servo, the most ticks per unit of command if all servos move at once."""
     alone = 1.0 / np.maximum(np.abs(slope).max(axis=0), 1e-300)
     return np.asarray(alone / max(1.0, float((np.abs(slope) @ alone).max())))
 

@@ -48,7 +48,7 @@ class Busy:
         return BUSY if now - self._stood_at < SHOWN else ""
 
     def age(self, t: float, now: float) -> float:
-        """Return the age (s) of data seen at `t`, less the time for which the program was held up."""
+        """Return the age (s) of data seen at `t`, less the time when the program was held up."""
         return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
 
     def end(self) -> None:

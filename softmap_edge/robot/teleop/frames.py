@@ -45,7 +45,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class UdpAddress:
-    """Address to receive landmarks at: `udp://HOST:PORT`; an empty host listens on every network."""
+    """Address to receive landmarks at: `udp://HOST:PORT`; an empty host is every network."""
 
     host: str
     port: int

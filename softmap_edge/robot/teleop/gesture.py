@@ -26,7 +26,7 @@ Rule = Literal["key", "fist releases", "open palm", "fist"]
 
 
 def openness(hand: Hand) -> float | None:
-    """Return how straight the three other fingers are, in hand scales; None if they are not seen."""
+    """Return how straight the three other fingers are, in hand scales; None if not seen."""
     seen = [projection(hand, finger) for finger in OTHER_FINGERS]
     return (
         None

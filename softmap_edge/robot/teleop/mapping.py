@@ -23,7 +23,7 @@ MOST_GRID = 5
 
 
 class HandMapping(Protocol):
-    """A plane to drive in: `box` (2, 2) is its range, LOW < 0 < HIGH, in mm; `names` of its axes."""
+    """A plane to drive in: `box` (2, 2) mm is its range, LOW < 0 < HIGH; `names` its axes."""
 
     box: Floats
     names: tuple[str, str]

@@ -356,7 +356,7 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
 
 
 def _ours(host: str, port: int) -> bool:
-    """Return whether a Host header names this server by an address or localhost (no DNS rebinding)."""
+    """Return whether a Host header is an address or localhost (no DNS rebinding)."""
     name, _, said = host.rpartition(":")
     if said != str(port):
         return False
