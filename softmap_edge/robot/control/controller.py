@@ -186,7 +186,8 @@ class Controller(Supervisor):
         """Request a change of the guard's state.
 
         It is `connect`, `disconnect`, `arm`, `engage`, `hold`, `stop`, `acknowledge` or
-        `commission`. There is no `home`: only a start checks that the robot was homed since power-up.
+        `commission`. There is no `home`: only a start checks that the robot was homed since
+        power-up.
 
         Raises:
             ServoError: there is no such request, it was denied, or the loop did not answer.
