@@ -1,26 +1,22 @@
-"""The laws of hidden effects, one class an effect, in a form of their own.
+"""The laws of hidden effects, one class per effect, independent of the effect library.
 
-The effect library is never called.
+Each law differs in form from the effect of the same name in the library (after the semicolon):
 
-    effect  law of the truth  differs from the library in
-    offset      servo horn mounted askew, angle rounded to encoder steps
-        rounding, direction per channel
-    gain  spool of another radius that grows with the wound length  slightly curved, per channel
-    lag         two poles in series (servo, then cable), exact for ramps    order two
-    latency     bus packets at a fixed period, each late by its own delay   sample and hold, jitter
-    backlash    mean of eight plays of different width (friction-like)      soft corners
-    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z
-        differential law, not stops
-    creep       three Kelvin-Voigt terms at τ/5, τ, 5τ                      three terms
-    gravity     density and mounting angle, solved in the finite elements
-        equilibrium, not a linear field
-    payload  dead weight at the tip, solved in the finite elements  equilibrium, not a linear field
-    mount       rigid rotation (Rodrigues) and shift of all points seen     exact rotation
+    offset      horn mounted at an angle, rounded to encoder steps; rounding, sign per channel
+    gain        spool radius that grows with the wound length; slightly curved, per channel
+    lag         two poles in series (servo, then cable), exact for ramps; second order
+    latency     bus packets at a fixed period, each with its own delay; sample and hold, jitter
+    backlash    mean of eight plays of different width (friction-like); soft corners
+    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z; differential law
+    creep       three Kelvin-Voigt terms at τ/5, τ, 5τ; three terms
+    gravity     density and mounting angle, solved in the finite elements; equilibrium
+    payload     dead weight at the tip, solved in the finite elements; equilibrium
+    mount       rigid rotation (Rodrigues) and shift of all points; exact rotation
 
-Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever.
-`scaled(s)` multiplies the strength and keeps the character; `LIMIT` is the largest s that is still
-plausible for a real finger. Loops over time stand here in Python on purpose: they validate the
-compiled loops. Pinned by `tests/synthetic/test_truth.py` against closed forms.
+Units: s, mm, g, degrees. Each law starts in equilibrium with its first command. `scaled(s)`
+multiplies the strength and keeps the other parameters; `LIMIT` is the largest s that is plausible
+for a real finger. Loops over time are in Python on purpose: they validate the compiled loops.
+Pinned by `tests/synthetic/test_truth.py` against closed forms.
 """
 
 from __future__ import annotations
