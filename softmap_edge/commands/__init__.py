@@ -274,7 +274,7 @@ COMMANDS: list[Command] = [
     ),
 ]
 
-# Names before 0.1.0; they are gone after it. Each prints a line on stderr and runs.
+# Names before 0.1.0, removed after it. Each prints a line on stderr and runs.
 RENAMED: dict[str, str] = {
     "adapt": "model adapt",
     "align": "run align",

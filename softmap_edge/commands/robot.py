@@ -22,7 +22,7 @@ from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.robot.open import Bench, read_bench
 from softmap_edge.robot.servo.loop_limits import RATE
 
-HOME = 2048.0
+HOME = 2048.0  # ticks: home of an emulated servo
 
 
 class DrivenOptions(Protocol):

@@ -172,7 +172,7 @@ def _pieces(run: Run, args: CutOptions) -> list[Piece]:
 def _pairs(
     starts: Sequence[float], ends: Sequence[float]
 ) -> list[tuple[float | None, float | None]]:
-    """Return begin and end (s) of each piece; None stands for the begin or end of the run."""
+    """Return start and end (s) of each piece; None stands for the start or end of the run."""
     if not starts and not ends:
         raise RunError("no piece is named; give --from and --to in seconds, or --block LABEL")
     if len(starts) <= 1 and len(ends) <= 1:

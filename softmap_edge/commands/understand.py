@@ -1,4 +1,4 @@
-"""Commands that answer what a model lacks: compare, diagnose, add, remove, refit."""
+"""Commands that find and change the effects of a model: compare, diagnose, add, remove, refit."""
 
 from __future__ import annotations
 

@@ -224,7 +224,7 @@ def where_maps(
         before, after: maps name → bins `{label, low, high, n, rms_mm}`; after may be None.
 
     Returns:
-        bytes: the picture.
+        The picture.
     """
     names = [name for name, rows in before.items() if len(rows) > 1]
     columns = _packed([(name, len(before[name])) for name in names], 3)

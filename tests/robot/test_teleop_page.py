@@ -197,7 +197,7 @@ def test_the_age_of_a_word_is_never_reported_too_small():
 
 
 def test_connections_that_bring_no_token_are_few_and_do_not_stay(monkeypatch):
-    monkeypatch.setattr(pages, "OPENING", 1.0)
+    monkeypatch.setattr(pages, "TOKEN_WITHIN", 1.0)
     with served() as page, ExitStack() as stack:
         driver = Client(stack.enter_context(connect(**link(page))))
         driver.until(lambda state: state.get("seat") == "mine")

@@ -24,7 +24,7 @@ from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig
 
 WELL = 0
-FAULT = 1  # exit code: a fault, limits that let no servo be driven, a decision that differs
+FAULT = 1  # exit code: a fault, limits that allow no motion, a decision that differs
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def limits(args: LimitsOptions) -> int:
-    """Print the limits; return 1, with the reason, if they let no servo be driven."""
+    """Print the limits; return 1, with the reason, if they allow no motion."""
     load_own(args)
     model = open_model(args.bundle)
     found = effective_limits(read_rig(args.rig), model, rate=args.rate)
@@ -126,7 +126,7 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again.
+    """Replay a recording through the guard.
 
     Returns:
         1 if a decision differs or the recording is incomplete, else 0.

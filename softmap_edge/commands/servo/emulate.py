@@ -79,24 +79,26 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
         help="hidden effects: backlash,creep",
     )
     parser.add_argument(
-        "--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)"
+        "--strength", type=float, default=1.0, metavar="X", help="factor on their strength (1)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (0)")
-    parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
     parser.add_argument(
-        "--baud", type=int, default=BAUD, metavar="BAUD", help=f"their rate ({BAUD})"
+        "--model", default=SERVO, metavar="NAME", help=f"model of the servos ({SERVO})"
     )
     parser.add_argument(
-        "--fresh", action="store_true", help="servos as delivered: not set up, home not known"
+        "--baud", type=int, default=BAUD, metavar="BAUD", help=f"baud rate of the servos ({BAUD})"
     )
     parser.add_argument(
-        "--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger"
+        "--fresh", action="store_true", help="servos with factory settings: not set up, never homed"
+    )
+    parser.add_argument(
+        "--servos", type=int, metavar="N", help="N servos with factory settings, without a finger"
     )
     parser.add_argument("--rig", metavar="FILE.toml", help="write the rig of the emulated robot")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace the rig and the bundle there, real ones too",
+        help="overwrite an existing rig and bundle, also those of a real robot",
     )
     parser.add_argument(
         "--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos"

@@ -38,8 +38,8 @@ Ticks = NDArray[np.float64]
 
 EVERY = 0.02  # s between two orders
 AHEAD = 0.4  # s at full slew by which the goal of a held key leads the servo
-ARRIVED = 3.0  # ticks: distance of a goal that has been reached
-SETTLES = 0.4  # s that a servo may lag its goal
+ARRIVED = 3.0  # ticks: distance at which a goal counts as reached
+SETTLES = 0.4  # s that a jog waits at its goal for the servo
 WAITS = 3.0  # s beyond the expected duration of a jog
 
 

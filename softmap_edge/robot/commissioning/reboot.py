@@ -20,7 +20,7 @@ from softmap_edge.robot.servo.presence import why_silent
 from softmap_edge.robot.servo.status_words import kept_words
 
 WAITS = 3.0  # s within which a restarted servo answers again
-TRIES = 3
+TRIES = 3  # repetitions of the request
 
 
 @dataclass(frozen=True)

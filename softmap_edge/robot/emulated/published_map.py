@@ -21,9 +21,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoMap:
-    """The map of C servos: `slope` A (C, C) mm a tick, `shift` b (C,) mm, `home` (C,) ticks.
+    """The map of C servos: `slope` A (C, C) mm per tick, `shift` b (C,) mm, `home` (C,) ticks.
 
-    `window` is ± ticks.
+    `window` is the largest distance from home, ticks.
     """
 
     slope: tuple[tuple[float, ...], ...]

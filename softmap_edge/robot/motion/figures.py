@@ -18,7 +18,7 @@ from softmap_edge.files.atomic import MOST_TEXT
 
 Floats = NDArray[np.float64]
 
-MOST_POINTS = 20_000
+MOST_POINTS = 20_000  # points of a polyline in a file
 WIDEST = 1e4  # mm: a larger figure is a typing error
 FARTHEST = 1e6  # units of a file: beyond, differences between points lose precision
 _ROUND = np.linspace(0.0, 2 * np.pi, 181)
@@ -29,7 +29,7 @@ DRAWING = (
 
 
 def _s() -> Floats:
-    """Two arcs of 3/4 of a circle, from the upper right to the lower left."""
+    """Return an S: two arcs of 3/4 of a circle, from the upper right to the lower left."""
     upper = np.linspace(np.radians(20), np.radians(270), 60)
     lower = np.linspace(np.radians(90), np.radians(-160), 60)
     return np.concatenate(

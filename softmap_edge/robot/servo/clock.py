@@ -18,7 +18,7 @@ from typing import Protocol
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-NS = 1_000_000_000
+NS = 1_000_000_000  # ns per s
 EPOCH = 10 * NS  # ns: start of stepped time; set-up is complete by then
 EVERY = 5_000_000  # ns between two readings of the horns; also one step of waiting
 FROZEN = 0.6  # s without a report after which a real loop counts as hung

@@ -62,7 +62,7 @@ class ExaminedServo:
 
 
 def members(rig: Rig) -> list[Member]:
-    """Return the servos of a rig with the requirements for each."""
+    """Return the servos of a rig, each with its requirements."""
     from softmap_edge.robot.servo.limits import of_bench
 
     found = []

@@ -69,7 +69,7 @@ def _others(proc: Path) -> list[int]:
 
 
 def _terminals(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Yield each open character device of a process, and its number; nothing without permission."""
+    """Yield the open character devices of a process, with numbers; none without permission."""
     try:
         names = os.listdir(folder)
     except OSError:

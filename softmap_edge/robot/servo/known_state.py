@@ -24,7 +24,7 @@ from softmap_edge.robot.servo.models import ServoModel, numbered
 # with older firmware, a tripped watchdog lets the motor run on in mode 4 with a homing offset
 CLEAR = 42
 OLD = 38  # older firmware has no bus watchdog
-NO_SHADOW, HIGHEST_ID = 255, 252
+NO_SHADOW, HIGHEST_ID = 255, 252  # secondary id for none; highest id on a bus
 ALWAYS = 2  # status return level: every request is answered
 MODES = {
     0: "current",
@@ -51,7 +51,7 @@ GAINS = (
     "feedforward_1st_gain",
     "feedforward_2nd_gain",
 )
-MOST_GAIN = 16_383
+MOST_GAIN = 16_383  # register units
 SET_UP = "set_up"  # key in [made] of a rig: the gains of each servo, in the order of GAINS
 Values = dict[str, int]
 

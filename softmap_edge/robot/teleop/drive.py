@@ -37,8 +37,8 @@ from softmap_edge.robot.teleop.own_hand import ANOTHER, OwnHand
 Floats = NDArray[np.float64]
 
 SENT = 100.0  # least number of targets per second while driving
-DRIVABLE = ("engaged", "hold")
-BEGINS = ("ready", *DRIVABLE)
+DRIVABLE = ("engaged", "hold")  # guard states that follow targets, or return to it
+BEGINS = ("ready", *DRIVABLE)  # guard states in which a press may start driving
 GONE = ("gone", "error", "rescued")  # keys of a report after which the control loop has ended
 MOST_KEPT = 200_000  # latencies that are kept: an hour and a half at 30 frames/s
 

@@ -25,7 +25,7 @@ from softmap_edge.errors import TeleopError
 Floats = NDArray[np.float64]
 Side = Literal["left", "right"]
 
-LANDMARKS = 21
+LANDMARKS = 21  # landmarks of a hand
 WRIST, INDEX_KNUCKLE, INDEX_TIP, MIDDLE_KNUCKLE = 0, 5, 8, 9
 # least px from wrist to middle knuckle: landmark noise of 1 to 2 px turns the frame by 10°
 SMALLEST = 12.0

@@ -28,7 +28,7 @@ from softmap_edge.robot.teleop.landmarks import Receiver
 LOOK = 0.005  # s between two checks for UDP messages
 # s without detection after which a hand counts as lost: four frames, so one miss does not count
 SEEN = 0.15
-FRESH = 0.5  # s for which a message counts as new; an older one was delayed in transit
+FRESH = 0.5  # s: older messages are ignored, because the sender was interrupted
 
 
 @dataclass(frozen=True, eq=False)

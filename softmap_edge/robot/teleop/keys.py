@@ -72,7 +72,7 @@ class Input(Protocol):
         ...
 
 
-PRIORITY = ("emergency", "stop", "end", "acknowledge")
+PRIORITY = ("emergency", "stop", "end", "acknowledge")  # requests, highest priority first
 
 
 class Wish:

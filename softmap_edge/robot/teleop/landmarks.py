@@ -28,7 +28,7 @@ MARK, OFFER_MARK = b"SMH1", b"SMO1"
 _BODY = struct.Struct(f"<4sB16sQdf{2 * LANDMARKS}f")
 DATAGRAM = _BODY.size + TAG
 OFFER = len(OFFER_MARK) + SESSION + TAG
-HAND, RIGHT, HELD = 1, 2, 4
+HAND, RIGHT, HELD = 1, 2, 4  # flags: a hand, a right hand, the key is held
 MOST_AT_ONCE = 256  # datagrams that one call reads at most: a flood cannot block it
 DRIFT = 1e-4  # s/s by which two clocks may drift apart; the fastest delay is forgotten at this rate
 

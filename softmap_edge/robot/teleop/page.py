@@ -49,7 +49,7 @@ View = Callable[[], tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]]
 
 PORT = 8765
 STATE_INTERVAL = 1 / 30  # s between two states sent to a page
-MOST_PAGES = 8
+MOST_PAGES = 8  # pages connected at a time
 LONGEST = 2048  # bytes of a message from a page
 MOST_UNAUTHENTICATED = 16  # connections without a token at a time; more are closed at once
 TOKEN_WITHIN = 5.0  # s within which a connection must present its token
