@@ -1,7 +1,7 @@
-"""The `softmap` command: runs the command, turns errors into one line and an exit code.
+"""The `softmap` command: run a command, turn errors into one line and an exit code.
 
-A command outlives the reader of its output: after `head` closes the pipe, it still writes its
-files. Pinned by tests/commands/test_cli_words.py and tests/files/test_mcap_damage.py.
+A command continues when the reader of its output ends: after `head` closes the pipe, it still
+writes its files. Pinned by tests/commands/test_cli_words.py and tests/files/test_mcap_damage.py.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    It is 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted.
+    It is 0 on success, 1 for a fault or a worse error, 2 for wrong usage, 130 when interrupted.
     """
     argv = sys.argv[1:] if argv is None else argv
-    live = "--live" in argv  # it ends with its reader
+    live = "--live" in argv  # a live command ends with its reader
     with nullcontext() if live else outliving(), _printable():
         return _main(argv)
 
@@ -74,7 +74,7 @@ class Outliving:
 
 @contextmanager
 def outliving() -> Iterator[None]:
-    """Let standard output and standard error outlive their readers."""
+    """Keep running when the readers of standard output and standard error end."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)
     try:
@@ -128,7 +128,7 @@ def _main(argv: list[str]) -> int:
 
 
 def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
-    """Print the actions of a group that stands alone, or that there is no such command."""
+    """Print the actions of a group given without an action, or that there is no such command."""
     actions = [
         command for name, command in known.items() if name.split()[0] == argv[0] and " " in name
     ]
@@ -170,7 +170,7 @@ def parser_of(command: Command) -> Parser:
 
 
 def _epilog(command: Command) -> str:
-    """Return what stands below the options: examples, further actions, the page."""
+    """Return the text below the options: examples, further actions, the page."""
     lines = (
         ["Examples:", *(f"  softmap {example}" for example in command.examples)]
         if command.examples
@@ -191,20 +191,20 @@ def _run(command: Command, argv: list[str]) -> int:
     module = importlib.import_module(command.module)
     function = command.function + ("_" if command.function == "import" else "")
     parser = parser_of(command)
-    # A command such as -8,3 is no option; argparse leaves alone what holds a space.
+    # -8,3 is no option: argparse does not parse an argument with a space as one
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
         namespace = parser.parse_args(argv)
-    except SystemExit as stop:  # argparse has printed why
+    except SystemExit as stop:  # argparse has printed the reason
         return int(stop.code or 0)
     name = " ".join(filter(None, (command.name, vars(namespace).get("what"))))  # `servo scan`
-    options = vars(module).get(command.options)  # none where actions have their own
+    options = vars(module).get(command.options)  # none if the actions have their own options
     args = namespace if options is None else options(**vars(namespace))
     try:
         with _printing_warnings(name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by the parent process
-            sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
+            sys.stdout.flush()  # detect a closed pipe here, not when the interpreter exits
         return code or (FAULT if incomplete else DONE)
     except BrokenPipeError:  # the reader of a live output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -257,7 +257,7 @@ def _printing_warnings(name: str) -> Iterator[set[str]]:
 
 
 def _of_the_system(error: OSError) -> str:
-    """Return what the operating system refused, and what to do."""
+    """Return what the operating system refused, and the remedy."""
     path = error.filename2 or error.filename
     if path is None or error.strerror is None:
         return str(error)

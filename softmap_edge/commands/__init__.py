@@ -69,7 +69,7 @@ COMMANDS: list[Command] = [
     Command(
         "run",
         DATA,
-        "cut runs, join them, show what they hold",
+        "cut, join and show runs",
         f"{_HERE}.run",
         "runs",
         ("run show run.npz", "run cut run.npz --from 0 --to 60 --out piece.npz"),
@@ -125,7 +125,7 @@ COMMANDS: list[Command] = [
     Command(
         "model effects",
         MODEL,
-        "the effects that the library knows; `new` begins one of yours",
+        "list the effects of the library; `new` writes a template",
         f"{_HERE}.look",
         "effects",
         ("model effects", "model effects backlash", "model effects new mine"),
@@ -141,7 +141,7 @@ COMMANDS: list[Command] = [
     Command(
         "model refit",
         MODEL,
-        "fit the effects of a model, or the numbers of a finger, again",
+        "refit the effects of a model, or the parameters of a finger",
         f"{_HERE}.understand",
         "report",
         ("model refit run.npz --bundle model --out refitted",),
@@ -165,7 +165,7 @@ COMMANDS: list[Command] = [
     Command(
         "check",
         LOOK,
-        "is this run or bundle sound",
+        "check whether a run or bundle is valid",
         f"{_HERE}.runs",
         "own_csv",
         ("check run.npz", "check run.npz --bundle model", "check model"),
@@ -173,7 +173,7 @@ COMMANDS: list[Command] = [
     Command(
         "show",
         LOOK,
-        "what is in a run or bundle",
+        "show the content of a run or bundle",
         f"{_HERE}.runs",
         "runs",
         ("show run.npz", "show model"),
@@ -181,7 +181,7 @@ COMMANDS: list[Command] = [
     Command(
         "compare",
         UNDERSTAND,
-        "how far off is the model, and where",
+        "show the model error, and where it is",
         f"{_HERE}.understand",
         "report",
         ("compare run.npz --bundle model", "compare run.npz --bundle model --html page.html"),
@@ -189,7 +189,7 @@ COMMANDS: list[Command] = [
     Command(
         "diagnose",
         UNDERSTAND,
-        "which family of effects is missing, and its law",
+        "identify the missing family of effects, and its law",
         f"{_HERE}.understand",
         "diagnose",
         (
@@ -208,7 +208,7 @@ COMMANDS: list[Command] = [
     Command(
         "next",
         UNDERSTAND,
-        "which experiment settles what is open",
+        "find the experiment that answers the open questions",
         f"{_HERE}.experiment",
         "record",
         ("next found.json --out next.csv", "next --standard --out standard.csv"),
@@ -227,7 +227,7 @@ COMMANDS: list[Command] = [
     Command(
         "track",
         ROBOT,
-        "lead the tip along a figure",
+        "move the tip along a figure",
         f"{_HERE}.track",
         "track",
         ("track S --plan --picture s.svg", "track S --sim --hide backlash --record s.mcap"),
@@ -251,7 +251,7 @@ COMMANDS: list[Command] = [
     Command(
         "servo doctor",
         ROBOT,
-        "is everything here that a robot needs",
+        "check that the computer and the rig are ready",
         f"{_HERE}.servo.check",
         "commission",
         ("servo doctor", "servo doctor --rig rig.toml"),
@@ -267,14 +267,14 @@ COMMANDS: list[Command] = [
     Command(
         "servo replay",
         ROBOT,
-        "a recording of the loop, decided again",
+        "replay a recording of the loop through the guard",
         f"{_HERE}.servo.check",
         "safety",
         ("servo replay session.mcap",),
     ),
 ]
 
-# Names before 0.1.0; they are gone after it. Each prints a line on stderr and runs.
+# Names before 0.1.0, removed after it. Each prints a line on stderr and runs.
 RENAMED: dict[str, str] = {
     "adapt": "model adapt",
     "align": "run align",

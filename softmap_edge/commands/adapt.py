@@ -1,7 +1,4 @@
-"""The command `adapt`: from recordings to a calibrated, completed bundle with a residual.
-
-The bundle has the effects that it lacked.
-"""
+"""The command `adapt`: from recordings to a calibrated bundle with effects and a residual."""
 
 from __future__ import annotations
 
@@ -43,14 +40,14 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="run",
         help="a run (.npz or .mcap) of points or clouds; several teach together",
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     parser.add_argument(
         "--held-out", metavar="RUN", help="a recording for validation only, not for learning"
     )
     parser.add_argument(
         "--residual-only",
         action="store_true",
-        help="look for no physics: the residual stands in for it",
+        help="add no effects; learn the residual alone",
     )
     effects_argument(parser)
     bundle_arguments(parser)

@@ -1,4 +1,4 @@
-"""The commands `run align` and `run register`: a run in the base frame, vertices of clouds."""
+"""The commands `run align` and `run register`: runs in the base frame, vertices of clouds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-POOR = 1  # exit code where a frame has warnings
+POOR = 1  # exit code if a frame has warnings
 
 _HOW = (
     "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base "
@@ -59,7 +59,7 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `run align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
     )
     effects_argument(parser)
     parser.add_argument(
@@ -70,28 +70,25 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="POINT",
         help=(
-            "points fixed to the base instead of home frames: clamped, or numbers of markers, "
+            "align by points fixed to the base, not by home frames: clamped, or marker numbers, "
             "each with its place in the base frame in mm unless `marker_rest` has it: 0:30,0,0 "
             "1:0,30,0 2:-30,0,0; b0 is the first of the run's `base_markers`"
         ),
     )
     parser.add_argument(
-        "--follow-base", action="store_true", help="hold a base that moves still, frame by frame"
+        "--follow-base", action="store_true", help="remove the motion of the base, frame by frame"
     )
     parser.add_argument(
         "--drop-base", action="store_true", help="leave the base markers out of the run afterwards"
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
     parser.add_argument(
-        "--like", metavar="RUN", help="take the transform of a run that was aligned already"
+        "--like", metavar="RUN", help="use the transform of a run that is already aligned"
     )
 
 
 def align(args: AlignOptions) -> int:
-    """Find the transform from the measurement's frame to the base.
-
-    Write the run in the base frame.
-    """
+    """Find the transform from the measurement frame to the base; write the transformed run."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     run = open_run(args.run)
@@ -127,7 +124,7 @@ def _bundle(args: AlignOptions) -> Model:
 
 
 def _of_clouds(args: AlignOptions, run: Run) -> Alignment:
-    """Find the frame of clouds by the body near the clamp."""
+    """Find the frame of point clouds from the body near the clamp."""
     if args.base != ["clamped"] or args.follow_base or args.drop_base:
         raise AlignError(
             f"{args.run}: holds clouds, whose base is found from the body near the clamp: give "
@@ -137,7 +134,7 @@ def _of_clouds(args: AlignOptions, run: Run) -> Alignment:
 
 
 def _like(args: AlignOptions, like: str, run: Run) -> int:
-    """Apply the transform of another run: cameras and base stood as they were."""
+    """Apply the transform of another run, in which cameras and base were at the same places."""
     if args.base or args.follow_base or args.drop_base:
         raise AlignError("--like takes a transform that is known; it goes with no --base")
     other = open_run(like)
@@ -165,7 +162,7 @@ def _like(args: AlignOptions, like: str, run: Run) -> int:
 
 
 def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Floats]:
-    """Return the base-frame place of each point that --base names."""
+    """Return the base-frame position of each point that --base names."""
     if base == ["clamped"]:
         return clamped_places(run, _bundle(args))
     places: dict[int, Floats] = {}
@@ -207,7 +204,7 @@ def _markers(run: Run) -> int:
 
 
 def _mean(run: Run, index: int) -> Floats:
-    """Return where a base marker is seen in the middle: then only its motion is taken out."""
+    """Return the mean position of a base marker, so that only its motion is removed."""
     base = base_markers(run)
     if not 0 <= index < base.shape[1]:
         held = f"b0 to b{base.shape[1] - 1}" if base.shape[1] else "none"
@@ -217,7 +214,7 @@ def _mean(run: Run, index: int) -> Floats:
 
 def without(run: Run, names: list[int]) -> Run:
     """Return the run without some of its markers."""
-    # base markers of their own stand next to the run's
+    # the run has separate base markers
     names = [n for n in names if n < _markers(run)]
     if run.markers is None:
         raise AlignError("--drop-base leaves markers out; vertices belong to the template and stay")
@@ -258,11 +255,11 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         "clouds",
         nargs="+",
         help=(
-            "a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
+            "a run with clouds (.npz), or a cloud per frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm"
         ),
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this finger; default: the built-in finger"
     )
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")
@@ -272,11 +269,11 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         default="robust",
         help="robust, or the published objective",
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 
 
 def register(args: RegisterOptions) -> int:
-    """Lay the template onto each cloud, and write the run of its vertices."""
+    """Fit the template to each point cloud, and write the run of its vertices."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     load_own(args)
@@ -284,7 +281,7 @@ def register(args: RegisterOptions) -> int:
     model, run = open_model(args.bundle), read_clouds(args.clouds, notes)
     try:
         found = lay(model, run, args.mode)
-    except RegistrationError as fault:  # a guess of columns may be the reason
+    except RegistrationError as fault:  # the columns may have been guessed wrongly
         raise RegistrationError("; ".join([str(fault), *notes[:PRINTED]])) from None
     vertices = found.run(run)
     vertices.save(args.out)

@@ -1,7 +1,6 @@
-"""The command `calibrate`: from a run with ticks and shapes to a calibrated bundle.
+"""The command `calibrate`: fit the map from servo ticks to commands to a run.
 
-The calibration maps its servos' ticks to commands.
-"""
+The run has ticks and shapes."""
 
 from __future__ import annotations
 
@@ -41,10 +40,10 @@ class CalibrateOptions:
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `calibrate`."""
     parser.add_argument(
-        "run", help="a run (.npz or .mcap) with ticks and what was seen, in the base frame"
+        "run", help="a run (.npz or .mcap) with ticks and points, in the base frame"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
     )
     effects_argument(parser)
     bundle_arguments(parser)
@@ -70,14 +69,11 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="match to the nearest shape of a grid and no further, as the paper",
     )
-    parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and their misfit")
+    parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and their residuals")
 
 
 def calibrate(args: CalibrateOptions) -> int:
-    """Fit u = A (ticks − home) + b and write the bundle; 1 if the relation is not affine.
-
-    It must clearly not be so.
-    """
+    """Fit u = A (ticks − home) + b and write the bundle; return 1 if it is clearly not affine."""
     check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)
     if args.window is not None and not args.window[0] < 0.0 < args.window[1]:

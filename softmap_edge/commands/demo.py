@@ -1,8 +1,6 @@
-"""The command `demo`: measure a second finger, find what is missing, add it, validate.
+"""The command `demo`: measure a finger with hidden effects, diagnose it, add effects, validate.
 
-The finger has hidden effects.
-
-A `Trial` is that story without words; the hidden-effect tests run the same one.
+A `Trial` contains the steps without printing; the hidden-effect tests run the same one.
 """
 
 from __future__ import annotations
@@ -39,9 +37,9 @@ FLOOR_KIND = "the same finger with nothing hidden"
 
 @dataclass(frozen=True)
 class Trial:
-    """One hidden case from end to end.
+    """One case with hidden effects, from measurement to validation.
 
-    Errors are held out: RMS mm over all vertices of a run that was never fitted.
+    Errors are held out: RMS mm over all vertices of a run that took no part in the fit.
     """
 
     truth: Truth
@@ -56,17 +54,17 @@ class Trial:
 
     @property
     def before_mm(self) -> float:
-        """Error of the model as it was."""
+        """Error of the original model."""
         return self.before.error["rms_mm"]
 
     @property
     def after_mm(self) -> float:
-        """Error of the model with what the diagnosis added."""
+        """Error of the model with the effects that the diagnosis added."""
         return self.after.error["rms_mm"]
 
     @property
     def fall(self) -> float | None:
-        """Share of the removable error that is gone: (before − after) / (before − floor)."""
+        """Share of the removable error that was removed: (before − after) / (before − floor)."""
         return fall(self.before_mm, self.after_mm, self.floor_mm)
 
     def to_dict(self) -> Document:
@@ -96,13 +94,13 @@ def trial(
     """Measure `truth` by the standard protocol, diagnose, and validate on a run of another kind.
 
     Args:
-        model: of the first finger.
-        truth: the second finger.
-        say: receives lines on progress.
-        judge: the validation run (`other_protocol`); the diagnosis never gets it.
+        model: model of the first finger
+        truth: the second finger
+        say: receives lines on progress
+        judge: the validation run (`other_protocol`); the diagnosis never receives it
 
     Returns:
-        Trial: the runs, and what was found.
+        The runs, and the findings.
     """
     protocol, judge = standard_protocol(model.channels), judge or other_protocol(model.channels)
     say(
@@ -145,10 +143,13 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["random"],
         metavar="NAME,NAME",
-        help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
+        help="hidden effects of the second finger: names, 'nothing', or 'random' (default)",
     )
     parser.add_argument(
-        "--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})"
+        "--seed",
+        type=int,
+        default=FIRST_SEED,
+        help=f"random seed of the finger and the strengths ({FIRST_SEED})",
     )
     parser.add_argument(
         "--out", default="demo", help="folder for the runs, the bundle and the report (demo)"
@@ -168,7 +169,7 @@ def demo(args: DemoOptions) -> int:
 
 def _told(args: DemoOptions, say: Callable[[str], None], started: float) -> int:
     names = _hidden_names(args.hide, args.seed)
-    Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
+    Path(args.out).mkdir(parents=True, exist_ok=True)  # fail before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
     model = builtin_model()
     say("Making a second finger: another mesh, another batch of silicone, and a hidden effect …")
@@ -194,7 +195,7 @@ def _hidden_names(words: Sequence[str], seed: int) -> list[str]:
 
 
 def _write(story: Trial, folder: Path) -> dict[str, str]:
-    """Write runs, diagnosis, completed bundle and report; return what is where."""
+    """Write runs, diagnosis, completed bundle and report; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {
         "run": folder / "run.npz",
@@ -217,7 +218,7 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
 
 
 def _table(story: Trial) -> str:
-    """Return the errors before and after on the run of another kind, where it matters most."""
+    """Return the errors before and after on the run of another kind, where they are largest."""
     rows = [("all vertices", story.before_mm, story.after_mm)]
     rows.append(("tip", story.before.error["tip_rms_mm"], story.after.error["tip_rms_mm"]))
     for name in ("direction", "orientation"):
@@ -269,7 +270,7 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
 
 
 def _values(effect: Document) -> str:
-    """Return what was found of an effect, in the library's own form of its law."""
+    """Return the fitted values of an effect in the library's form of its law."""
     rows = {label.split(".", 1)[1]: row for label, row in effect["params"].items()}
     units = {name: "" if row["unit"] == "1" else f" {row['unit']}" for name, row in rows.items()}
     return ", ".join(f"{name} {row['value']:.3g}{units[name]}" for name, row in rows.items())

@@ -65,7 +65,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the diagnosis, JSON, of `softmap diagnose --out`",
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     effects_argument(parser)
     parser.add_argument(
         "--run",
@@ -125,7 +125,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def next(args: NextOptions) -> int:
-    """Say which block of commands settles what is open, and write it."""
+    """Find the block of commands that answers the open questions, and write it."""
     from softmap_edge.experiment.choose import SCHEMA
     from softmap_edge.robot.drive.command_file import steps, write_commands
 
@@ -184,7 +184,7 @@ def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experimen
     from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
     for path in (*args.run, *args.reference):
-        open_run(path, model)  # not needed here, but damage is reported
+        open_run(path, model)  # the run is not used here, but damage is reported
     setting = Setting.after([], model.gravity_reference)
     ways = {"--standard": args.standard, "--block": args.block, "--protocol": args.protocol}
     given = [option for option, value in ways.items() if value]
@@ -216,9 +216,9 @@ def _standard(args: NextOptions, model: Model) -> tuple[Protocol, list[Experimen
 def _answered(
     args: NextOptions, file: str, model: Model
 ) -> tuple[Protocol | None, list[Experiment], list[str], int]:
-    """Return the commands for what a diagnosis left open.
+    """Return the commands that answer the open questions of a diagnosis.
 
-    Also the blocks weighed, what is open, and how often to play.
+    Also the weighed blocks, the open questions, and the number of repetitions.
     """
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.separate import REFIT
@@ -252,7 +252,7 @@ def _answered(
 
 
 def _playing(args: NextOptions, commands: str, model: Model) -> list[str]:
-    """Return the command that plays the file: on the simulated finger if it is this robot, or a rig."""
+    """Return the command that plays the file: on the simulated finger if it is meant for it."""
     from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:
@@ -310,7 +310,9 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--sim", action="store_true", help="on a simulated finger: frames are solved, not watched"
+        "--sim",
+        action="store_true",
+        help="on a simulated finger: frames are computed by the simulator",
     )
     where.add_argument(
         "--emulated",
@@ -321,14 +323,16 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera"
     )
     where.add_argument(
-        "--recover", metavar="FILE.seen", help="make the run of what a recording left that was cut"
+        "--recover",
+        metavar="FILE.seen",
+        help="make the run from the files of an interrupted recording",
     )
     camera_arguments(parser)
     parser.add_argument(
         "--yes", action="store_true", help="--rig: do not ask before a condition changes"
     )
     parser.add_argument(
-        "--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded"
+        "--record", metavar="FILE.mcap", help="--rig, --emulated: save the recording of the loop"
     )
     parser.add_argument(
         "--calibrated", metavar="DIR", help="--emulated: write its bundle, with the true map"
@@ -350,11 +354,11 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="the model that the commands are for; the built-in finger without it",
+        help="the model that the commands are for; default: the built-in finger",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="TOML", help="the simulated finger; the built-in one without it"
+        "--finger", metavar="TOML", help="the simulated finger; default: the built-in one"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(
@@ -371,10 +375,12 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
         help="the same hidden effects as in a demo (its --json document)",
     )
     parser.add_argument(
-        "--seed", type=int, help="draws the finger and the strengths of its hidden effects (1)"
+        "--seed",
+        type=int,
+        help="random seed of the finger and the strengths of its hidden effects (1)",
     )
     parser.add_argument(
-        "--noise-seed", type=int, default=0, help="draws the noise of the camera (0)"
+        "--noise-seed", type=int, default=0, help="random seed of the camera noise (0)"
     )
     parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
 
@@ -465,7 +471,7 @@ def record(args: RecordOptions) -> int:
 
 
 def _ahead(made: Protocol, hidden: bool) -> str:
-    """Print how long the recording would be, and what is simulated; the bar shows progress."""
+    """Print the duration of the recording and what is simulated; the bar shows progress."""
     first = "finding how strong the hidden effects are, then " if hidden else ""
     return (
         f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one "
@@ -476,7 +482,7 @@ def _ahead(made: Protocol, hidden: bool) -> str:
 def _measured(
     args: RecordOptions, made: Protocol, finger: Finger, names: list[str], seed: int
 ) -> tuple[Run, Arrays]:
-    """Return the run of a protocol, and of the virtual finger what is true."""
+    """Return the run of a protocol and, for the virtual finger, the true values."""
     from softmap_edge.synthetic.finger import hide
     from softmap_edge.synthetic.virtual_finger import virtual_finger
 
@@ -486,7 +492,7 @@ def _measured(
 
 
 def _secrets(path: str) -> tuple[list[str], int]:
-    """Return what a demo hid: names and seed."""
+    """Return the hidden effects of a demo: names and seed."""
     try:
         document = json.loads(read_document(path, RunError))
         names, seed = [str(row["name"]) for row in document["hidden"]], document["seed"]

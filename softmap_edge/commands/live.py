@@ -1,6 +1,6 @@
-"""`softmap compare --live`: how far the model is from a running robot.
+"""`softmap compare --live`: the model error on a running robot.
 
-Its loop records it, and a camera sees it.
+It follows the recording of the loop and a camera.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from softmap_edge.robot.control.follow import Following
 if TYPE_CHECKING:
     from softmap_edge.commands.understand import CompareOptions
 
-LOOK = 0.25  # s between two looks at the recording
-LINES = 2.0  # s between two lines where no terminal is watched
-BEGINS = 30.0  # s that a recording may take to begin
+LOOK = 0.25  # s between two reads of the recording
+LINES = 2.0  # s between two lines if the output is no terminal
+BEGINS = 30.0  # s within which a recording must begin
 
 
 def compare_live(args: CompareOptions) -> int:
@@ -80,7 +80,7 @@ def compare_live(args: CompareOptions) -> int:
 
 
 def _begun(path: str) -> Following:
-    """Return the recording once it is there.
+    """Return the recording once it exists.
 
     Raises:
         RunError: it does not begin.

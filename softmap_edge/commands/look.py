@@ -1,4 +1,4 @@
-"""Commands that look: `model predict`, `model effects`."""
+"""Commands that show results: `model predict`, `model effects`."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def effects_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name",
         nargs="?",
-        help="show this one in full; 'new' writes a file for an effect of your own",
+        help="show this effect in full; 'new' writes a file for an effect of your own",
     )
     parser.add_argument(
         "new_name", nargs="?", metavar="NAME", help="after 'new': its name; NAME.py is written here"
@@ -108,7 +108,7 @@ def effects_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def effects(args: EffectsOptions) -> int:
-    """List the effects of the library, show one, or write the template of a user's own."""
+    """List the effects of the library, show one, or write the template of a user-defined one."""
     if args.name == "new":
         return _new(args)
     load_own(args)
@@ -165,7 +165,7 @@ def _new(args: EffectsOptions) -> int:
 
 
 def _hung(head: str, text: str) -> list[str]:
-    """Return lines of at most 100 columns: the head, and the text to its right."""
+    """Return lines of at most 100 columns: the head, and the text to the right of it."""
     return textwrap.wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
 
 

@@ -29,7 +29,7 @@ from softmap_edge.robot.drive.recorded import open_run
 if TYPE_CHECKING:
     from softmap_edge.rod.learn import LearnedRod
 
-TRAINING = "pip install softmap-training"  # whose module is imported when it is asked for
+TRAINING = "pip install softmap-training"  # installs the module that `_stored` imports
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def build(args: BuildOptions) -> int:
-    """Simulate a finger, or take a sweep that was made before, and write the bundle."""
+    """Simulate a finger, or read an existing sweep, and write the bundle."""
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
     if args.finger is not None and Path(args.finger).suffix in (".mcap", ".db3", ".bag"):
@@ -205,7 +205,7 @@ def learn(args: LearnOptions) -> int:
 
 
 def _memory(learned: LearnedRod, static: bool) -> list[str]:
-    """Return the memory found with the static map, as lines."""
+    """Return the fitted memory effects as lines."""
     if static:
         return ["  memory: not tested (--static); `softmap diagnose` names it from a run"]
     if not learned.learned_in:
@@ -264,7 +264,7 @@ def sweep(args: SweepOptions) -> int:
     finger = _finger(args.finger)
     axes = grid_axes(finger, args.steps)
     simulator = simulator_of(finger)
-    handles_of(finger, simulator.template.vertices)  # `build` would refuse its sweep
+    handles_of(finger, simulator.template.vertices)  # `build` would reject its sweep
     with Bar(args.json) as bar:
         result = simulator.sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
@@ -289,7 +289,7 @@ def sweep(args: SweepOptions) -> int:
 def _stored(args: SweepOptions) -> int:
     """Simulate a grid of commands into a Zarr store, or resume one.
 
-    This is the work of another distribution.
+    The package softmap-training does this.
     """
     from softmap_edge.fem.build import grid_axes
 

@@ -1,4 +1,4 @@
-"""What commands share of their output: where they may write, and the next command to type."""
+"""Shared output of commands: checks of output paths, and the next command to type."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from softmap_edge.robot.remedies import filled
 
 
 class JsonOption(Protocol):
-    """What every command has."""
+    """Options that every command has."""
 
     @property
     def json(self) -> bool: ...
@@ -37,7 +37,7 @@ def next_command(*words: str | None, bundle: str | None = None) -> str:
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
     """Raise SoftmapError if `option`'s file cannot be written or does not end in `suffix`.
 
-    `new`: nothing may stand there either, since it would be lost.
+    With `new`, the path must not exist, because its content would be lost.
     """
     if path is None:
         return
@@ -60,7 +60,7 @@ def _check_writable(what: str, folder: Path) -> None:
 
 
 def check_picture(option: str, path: str | None) -> None:
-    """Raise SoftmapError when the picture that `option` names cannot be drawn or written."""
+    """Raise SoftmapError if the picture that `option` names cannot be drawn or written."""
     if path is None:
         return
     from softmap_edge.report.pages import pictures_missing
@@ -81,11 +81,9 @@ def with_files(text: str, args: object) -> str:
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
-    """Raise SoftmapError if `option` would overwrite a run, or another recording.
+    """Raise SoftmapError if `option` would overwrite a run or recording with another kind of file.
 
-    It would write something else there.
-
-    `force` is that of the command, None where it has none.
+    `force` is that of the command; None if it has none.
     """
     if path is None or force:
         return
@@ -98,7 +96,7 @@ def check_no_run(option: str, path: str | None, force: bool | None = None) -> No
 
 
 def check_kept(path: str, what: str, force: bool) -> None:
-    """Raise SoftmapError when a file that people write into stands at `path`, and no `force`."""
+    """Raise SoftmapError if `path` is a file that users edit and `force` is not set."""
     if Path(path).exists() and not force:
         raise SoftmapError(
             f"--out {path}: {what} stands there already, perhaps with notes of yours; give "
@@ -107,17 +105,16 @@ def check_kept(path: str, what: str, force: bool) -> None:
 
 
 def bundle_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where a bundle goes, the same for every command that writes one."""
+    """Declare the output path of a bundle, the same for every command that writes one."""
     parser.add_argument("--out", required=True, metavar="DIR", help="bundle folder to write")
-    parser.add_argument("--force", action="store_true", help="replace the bundle that stands there")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing bundle")
 
 
 def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
     """Raise BundleError if no bundle can be written at `path`.
 
-    Something else is there, or a bundle and no `force`.
-
-    `force` is that of the command, None where it has none.
+    The path holds something else, or a bundle without `force`. `force` is that of the command; None
+    if it has none.
     """
     folder = Path(path)
     check_folder(folder)

@@ -1,6 +1,6 @@
-"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`.
+"""Code that the user allows to run: `--effects FILE.py`, `--trust-onnx`.
 
-Questions on a terminal ask about a bundle's code.
+On a terminal, the user is asked about the code of a bundle.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.model.user_effect import load_effect
 
-# the value of --trust-onnx, for this process like the effects of --effects
+# value of --trust-onnx; valid for this process, like the effects of --effects
 _trust_onnx: list[bool] = []
 
 
 class OwnOptions(Protocol):
-    """What `effects_argument` declares."""
+    """Options that `effects_argument` declares."""
 
     @property
     def effects(self) -> Sequence[str]: ...
@@ -33,8 +33,8 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare `--effects` and `--trust-onnx`, the same for every command that loads a model.
 
     Args:
-        parser: the parser of the command.
-        more: further text for the help of `--effects`.
+        parser: parser of the command
+        more: additional help text of `--effects`
     """
     parser.add_argument(
         "--effects",
@@ -54,7 +54,7 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 
 def load_own(args: OwnOptions) -> list[str]:
-    """Load the files of `--effects` and note `--trust-onnx`; return the names of the effects."""
+    """Load the files of `--effects` and store `--trust-onnx`; return the names of the effects."""
     _trust_onnx[:] = [args.trust_onnx]
     for path in args.effects:
         if not path.endswith(".py"):
@@ -65,10 +65,7 @@ def load_own(args: OwnOptions) -> list[str]:
 
 
 def open_model(path: str | None) -> Model:
-    """Return a bundle's model, or the built-in finger; its own code runs if allowed.
-
-    The user allows it.
-    """
+    """Return a bundle's model, or the built-in finger; a bundle's code runs only if allowed."""
     return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
 
 

@@ -1,4 +1,4 @@
-"""The argument parser of every command: an error names the nearest option or choice that exists."""
+"""The argument parser of every command: an error names the nearest valid option or choice."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Parser(argparse.ArgumentParser):
     asked: Sequence[str] = ()
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse `args`; exit with code 2 and one line where they cannot be used."""
+        """Parse `args`; print one line and exit with code 2 if they are not valid."""
         self._remember(list(args or ()))
         return super().parse_args(args, namespace)
 
     def _remember(self, asked: Sequence[str]) -> None:
-        """Keep the arguments, here and in the parsers of actions."""
+        """Store the arguments, here and in the parsers of actions."""
         self.asked = asked
         for one in parsers_below(self):
             one.asked = asked
@@ -53,7 +53,7 @@ class Parser(argparse.ArgumentParser):
         super().error("; ".join([message, *dict.fromkeys(hints)]))
 
     def _options(self) -> list[str]:
-        """Return the nearest option for each one that does not exist."""
+        """Return the nearest valid option for each unknown one."""
         known = options_of(self)
         given = [word.split("=")[0] for word in self.asked if re.match(r"--[^\d=]", word)]
         wrong = [word for word in given if not any(option.startswith(word) for option in known)]
@@ -71,15 +71,14 @@ def add_actions(parser: argparse.ArgumentParser, actions: Mapping[str, Action]) 
     for name, action in actions.items():
         one = what.add_parser(name, help=action.help)
         action.declare(one)
-        # The command has --json too; a default of the action would overrule one that stands before
-        # the action.
+        # The command has --json too; a default of the action would override one given before it.
         one.add_argument(
             "--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document"
         )
 
 
 def run_action(actions: Mapping[str, Action], args: argparse.Namespace) -> int:
-    """Run the action that is given, with the options of its own; return its exit code."""
+    """Run the chosen action with its own options; return its exit code."""
     action = actions[args.what]
     return action.run(
         action.options(**{name: value for name, value in vars(args).items() if name != "what"})
@@ -96,7 +95,7 @@ def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:
 
 
 def options_of(parser: argparse.ArgumentParser) -> list[str]:
-    """Return the long options of a parser and of its actions, without old names that are hidden."""
+    """Return the long options of a parser and its actions, without hidden old names."""
     actions = [action for one in (parser, *parsers_below(parser)) for action in one._actions]
     shown = [action for action in actions if action.help != argparse.SUPPRESS]
     found = {text for action in shown for text in action.option_strings}
@@ -104,7 +103,7 @@ def options_of(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def _choice(message: str) -> list[str]:
-    """Return the nearest choice for one that does not exist."""
+    """Return the nearest valid choice for an unknown one."""
     found = _CHOICE.search(message)
     if found is None:
         return []

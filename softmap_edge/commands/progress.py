@@ -1,4 +1,4 @@
-"""A progress bar for long work: drawn on a terminal, silent where output is not watched."""
+"""A progress bar for long work: drawn on a terminal; silent if the output is not a terminal."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from softmap_edge.files.printable import printable, raw
 
 _WIDTH, _LEFT = 30, 14
 PACE = 3.0  # s of work from which the remaining time is estimated
-QUIET = 8.0  # s without a word after which long work reports that it goes on
+QUIET = 8.0  # s without output after which long work reports that it continues
 
 
 class Ticker:
-    """Prints lines, and signs of life between them; call it with the share done of the last."""
+    """Print lines, and progress in between; call it with the completed share of the last line."""
 
     def __init__(
         self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic
@@ -24,12 +24,12 @@ class Ticker:
         self._say, self._clock, self._last = say, clock, clock()
 
     def say(self, text: str) -> None:
-        """Say a line."""
+        """Print a line."""
         self._say(text)
         self._last = self._clock()
 
     def __call__(self, share: float) -> None:
-        """Print how far the work is, if nothing was printed for a while."""
+        """Print the progress if nothing was printed for a while."""
         if self._clock() - self._last >= QUIET:
             self.say(f"  … solving, {share:.0%} of this part")
 
@@ -37,21 +37,22 @@ class Ticker:
 class Bar:
     """Call it with (what, share in 0…1); it redraws one terminal line and clears it at the end.
 
-    Once `what` has taken a while it prints how long the rest takes at that pace, what was done
-    before not counted.
+    After a while it prints the remaining time of `what`. The estimate excludes work that was
+    already done.
     """
 
     def __init__(self, silent: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self._drawn = False
         self._silent = silent or not sys.stderr.isatty()
         self._clock = clock
-        self._began: tuple[str, float, float] = ("", 0.0, 0.0)  # what, at which share and when
+        # what, its share and time at the start
+        self._began: tuple[str, float, float] = ("", 0.0, 0.0)
 
     def __enter__(self) -> Self:
         return self
 
     def __call__(self, what: str, share: float) -> None:
-        """Show that `what` is done to `share` of its length."""
+        """Show that `what` is completed to `share`."""
         if self._silent:
             return
         full = round(_WIDTH * min(max(share, 0.0), 1.0))

@@ -1,7 +1,6 @@
-"""`softmap record` on a robot: a command file played on servos, watched by a camera.
+"""`softmap record` on a robot: play a command file on servos, watched by a camera.
 
-The servos may be emulated ones.
-"""
+The servos may be emulated."""
 
 from __future__ import annotations
 
@@ -54,10 +53,9 @@ LOOP = ".loop.mcap"  # suffix of the loop's recording next to the run, until the
 
 
 def record_on_robot(args: RecordOptions) -> int:
-    """Play a command file on a robot and write the run, or its part if it is cut short.
+    """Play a command file on a robot and write the run, or the part before an interruption.
 
-    Until the run is written, what the loop did and what was seen are in files next to it, as they
-    come.
+    Until then, the loop and the camera frames are recorded continuously in files next to it.
     """
     _checked(args)
     model = open_model(args.bundle)
@@ -96,7 +94,7 @@ def record_on_robot(args: RecordOptions) -> int:
                 except (SoftmapError, KeyboardInterrupt) as cause:
                     ended = cause
             if ended is not None and not player.played.taken:
-                seen_file.unlink()  # nothing to keep
+                seen_file.unlink()  # nothing to store
                 if not args.record:
                     file.unlink(missing_ok=True)
                 raise ended
@@ -129,7 +127,7 @@ def record_on_robot(args: RecordOptions) -> int:
 
 
 def recover(args: RecordOptions, seen_file: Path) -> int:
-    """Make the run of what a recording left that was cut: the loop's file and what was seen."""
+    """Make the run of an interrupted recording from the loop's file and the stored frames."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     model = open_model(args.bundle)
@@ -183,10 +181,10 @@ def _document(args: RecordOptions, run: Run, made: Protocol) -> Document:
 
 
 def _left(args: RecordOptions) -> tuple[Path, Path]:
-    """Return where the loop's recording and what is seen go until the run is written.
+    """Return the files for the loop's recording and the frames until the run is written.
 
     Raises:
-        SoftmapError: an earlier one that was cut left them there.
+        SoftmapError: they exist, from an earlier interrupted recording.
     """
     out = Path(args.out)
     file, seen = Path(args.record) if args.record else out.with_suffix(LOOP), out.with_suffix(SEEN)
@@ -200,7 +198,7 @@ def _left(args: RecordOptions) -> tuple[Path, Path]:
 
 
 def _again(args: RecordOptions) -> str:
-    """Return what makes the run of the files that are left."""
+    """Return the command that makes the run from the remaining files."""
     words = ["softmap", "record", args.commands, "--recover", str(Path(args.out).with_suffix(SEEN))]
     words += ["--record", args.record] if args.record else []
     bundle = args.calibrated or args.bundle
@@ -211,14 +209,14 @@ def _again(args: RecordOptions) -> str:
 def _watch(
     bar: Callable[[str, float], None], share: float, robot: Controller, keeper: Keeper
 ) -> None:
-    """Show how far it is; end it where it is recorded no more."""
+    """Show the progress; end playing if recording has ended."""
     bar("recording", share)
     if fault := _broken(robot, keeper):
         raise fault
 
 
 def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
-    """Return what ended the writing of either file, a full disk perhaps."""
+    """Return why the writing of either file ended, for example a full disk."""
     if robot.unrecorded is not None:
         return SoftmapError(robot.unrecorded)
     return (
@@ -230,9 +228,9 @@ def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
 
 @contextlib.contextmanager
 def _cut_in_order() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C: release tension, and write what there is.
+    """Treat SIGTERM and SIGHUP as Ctrl-C: release tension, and write the data so far.
 
-    SIGHUP is a closed terminal, or a dropped ssh.
+    A closed terminal or a lost ssh connection sends SIGHUP.
     """
 
     def interrupt(*_: object) -> None:
@@ -250,7 +248,7 @@ def _cut_in_order() -> Iterator[None]:
 
 
 def _checked(args: RecordOptions) -> None:
-    """Raise SoftmapError for arguments that do not go together, or files that cannot be written."""
+    """Raise SoftmapError for conflicting arguments, or files that cannot be written."""
     simulated = {
         "--virtual": args.virtual,
         "--truth": args.truth,
@@ -279,7 +277,7 @@ def _checked(args: RecordOptions) -> None:
 
 @contextlib.contextmanager
 def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
-    """Give the robot and what sees it."""
+    """Yield the robot and its camera."""
     if args.emulated:
         hidden = ",".join(args.hide)
         with emulated(model, hidden, 1 if args.seed is None else args.seed) as bench:
@@ -299,7 +297,7 @@ def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
 
 
 def _ask(args: RecordOptions, what: str, key: EmergencyKey) -> None:
-    """Say what is to be done by hand, and wait until it is."""
+    """Print what must be done by hand, and wait until it is done."""
     if args.yes or args.emulated:
         if not args.json:
             print(f"  {what}", file=sys.stderr)
@@ -312,7 +310,7 @@ def _ask(args: RecordOptions, what: str, key: EmergencyKey) -> None:
 
 
 def _ahead(args: RecordOptions, paced: Pace) -> str:
-    """Say how long it will take."""
+    """Print the expected duration."""
     minutes = paced.t[-1] / 60.0
     slowed = minutes / max(paced.made.minutes, 1e-9)
     slower = (

@@ -22,11 +22,11 @@ from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.robot.open import Bench, read_bench
 from softmap_edge.robot.servo.loop_limits import RATE
 
-HOME = 2048.0
+HOME = 2048.0  # ticks: home of an emulated servo
 
 
 class DrivenOptions(Protocol):
-    """What `driven_arguments` declares."""
+    """Options that `driven_arguments` declares."""
 
     @property
     def sim(self) -> bool: ...
@@ -41,7 +41,7 @@ class DrivenOptions(Protocol):
 
 
 def announce_edited_limits(model: Model) -> None:
-    """Say that the limits of a finger are not those that its bundle was written with."""
+    """Report that the limits of a finger differ from those written with its bundle."""
     if model.safety is not None and model.safety.edited:
         to_stderr(
             "safety.toml of the bundle was edited since that was written; `softmap servo limits` "
@@ -50,29 +50,31 @@ def announce_edited_limits(model: Model) -> None:
 
 
 def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
-    """Declare what commands share that drive a model on a robot; `seed` is for its help."""
+    """Declare the arguments shared by commands that drive a robot; `seed` is for its help."""
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="whose model and effects are used (default: the built-in finger)",
+        help="the model and its effects (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--no-effects", action="store_true", help="leave the effects of the bundle out, to compare"
+        "--no-effects", action="store_true", help="omit the effects of the bundle, for comparison"
     )
     parser.add_argument(
         "--hide",
         "--hidden",
         default="",
         metavar="NAME,NAME",
-        help="--sim: effects that the finger hides: backlash,creep",
+        help="--sim: hidden effects of the finger: backlash,creep",
     )
-    parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
-    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+    parser.add_argument(
+        "--seed", type=int, help=f"--sim: random seed of hidden effects and noise (0){seed}"
+    )
+    parser.add_argument("--record", metavar="FILE.mcap", help="save the recording of the loop")
 
 
 def check_driven(args: DrivenOptions) -> None:
-    """Raise SoftmapError where those arguments cannot be."""
+    """Raise SoftmapError for invalid values of these arguments."""
     check_file("--record", args.record, ".mcap", new=True)
     if args.record and (seen := seen_file(args.record)).exists():
         raise SoftmapError(
@@ -84,7 +86,7 @@ def check_driven(args: DrivenOptions) -> None:
 
 
 def driven_model(args: DrivenOptions, model: Model) -> Model:
-    """Return the model without its effects where that is asked for."""
+    """Return the model, without its effects if that is requested."""
     return model.bare() if args.no_effects else model
 
 
@@ -95,11 +97,11 @@ def emulated(
     """Yield an emulated robot with the finger of `model` and injected effects.
 
     Args:
-        model: the model of the finger.
-        hidden: names of the injected effects.
-        seed: of noise and clock.
-        person: whether a person drives. Then its time keeps real time; else it is stepped,
-            independent of load.
+        model: model of the finger
+        hidden: names of the injected effects
+        seed: of noise and clock
+        person: whether a person drives; then time follows real time, else it is stepped and
+            independent of load
     """
     calibration = model.calibration or plain_map(model)
     laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
@@ -122,16 +124,14 @@ def bench_of(
     *,
     person: bool = False,
 ) -> Iterator[Bench]:
-    """Yield the robot of `--rig`, or an emulated one by `--hide` and `--seed`.
-
-    `--hide` names its effects.
+    """Yield the robot of `--rig`, or one emulated by `--hide` and `--seed`.
 
     Args:
-        rig: file of the rig; None for an emulated robot.
-        model: the model of the finger.
-        hidden: names of the injected effects of an emulated one.
-        seed: of its noise and clock; None for 0.
-        person: whether a person drives the robot.
+        rig: file of the rig; None for an emulated robot
+        model: model of the finger
+        hidden: names of the injected effects of an emulated robot
+        seed: of its noise and clock; None for 0
+        person: whether a person drives the robot
     """
     if rig:
         announce_edited_limits(model)
@@ -142,13 +142,13 @@ def bench_of(
 
 
 def own_map(model: Model) -> Calibration:
-    """Return an emulated robot's true map: its bundle's, or a plain one; it has a window."""
+    """Return the true map of an emulated robot, with a window: its bundle's, or a plain one."""
     known = model.calibration or plain_map(model)
     return replace(known, window=known.window or known.holding(model.command_range))
 
 
 def plain_map(model: Model) -> Calibration:
-    """Return an emulated robot's map if its bundle has none; ticks are its servos' own.
+    """Return the map of an emulated robot whose bundle has none; the ticks are its servos' own.
 
     This concerns commands in ticks.
     """
@@ -166,7 +166,7 @@ def plain_map(model: Model) -> Calibration:
 def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
     """Enter `robot`, with a key of the terminal as its emergency stop.
 
-    Once Ctrl-C has ended it, report the results.
+    After Ctrl-C, report the results.
     """
     try:
         robot.tell, robot.at_terminal = to_stderr, True

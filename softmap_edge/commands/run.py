@@ -43,7 +43,7 @@ def _cut_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type=float,
         metavar="S",
-        help="begin of a piece, s; repeat --from and --to for several pieces",
+        help="start of a piece, s; repeat --from and --to for several pieces",
     )
     parser.add_argument(
         "--to", dest="end", action="append", type=float, metavar="S", help="end of a piece, s"
@@ -104,7 +104,7 @@ def _join_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _out_arguments(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--out", required=True, metavar="NAME.npz", help=text)
-    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _pieces(run: Run, args: CutOptions) -> list[Piece]:
 def _pairs(
     starts: Sequence[float], ends: Sequence[float]
 ) -> list[tuple[float | None, float | None]]:
-    """Return begin and end (s) of each piece; None stands for the begin or end of the run."""
+    """Return start and end (s) of each piece; None stands for the start or end of the run."""
     if not starts and not ends:
         raise RunError("no piece is named; give --from and --to in seconds, or --block LABEL")
     if len(starts) <= 1 and len(ends) <= 1:

@@ -74,13 +74,13 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace the run (with --guess the mapping) that stands there",
+        help="overwrite an existing run, or with --guess an existing mapping",
     )
 
 
 def import_(args: ImportOptions) -> int:
     """Read logs by a mapping and write a run, or propose the mapping."""
-    if args.guess or args.map is None:  # the parser asks for one of both
+    if args.guess or args.map is None:  # the parser requires one of them
         return _guess(args)
     if args.out is None:
         raise RunError("--out is missing; name the run to write (.npz)")
@@ -161,13 +161,13 @@ def check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="of a run: say which effects would show against this model's",
+        help="of a run: report which effects are detectable with this model",
     )
     effects_argument(parser)
 
 
 def check(args: CheckOptions) -> int:
-    """Say whether a run or bundle is sound, and what it holds; 0 when sound, 1 when not."""
+    """Check whether a run or bundle is valid, and print its content; return 0 if valid, else 1."""
     path = _existing(args.path)
     load_own(args)
     kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
@@ -190,7 +190,7 @@ def check(args: CheckOptions) -> int:
         return DONE if document["sound"] else FAULT
     if document["fault"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
-    if found:  # the readable part, also of a damaged or cut recording
+    if found:  # the readable part, also of a damaged or truncated recording
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
         lines += (
@@ -203,7 +203,7 @@ def check(args: CheckOptions) -> int:
 
 
 def _after_check(path: Path, kind: str, bundle: str | None) -> str:
-    """Return what to do with a sound file: compare, build a model of a sweep, or learn one."""
+    """Return the next command for a valid file: compare, build from a sweep, or learn."""
     from softmap_edge.fem.finger import Finger
 
     if kind == "sweep":
@@ -232,7 +232,7 @@ def show_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def show(args: ShowOptions) -> int:
-    """Print what is in a run (fields, traces) or a bundle (manifest).
+    """Print the content of a run (fields, traces) or a bundle (manifest).
 
     Code in a bundle is not run.
     """
@@ -297,10 +297,7 @@ def _run(path: Path, bundle: str | None) -> Document:
 
 
 def _bundle(path: Path, asking: bool = True) -> Document:
-    """Return manifest and chain; the chain as written with code that is not loaded.
-
-    This is so if not `asking`.
-    """
+    """Return manifest and chain; code is not loaded unless `asking`."""
     manifest = load_manifest(path)
     if not asking and set(manifest.get("own_effects", {})) - set(loaded()):
         names, params = load_chain(path)
@@ -315,7 +312,7 @@ def _bundle(path: Path, asking: bool = True) -> Document:
 
 
 def _compared_networks(path: Path) -> Document:
-    """Compare a bundle's networks that the core runs with onnxruntime; nothing without any."""
+    """Compare a bundle's networks in the core with onnxruntime; return nothing if it has none."""
     manifest = load_manifest(path)
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     apart = {}
@@ -324,7 +321,7 @@ def _compared_networks(path: Path) -> Document:
             content = (path / name).read_bytes()
             try:
                 _core.Network(content)
-            except SoftmapError:  # a table of what onnxruntime makes of it
+            except SoftmapError:  # the network is a table computed with onnxruntime
                 continue
             apart[name.removesuffix(".onnx")] = compare_with_onnxruntime(name, content, between)
     return {"differs_from_onnxruntime_mm": apart} if apart else {}
@@ -397,9 +394,9 @@ def _traces(run: Run) -> list[tuple[str, Floats]]:
 
 
 def _trace(values: Floats) -> str:
-    """A line of bars: the mean of each part of the record, scaled to its range.
+    """Return a line of bars: the mean of each part of the record, scaled to its range.
 
-    A blank where nothing was seen.
+    Parts without data are blank.
     """
     parts = np.array_split(values, min(_WIDTH, len(values)))
     means = np.array(

@@ -13,7 +13,7 @@ from softmap_edge.robot.link.session import read_key, udp_address
 
 
 class CameraOptions(Protocol):
-    """What `camera_arguments` declares."""
+    """Options that `camera_arguments` declares."""
 
     @property
     def camera(self) -> str | None: ...
@@ -26,35 +26,35 @@ class CameraOptions(Protocol):
 
 
 def camera_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where points come from."""
+    """Declare the source of the points."""
     parser.add_argument(
         "--camera",
         metavar="udp://:PORT",
-        help="where the camera's program sends points (docs/do/camera.md)",
+        help="address to which the camera program sends points (docs/do/camera.md)",
     )
     parser.add_argument(
         "--key",
         metavar="FILE",
-        help="the key that is shared with that program; needed across computers",
+        help="key shared with that program; required between computers",
     )
     parser.add_argument(
         "--like",
         metavar="RUN",
-        help="points are in the camera's frame: bring them to the base as in this aligned run",
+        help="points are in the camera frame: transform them to the base as in this aligned run",
     )
     parser.add_argument(
         "--late",
         type=float,
         metavar="S",
-        help="how long the quickest frame takes from its light to here (0)",
+        help="delay of the fastest frame from exposure to arrival, s (0)",
     )
 
 
 def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
-    """Return the receiver of `--camera`, of frames of `count` points.
+    """Return the receiver of `--camera`, for frames of `count` points.
 
     Raises:
-        SoftmapError: an argument is not usable, or the address is not to be had.
+        SoftmapError: an argument is not valid, or the address is not available.
     """
     frame = None if args.like is None else open_run(args.like).frame
     if args.like is not None and frame is None:
@@ -68,10 +68,10 @@ def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
 
 
 def late(args: CameraOptions, otherwise: float = 0.0) -> float:
-    """Return `--late`, checked.
+    """Return `--late` after a check.
 
     Raises:
-        SoftmapError: it is no such time.
+        SoftmapError: it is not a valid time.
     """
     seconds = otherwise if args.late is None else float(args.late)
     if not 0.0 <= seconds <= LATEST:

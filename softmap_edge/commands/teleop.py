@@ -1,7 +1,4 @@
-"""The command that lets a hand drive, and what it needs.
-
-A model of hands, a key, landmarks sent to another computer.
-"""
+"""The command `teleop` and its helpers: fetch the hand model, make a key, send landmarks."""
 
 from __future__ import annotations
 
@@ -88,14 +85,18 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--rig", metavar="FILE.toml", help="the servos of this rig")
     what.add_argument(
-        "--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there"
+        "--send",
+        metavar="udp://HOST:PORT",
+        help="do not drive: send landmarks and key to this address",
     )
     what.add_argument(
         "--fetch-model",
         metavar="FROM",
         help="make the model of hands of mediapipe's wheel, or a copy",
     )
-    what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
+    what.add_argument(
+        "--new-key", metavar="FILE", help="create the key to share between both computers"
+    )
     cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
     parser.add_argument(
         "--camera", default="none", metavar="N|/dev/…|FILE|udp://:PORT|none", help=cameras
@@ -108,7 +109,10 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
         "--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})"
     )
     parser.add_argument(
-        "--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)"
+        "--page-host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="address of the page (127.0.0.1)",
     )
     parser.add_argument(
         "--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics"
@@ -116,14 +120,14 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)"
     )
-    parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
+    parser.add_argument("--mirrored", action="store_true", help="the camera image is mirrored")
     parser.add_argument(
         "--flip",
         default="",
         metavar="x,y",
-        help="turn the hand's sideways (x) or forward (y) round",
+        help="reverse the hand's lateral (x) or forward (y) direction",
     )
-    reach = "hand scales for the end of the range ({:g},{:g})".format(*HandMap.reach)
+    reach = "motion to the end of the range, in hand scales ({:g},{:g})".format(*HandMap.reach)
     parser.add_argument(
         "--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach
     )
@@ -133,7 +137,7 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
         choices=RULES,
         help="in addition to the key (fist-releases)",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time, s")
     driven_arguments(parser)
     parser.add_argument(
         "--force", action="store_true", help="--fetch-model: replace the file that is there"
@@ -190,7 +194,7 @@ def _drive(args: TeleopOptions) -> int:
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
-        # reported below, after the account
+        # reported below, after the summary
         stack.enter_context(contextlib.suppress(RecordingBroken))
         robot = stack.enter_context(
             Controller(
@@ -308,7 +312,7 @@ def _two(text: str) -> tuple[float, float]:
 
 
 def _flips(text: str) -> tuple[bool, bool]:
-    """Return which axes are turned round."""
+    """Return the axes whose sign is changed."""
     named = [part for part in text.split(",") if part]
     if wrong := [part for part in named if part not in ("x", "y")]:
         raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")

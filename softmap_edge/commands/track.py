@@ -1,4 +1,4 @@
-"""The command `track`: lead the tip along a figure, or print Table II or the workspace."""
+"""The command `track`: move the tip along a figure, or print Table II or the workspace."""
 
 from __future__ import annotations
 
@@ -104,13 +104,17 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="--workspace: is this point (mm) in it",
+        help="--workspace: check whether this point (mm) is reachable",
     )
     parser.add_argument(
         "--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)"
     )
     parser.add_argument(
-        "--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)"
+        "--duration",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="least duration of the figure (20)",
     )
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)"
@@ -122,7 +126,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
         "--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)"
     )
     parser.add_argument(
-        "--observe", action="store_true", help="feed back what the camera sees of the tip"
+        "--observe", action="store_true", help="feed back the tip position seen by the camera"
     )
     camera_arguments(parser)
     driven_arguments(parser, "; --table: of the stand-in (1)")
@@ -130,7 +134,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def track(args: TrackOptions) -> int:
-    """Lead the tip along a figure, measure its error, draw it."""
+    """Move the tip along a figure, measure its error, draw it."""
     check_driven(args)
     check_picture("--picture", args.picture)
     if args.camera and not args.rig:
@@ -236,7 +240,7 @@ def track(args: TrackOptions) -> int:
 
 @contextlib.contextmanager
 def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
-    """Report an interrupted recording only after the result is printed, if there is a result."""
+    """Report an interrupted recording after the result, if there is a result."""
     try:
         yield
     except RecordingBroken:
@@ -246,7 +250,7 @@ def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
-    """Give what sees the robot, if anything does."""
+    """Yield the camera of the robot, if there is one."""
     if bench.finger is not None or args.camera is None:
         yield None if bench.finger is None else bench.finger.seen
         return
@@ -260,7 +264,7 @@ def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
 def _kept(
     args: TrackOptions, seen: Seen | None, behind: float, bench: Bench
 ) -> Iterator[Keeper | None]:
-    """Keep what is seen next to the recording, where there is one."""
+    """Store the frames next to the recording, if there is one."""
     if seen is None or args.record is None:
         yield None
         return
@@ -358,7 +362,7 @@ def _text(summary: Document) -> str:
     if summary["seen"]:
         bundle = summary["bundle"] or None
         frames = summary["seen_mm"]["n"] if summary["seen_mm"] else 0
-        if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
+        if frames < LEAST_WITHHOLDING:  # a diagnosis would have no data to validate on
             lines.append(
                 f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or "
                 "more"

@@ -1,4 +1,4 @@
-"""Commands that answer what a model lacks: compare, diagnose, add, remove, refit."""
+"""Commands that find and change the effects of a model: compare, diagnose, add, remove, refit."""
 
 from __future__ import annotations
 
@@ -67,13 +67,16 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="while a robot runs, seen by --camera")
     camera_arguments(parser)
     parser.add_argument(
-        "--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)"
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="--live: end after this time, s (default: at Ctrl-C)",
     )
     parser.add_argument(
         "--bundle",
         action="append",
         metavar="DIR",
-        help="the model; the built-in finger without it; give two to see both",
+        help="the model (default: the built-in finger); give two to see both",
     )
     effects_argument(parser)
     parser.add_argument(
@@ -82,7 +85,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def compare(args: CompareOptions) -> int:
-    """Show how far a model is from a run, and where.
+    """Show the error of a model on a run, and where it is.
 
     Return 1 if the last of several bundles is worse than the first.
     """
@@ -141,7 +144,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="run",
         help="the measured run, .npz or .mcap; several runs are fitted together",
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     parser.add_argument(
         "--held-out",
         metavar="RUN",
@@ -169,7 +172,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def diagnose(args: DiagnoseOptions) -> int:
-    """Name the family of effects that a model lacks, and its law; return 0 for every verdict."""
+    """Identify the family of effects that a model lacks, and its law; always return 0."""
     from softmap_edge.diagnosis.diagnose import diagnose as find
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines
@@ -212,9 +215,9 @@ def diagnose(args: DiagnoseOptions) -> int:
 
 
 def _after_diagnosis(args: DiagnoseOptions, found: Diagnosis) -> str | None:
-    """Return the command that adds what was named, or plans what would settle it; None for neither.
+    """Return the command that adds the named effects or plans the next recording, or None.
 
-    Both need the diagnosis as a file, so without one it is to be written first.
+    Both read the diagnosis from a file, so without one the command is to write it.
     """
     named = bool(found.effects) and found.verdict == "identified"
     if not named and not found.next:
@@ -251,13 +254,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON"
     )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     effects_argument(parser)
     bundle_arguments(parser)
 
 
 def add(args: AddOptions) -> int:
-    """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
+    """Write a bundle with the effects of a diagnosis added, with their fitted values."""
     from softmap_edge.diagnosis.document import Diagnosis
 
     check_bundle(args.out, args.force)
@@ -362,9 +365,9 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def refit(args: RefitOptions) -> int:
-    """Refit the effects of a bundle, or a finger's own numbers; 1 if without success.
+    """Refit the effects of a bundle, or the parameters of a finger.
 
-    It succeeds if the held-out error falls.
+    Return 0 if the held-out error falls, else 1.
     """
     if args.finger is not None:
         return _refit_finger(args, args.finger)
@@ -404,9 +407,9 @@ def _refit_finger(args: RefitOptions, finger: str) -> int:
 
 
 def warn_outside(verb: str, model: Model, run: Run) -> None:
-    """Warn on stderr where a run leaves the commands or the frame of the model.
+    """Warn on stderr if a run leaves the commands or the frame of the model.
 
-    It comes in addition to any document.
+    The warning is printed in addition to any document.
     """
     from softmap_edge.model.training_range import command_extrapolation, out_of_reach
     from softmap_edge.run.plane import plane_of
@@ -418,9 +421,9 @@ def warn_outside(verb: str, model: Model, run: Run) -> None:
 
 
 def _doubt(verb: str, model: Model, run: Run) -> None:
-    """Warn on stderr of data that a diagnosis would set aside or refuse.
+    """Warn on stderr of data that a diagnosis would exclude or reject.
 
-    A comparison takes the run as it is.
+    A comparison uses the run unchanged.
     """
     from softmap_edge.diagnosis.clean import clean_run
 
@@ -455,7 +458,7 @@ def write_page(
     kind: str,
     ways: tuple[Mapping[str, float | None], str] | None = None,
 ) -> None:
-    """Write the page about a run seen by one model, or by two where they differ."""
+    """Write the page on a run with one model, or with two models if they differ."""
     from softmap_edge.comparison.comparison import compare as measure
     from softmap_edge.comparison.series import series
     from softmap_edge.report.html import write_html
@@ -466,7 +469,7 @@ def write_page(
 
 
 def _dropped(model: Model) -> Document:
-    """Return that a model's residual goes with its effects, for the report of a change of these."""
+    """Return a line that a model's residual is removed with its effects, for the report."""
     return {} if model.residual is None else {"residual": "dropped"}
 
 

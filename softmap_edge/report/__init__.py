@@ -1,1 +1,1 @@
-"""Comparison and diagnosis as text, pictures and HTML."""
+"""Comparison and diagnosis as text, figures and HTML."""

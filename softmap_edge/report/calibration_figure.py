@@ -1,9 +1,9 @@
-"""The picture of a calibration: matched commands and the map, and errors over ticks (SVG).
+"""The figure of a calibration: matched commands and the map, and errors over ticks (SVG).
 
-Left the first two commands: a dot where the map puts a held command (a cross where it was set
-aside), and an arrow towards the one that was matched, drawn longer by the factor that is written
-there. Right, for each servo, what the map leaves of every command. Needs matplotlib; imported by
-`softmap model calibrate --plot` only.
+Left, in the plane of the first two commands: a dot for the mapped command (a cross if it was
+excluded), and an arrow towards the matched one, magnified by the printed factor. Right, for each
+servo, the residual of every command. Needs matplotlib; only `softmap model calibrate --plot`
+imports it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 COLOURS = (AFTER, INK, FLOOR)  # of the commands' residuals
-MOST = 3  # servos and commands that are drawn
-ARROW = 0.12  # of the plane: about the longest arrow
+MOST = 3  # servos and commands that are drawn at most
+ARROW = 0.12  # share of the plane: approximate length of the longest arrow
 LEGEND: Any = {
     "ncols": 4,
     "frameon": False,

@@ -1,9 +1,8 @@
-"""The pictures of a report: errors over time, body and conditions, the tip's path, ladder.
+"""The figures of a report: errors over time, body and conditions, the tip's path, ladder.
 
-Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
-triangles); the same numbers give the same bytes. One colour means one thing in all of them: before,
-after, floor. Lengths in mm, times in s. This module needs matplotlib and is imported by
-`report_html` only.
+Each function returns one image as bytes (SVG, or PNG for thousands of triangles); equal data give
+equal bytes. The colours of before, after and floor are the same in all figures. Lengths in mm,
+times in s. Needs matplotlib; only `html.py` imports it.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
 
-ABOVE_NOISE = 3.0  # times the noise floor that the colours of an error reach at least
-# s of a long run that are drawn, and frames that such a stretch should have
+ABOVE_NOISE = 3.0  # the colours of an error reach at least this multiple of the noise floor
+# s of a long run that are drawn, and least number of frames in such a stretch
 STRETCH, MANY = 20.0, 10
 BEFORE, AFTER, FLOOR, INK, FAINT, PALE = (
     "#cf5c36",
@@ -65,8 +64,8 @@ STYLE: Any = {  # matplotlib types the keys one by one
     "svg.fonttype": "path",
 }
 WIDE = 10.4  # inches: the width of a picture that fills the page
-LABEL = 1.5  # inches to the left of a bar, for its label
-POINTS = 1200  # a line with more points than this is drawn by the RMS of its stretches
+LABEL = 1.5  # inches left of a bar, for its label
+POINTS = 1200  # lines with more points show the RMS of equal stretches
 SIDES = (
     ("seen along −x", (1, 0)),
     ("seen along −y", (0, 1)),
@@ -74,7 +73,7 @@ SIDES = (
     ("seen along +y", (0, -1)),
 )
 LIGHT = np.array([-0.35, 0.55, 0.76])  # from the upper left, towards the viewer
-SPLIT_BELOW = 8000  # templates with fewer triangles are refined, so that colours flow
+SPLIT_BELOW = 8000  # templates with fewer triangles are refined for smooth colours
 
 
 @dataclass(frozen=True)
@@ -139,9 +138,9 @@ def over_time(series: Series, unit: str = PLACES) -> bytes:
 
 
 def tip_path(series: Series) -> bytes:
-    """Draw the tip's path as measured and as predicted, in the plane in which it moves most (SVG).
+    """Draw the tip's measured and predicted path in the plane in which it moves most (SVG).
 
-    Of a long run the STRETCH with the largest error before; all of it, measured, stands behind.
+    For a long run, draw the STRETCH with the largest error before, over all measured positions.
     """
     first, second = _plane(series.tip_seen)
     rows = worst_stretch(series)
@@ -186,7 +185,7 @@ def tip_path(series: Series) -> bytes:
 def worst_stretch(series: Series) -> slice:
     """Return the frames of the STRETCH of a run with the largest error before.
 
-    They are all of a run hardly longer.
+    A run that is hardly longer is returned completely.
     """
     t = series.t_seen
     if len(t) < 3 or t[-1] - t[0] < 2 * STRETCH:
@@ -205,7 +204,7 @@ def body(series: Series) -> bytes:
     if series.point_after is not None:
         shown.append(("after", series.point_after))
     top = max(float(np.nanmax(values)) for _, values in shown)
-    # what is no more than noise is pale
+    # errors within the noise are pale
     top = max(top, ABOVE_NOISE * (series.noise_floor_mm or 0.0))
     scale = Normalize(0.0, top if top > 0 else 1.0)
     with matplotlib.rc_context(STYLE):
@@ -225,7 +224,7 @@ def where_maps(
         before, after: maps name → bins `{label, low, high, n, rms_mm}`; after may be None.
 
     Returns:
-        bytes: the picture.
+        The picture.
     """
     names = [name for name, rows in before.items() if len(rows) > 1]
     columns = _packed([(name, len(before[name])) for name in names], 3)
@@ -237,7 +236,7 @@ def where_maps(
     letters = max(map(len, map(mm, values)), default=0) * (1 if after is None else 2) + (
         0 if after is None else 3
     )
-    # inches; the longest bar ends where the longest number next to it still has room
+    # inches; room for the longest number next to the longest bar
     bars = WIDE / 3 - LABEL - 0.53
     top *= bars / (bars - max(0.0, 0.056 * letters - 0.48))
     with matplotlib.rc_context(STYLE):
@@ -300,7 +299,7 @@ def ladder_bars(error: Document) -> bytes:
 
 
 def _tip_height(path: Floats, panels: int) -> float:
-    """Inches that a path drawn to scale needs, within limits that suit a page."""
+    """Return the height (inches) of a path drawn to scale, within limits that suit a page."""
     wide, tall = np.nanmax(path, axis=0) - np.nanmin(path, axis=0)
     return float(np.clip((WIDE / panels - 0.9) * tall / max(float(wide), 1e-9) + 0.9, 2.6, 6.0))
 
@@ -308,7 +307,7 @@ def _tip_height(path: Floats, panels: int) -> float:
 def _bars(
     axes: Axes, before: Sequence[Document], after: Sequence[Document] | None, top: float
 ) -> None:
-    """One condition: a bar per class, the after-bar inside the before-bar."""
+    """Draw one condition: a bar per class, the after-bar inside the before-bar."""
     partner = {str(row["label"]): row["rms_mm"] for row in after or []}
     names = [str(row["label"]) for row in before]
     place = np.arange(len(before))
@@ -342,7 +341,7 @@ def _panel_height(bins: int) -> float:
 
 
 def _packed(panels: Sequence[tuple[str, int]], count: int) -> list[list[tuple[str, int]]]:
-    """Put panels, tallest first, each into the shortest of some columns of about equal height."""
+    """Put panels, tallest first, each into the shortest of some columns of similar height."""
     columns: list[list[tuple[str, int]]] = [[] for _ in range(count)]
     for panel in sorted(panels, key=lambda p: -p[1]):
         min(columns, key=lambda c: sum(_panel_height(n) for _, n in c)).append(panel)
@@ -407,7 +406,7 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
         )
         for k, value in enumerate(values):
             text = f"marker {k + 1}: {mm(float(value))} mm"
-            left = x[k] > 0.5 * (x.min() + x.max())  # towards the side with more room
+            left = x[k] > 0.5 * (x.min() + x.max())  # on the side with more room
             axes.annotate(
                 text,
                 (x[k], y[k]),
@@ -429,13 +428,13 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
 def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> None:
     """Draw a surface seen from `view`, a unit vector in the x-y plane.
 
-    Far triangles are first, shaded by the light.
+    Far triangles are drawn first; all are shaded by the light.
     """
     across = np.cross(np.array([0.0, 0.0, 1.0]), view)
     corners = surface.points[surface.faces]  # (F, 3, 3)
     normal = surface.normals[surface.faces].mean(axis=1)
     order = np.argsort((corners @ view).mean(axis=1))
-    order = order[normal[order] @ view > -0.1]  # the far side cannot be seen
+    order = order[normal[order] @ view > -0.1]  # the back is not visible
     # right, up, towards the viewer
     frame = np.stack([normal[:, 2], normal @ across, normal @ view], axis=1)
     light = np.clip(0.74 + 0.3 * (frame @ LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
@@ -451,10 +450,7 @@ def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> No
 
 
 def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Return outward normals (N, 3): face normals away from the body's axis, averaged.
-
-    They are averaged at the vertices.
-    """
+    """Return outward vertex normals (N, 3): averaged face normals, away from the body's axis."""
     corners = points[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre, axis = corners.mean(axis=1), points.mean(axis=0)
@@ -470,7 +466,7 @@ def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surface:
-    """Split triangles into four until flat colours look smooth; large meshes stay as is."""
+    """Split triangles into four until flat colours look smooth; large meshes are unchanged."""
     known = np.where(np.isfinite(values), values, np.nanmean(values))
     data, faces = np.column_stack([rest, known, vertex_normals(rest, triangles)]), triangles
     while len(faces) < SPLIT_BELOW:
@@ -487,14 +483,14 @@ def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surf
 
 
 def _plane(points: Floats) -> tuple[int, int]:
-    """The two coordinates of largest spread, in the order x, y, z."""
+    """Return the two coordinates of largest spread, in the order x, y, z."""
     spread = np.nanmax(points, axis=0) - np.nanmin(points, axis=0)
     first, second = sorted(np.argsort(-spread, kind="stable")[:2].tolist())
     return first, second
 
 
 def _thinned(t: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """A line of at most `POINTS` points: the RMS of equal stretches, at their mean times."""
+    """Return a line of at most `POINTS` points: the RMS of equal stretches, at their mean times."""
     if len(t) <= POINTS:
         return t, values
     parts = np.array_split(np.arange(len(t)), POINTS)
@@ -507,7 +503,7 @@ def rms(values: Floats) -> float:
 
 
 def clean(text: str, longest: int) -> str:
-    """A label without control characters, cut to a length that fits."""
+    """Return a label without control characters, cut to a suitable length."""
     printable = "".join(ch if ch.isprintable() else " " for ch in str(text))
     return printable if len(printable) <= longest else printable[: longest - 1] + "…"
 
@@ -524,6 +520,6 @@ def png(figure: Figure) -> bytes:
 def _saved(figure: Figure, form: str, **options: Any) -> bytes:
     target = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a robot may be named in any script
+        warnings.filterwarnings("ignore", message="Glyph")  # a robot's name may be in any script
         figure.savefig(target, format=form, facecolor="white", **options)
     return target.getvalue()

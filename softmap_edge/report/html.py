@@ -1,7 +1,7 @@
 """Write one self-contained HTML page about a comparison, two comparisons or a diagnosis.
 
-The text is in `templates/report.html`; this file gives it figures, words and pictures. Without
-matplotlib the page has no pictures and explains how to get them. Pinned by tests/report/.
+The text is in `templates/report.html`; this module supplies data, phrases and figures. Without
+matplotlib the page has no figures and explains how to get them. Pinned by tests/report/.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ Rows = list[tuple[str, str]]
 
 @dataclass(frozen=True)
 class Story:
-    """What one page is about; `before` and `after` are comparisons of the same run."""
+    """The content of a page; `before` and `after` are comparisons of the same run."""
 
     before: Comparison | None
     after: Comparison | None
@@ -65,7 +65,7 @@ class Story:
     floor: tuple[float, str] | None = None
     ways: Mapping[str, float | None] | None = None
     ways_on: str = ""
-    unit: str = PLACES  # of every figure on the page but those of commands
+    unit: str = PLACES  # of every number on the page except commands
 
     @property
     def places(self) -> bool:
@@ -84,21 +84,21 @@ def write_html(
     """Write one self-contained HTML page.
 
     Args:
-        path: the file to write.
-        comparison: one comparison, or two of the same run (before, after).
-        diagnosis: a Diagnosis or its document softmap.diagnosis/2 (or /1).
-        series: errors over time and over the body (`compare.series`), for the pictures that need
-            them.
-        ways: errors in mm RMS of a model made in several ways, by name, and the run that they were
-            measured on (`adapt`).
+        path: the file to write
+        comparison: one comparison, or two of the same run (before, after)
+        diagnosis: a Diagnosis or its document softmap.diagnosis/2 (or /1)
+        series: errors over time and over the body (`compare.series`), for the figures that need
+            them
+        ways: errors in mm RMS of models made in several ways, by name, and the run that they were
+            measured on (`adapt`)
         floor: the lowest error that a model can reach, mm, and its name, if known better than from
-            the camera's noise.
+            the camera's noise
 
     Returns:
-        Path: the file.
+        The file.
 
     Raises:
-        ReportError: nothing to show, or the comparisons are of different runs.
+        ReportError: there is nothing to show, or the comparisons are of different runs.
     """
     given = [comparison] if isinstance(comparison, Comparison) else list(comparison or [])
     if len(given) > 2:
@@ -168,9 +168,9 @@ class ShownFamily:
 
 @dataclass(frozen=True)
 class ReportPage:
-    """What `templates/report.html` shows, from top to bottom.
+    """The content of `templates/report.html`, from top to bottom.
 
-    `install` is how to get pictures that are missing.
+    `install` is the command that installs missing packages for figures.
     """
 
     title: str
@@ -244,7 +244,7 @@ def _page(story: Story) -> ReportPage:
 
 
 def _pictures(story: Story) -> tuple[list[Picture], list[Picture]]:
-    """Return the pictures above and below the tables."""
+    """Return the figures above and below the tables."""
     from softmap_edge.report import figures
     from softmap_edge.report.loop_figure import loop_picture
 
@@ -264,7 +264,7 @@ def _title(story: Story) -> str:
 
 
 def _kind(story: Story) -> str:
-    """Whether the shown errors are held out, in the words of a caption."""
+    """Return whether the shown errors are held out, as text for a caption."""
     known = {
         "held out": "held out: this run was not fitted",
         "fitted": "fitted: this run took part",
@@ -275,7 +275,7 @@ def _kind(story: Story) -> str:
 
 
 def _short(story: Story) -> str:
-    """The same for the captions, where the top of the page gives it in full."""
+    """Return the same for captions, in short form; the top of the page has the long form."""
     return (
         f"; {story.series.kind}"
         if story.series is not None and story.series.kind != "measured"
@@ -322,7 +322,7 @@ def _sentence(story: Story) -> str:
 
 
 def _cards(story: Story) -> list[Card]:
-    """Return the figures at the top."""
+    """Return the numbers at the top."""
     error = (story.diagnosis or {}).get("error") or {}
     old: float | None
     new: float | None
@@ -397,12 +397,12 @@ def _time(story: Story, figures: ModuleType) -> Picture | None:
 
 
 def _things(story: Story) -> str:
-    """The compared quantity: the points of a body, or outputs."""
+    """Return the compared quantity: the points of a body, or outputs."""
     return "points" if story.places else "outputs"
 
 
 def _noise(story: Story) -> str:
-    """The meaning of the floor, in a sentence."""
+    """Return the meaning of the floor as a sentence."""
     return "the camera's noise" if story.places else "the sensor's noise"
 
 

@@ -1,6 +1,4 @@
-"""Loops over one cycle: each output, or the tip, against a command.
-
-Measured, and predicted before and after.
+"""Loops over one cycle: each output, or the tip, against a command, measured and predicted.
 
 Pinned by tests/run/test_output.py and tests/report/test_loop_figure.py. Needs matplotlib.
 """
@@ -21,19 +19,19 @@ from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
 
-TURN = 0.2  # of the range of a command: smaller reverse moves are no cycle
-MOST_LOOPS = 6  # of a run with many outputs or commands
+TURN = 0.2  # share of a command's range: smaller reverse moves do not make a cycle
+MOST_LOOPS = 6  # loops drawn for a run with many outputs or commands
 
 
 def loop_picture(
     series: Series, unit: str, diagnosis: Document | None, kind: str
 ) -> Picture | None:
-    """Return the picture of the loops.
+    """Return the figure of the loops.
 
-    It is made for outputs always, for a body where a family with memory was detected.
+    It is made for all outputs, and for a body if a family with memory was detected.
 
     Args:
-        series: of the run that the page shows
+        series: of the run on the page
         unit: of its errors
         diagnosis: the document, or None
         kind: an addition to the caption
@@ -60,10 +58,8 @@ def loop_picture(
 def loops(series: Series, unit: str) -> bytes:
     """Draw each output, or the tip, against its command, with the error below it (SVG).
 
-    The tip is in `unit`; one cycle is shown.
-
-    The curves are measured, predicted before, and predicted after. The cycle is that with the
-    largest error before. All measurements are drawn behind.
+    The tip is in `unit`. The curves are measured, predicted before, and predicted after, for the
+    cycle with the largest error before. All measurements are drawn behind.
     """
     most = min(len(series.loops), MOST_LOOPS)
     columns = min(most, 2)
@@ -119,12 +115,10 @@ def _draw(upper: Axes, lower: Axes, loop: Loop, unit: str, command_unit: str) ->
 
 
 def worst_cycle(loop: Loop) -> slice:
-    """Return the frames of a command's cycle (three turns) with the largest error before.
+    """Return the frames of a command's cycle (three reversals) with the largest error before.
 
-    Else all of them.
-
-    Cycles in which the other commands stand still come first: motion by other commands is no loop
-    of this one.
+    Without a cycle, return all frames. Cycles in which the other commands stand still are
+    preferred, because motion by other commands is not part of this loop.
     """
     turns = _turns(loop.command)
     squares = np.nan_to_num(loop.seen - loop.before) ** 2

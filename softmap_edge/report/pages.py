@@ -1,8 +1,7 @@
 """Write self-contained HTML pages from the templates in `templates/`.
 
-A page loads nothing: pictures are inside it, there is no script, and its content policy forbids
-both. Every value that a template shows is escaped, and characters that do not print are written as
-escapes.
+A page loads nothing: images are embedded, there is no script, and the content policy forbids both.
+Every value in a template is escaped, and unprintable characters are written as escapes.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ INSTALL = "pip install 'softmap-edge[report]'"
 
 @dataclass(frozen=True)
 class Card:
-    """A figure at the top of a page; `tone` is before, after or floor."""
+    """A number at the top of a page; `tone` is before, after or floor."""
 
     label: str
     value: str
@@ -33,7 +32,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture (PNG or SVG) with its section's title, a description, and its caption."""
+    """An image (PNG or SVG) with the title of its section, a description, and its caption."""
 
     title: str
     image: bytes
@@ -42,7 +41,7 @@ class Picture:
 
     @property
     def source(self) -> str:
-        """The address that holds the picture itself."""
+        """The data URI of the image."""
         kind = "image/png" if self.image.startswith(b"\x89PNG") else "image/svg+xml"
         return f"data:{kind};base64,{base64.b64encode(self.image).decode()}"
 
@@ -52,7 +51,7 @@ def render(template: str, page: object, *folders: Path) -> str:
 
     Args:
         template: name of the template
-        page: what it shows, as `page`
+        page: its content, available as `page`
         folders: more folders with templates
     """
     return _environment(*folders).get_template(template).render(page=page)
@@ -72,12 +71,12 @@ def _environment(*folders: Path) -> Environment:
 
 
 def _shown(value: object) -> str:
-    """Return what is shown of a value: markup as it is, all else as printable text."""
+    """Return the shown form of a value: markup unchanged, all else as printable text."""
     return value if isinstance(value, Markup) else printable(str(value))
 
 
 def pictures_missing() -> str | None:
-    """Return the command that installs what pictures need; None where matplotlib is installed."""
+    """Return the command that installs matplotlib for the figures; None if it is installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

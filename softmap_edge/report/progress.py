@@ -1,4 +1,4 @@
-"""What an experiment has settled: open questions of an earlier diagnosis and a later one."""
+"""The progress of an experiment: open questions of an earlier and a later diagnosis."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from softmap_edge.files.numbers import folded
 
 
 def progress_lines(before: Document | None, after: Document) -> list[str]:
-    """Return the questions that were open and those that still are, for a terminal.
+    """Return the earlier and the remaining open questions, for a terminal.
 
     Args:
-        before: the earlier document softmap.diagnosis/2; None lists only what is open now.
-        after: the later document.
+        before: the earlier document softmap.diagnosis/2; None lists only the open questions now
+        after: the later document
     """
     lines = [] if before is None else _open("Before", before)
     lines += _open("Now" if before is not None else "Open", after)

@@ -1,9 +1,7 @@
-"""Where the error is, on one sheet: some poses and the commands, before and after.
+"""One sheet on where the error is: some poses and the commands, before and after, on one scale.
 
-All are on one scale.
-
-Poses are measured shapes in parallel projection, base above and tip below, whatever way gravity
-points. A dot of the command plane is a frame. Lengths in mm. Needs matplotlib.
+Poses are measured shapes in parallel projection, base above and tip below, whatever the direction
+of gravity. Each dot in the command plane is a frame. Lengths in mm. Needs matplotlib.
 """
 
 from __future__ import annotations
@@ -32,10 +30,10 @@ from softmap_edge.report.figures import (
 
 Floats = NDArray[np.float64]
 
-TURN, TILT = 35.0, 12.0  # degrees: about the body's axis, and of the viewer above the horizon
+TURN, TILT = 35.0, 12.0  # degrees: about the body's axis, and elevation of the viewer
 LIGHT = np.array([-0.4, 0.5, 0.77])  # right, up, towards the viewer
-TOP = 99.0  # percentile of the errors that ends the colours
-FLAT = 0.03  # of the largest range of a command: a channel that moves less spans no plane
+TOP = 99.0  # percentile of the errors at the end of the colour scale
+FLAT = 0.03  # share of the largest range of a command: channels that move less span no plane
 
 
 def sheet(series: Series) -> bytes:
@@ -70,7 +68,7 @@ def sheet(series: Series) -> bytes:
 
 
 def _plane_of(command: Floats) -> tuple[int, int] | None:
-    """The two channels that move most, in their order; one twice if alone; None if none moves."""
+    """Return the two channels that move most, in order; one twice if alone; None if none moves."""
     if not command.shape[1]:
         return None
     span = np.ptp(command, axis=0)
@@ -88,7 +86,7 @@ def _plane_of(command: Floats) -> tuple[int, int] | None:
 def _draw_commands(
     axes: Axes, series: Series, plane: tuple[int, int], values: Floats, scale: Normalize
 ) -> None:
-    """One dot a frame in the plane of two commands; with one command, its error above it."""
+    """Draw one dot per frame in the plane of two commands; with one command, its error above it."""
     x = series.command[:, plane[0]]
     one = plane[0] == plane[1]
     y = values if one else series.command[:, plane[1]]
@@ -124,7 +122,7 @@ def _draw_poses(axes: Axes, series: Series, moment: str, scale: Normalize) -> No
 
 
 def view() -> tuple[Floats, Floats, Floats]:
-    """Right, up and towards the viewer in the base frame; the rest axis z points down the page."""
+    """Return right, up and towards the viewer in the base frame; z points down the page."""
     turn, tilt = np.radians(TURN), np.radians(TILT)
     right = np.array([np.cos(turn), np.sin(turn), 0.0])
     level = np.array([-np.sin(turn), np.cos(turn), 0.0])
@@ -140,7 +138,7 @@ def _draw_surface(
     view: tuple[Floats, ...],
     scale: Normalize,
 ) -> None:
-    """The seen triangles of one pose, far ones first, shaded."""
+    """Draw the visible triangles of one pose, far ones first, shaded."""
     right, up, towards = view
     seen = ~np.isnan(pose.points[:, 0])
     faces = triangles[seen[triangles].all(axis=1)]
@@ -166,7 +164,7 @@ def _draw_surface(
 def _draw_markers(
     axes: Axes, pose: ExamplePose, values: Floats, right: Floats, up: Floats, scale: Normalize
 ) -> None:
-    """The markers of one pose, joined in their order."""
+    """Draw the markers of one pose, joined in their order."""
     x, y = pose.points @ right, pose.points @ up
     axes.plot(x, y, color=PALE, linewidth=1.6, zorder=1)
     axes.scatter(

@@ -1,9 +1,7 @@
-"""The picture of a tracked figure (SVG).
+"""The figure of a tracked path (SVG): target and actual path, reachable set, and error.
 
-Where the tip should go, where it went, what it can reach, and how far off it was, or, of a plan,
-which commands lead it there.
-
-Needs matplotlib; imported by `softmap track --picture` only.
+For a plan, it shows the commands instead of the error. Needs matplotlib; only `softmap track
+--picture` imports it.
 """
 
 from __future__ import annotations
@@ -26,14 +24,14 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FINE = 25  # places along each of two commands at which reach is drawn
+FINE = 25  # grid points along each of two commands at which the reachable set is drawn
 COLOURS = (AFTER, BEFORE, INK, FLOOR)  # of commands
 EDGE = "edge of reach"
-LEAST_MM = 0.1  # that the axis of errors spans: below that they are round-off
+LEAST_MM = 0.1  # least span of the error axis: smaller errors are round-off
 
 
 def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None) -> bytes:
-    """Draw a course, and what was seen of it if anything was (SVG)."""
+    """Draw a course, and the observed path if there is one (SVG)."""
     seen = tracked is not None and len(tracked.t) > 0
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
@@ -75,9 +73,9 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
 def workspace_figure(
     kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None
 ) -> bytes:
-    """Draw the reach of the tip from above and from the side (SVG).
+    """Draw the reachable set of the tip from above and from the side (SVG).
 
-    With a `target` (3,) mm and the point `nearest`.
+    With a `target` (3,) mm and the point `nearest` to it.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
@@ -103,26 +101,27 @@ def workspace_figure(
 
 
 def _errors(axes: Axes, course: Course, tracked: Tracked) -> None:
-    """Draw how far off the tip was seen, and how far off the model itself expects it."""
+    """Draw the observed tip error, and the error that the model itself expects."""
     plan = course.plan
     axes.plot(tracked.t, tracked.error, color=AFTER, linewidth=1.2, label="seen")
     expected = plan.distance[course.counts]
-    if expected.max() > LEAST_MM:  # part of it is out of reach; else it lies on the axis
+    # part of the path is out of reach; otherwise the line lies on the axis
+    if expected.max() > LEAST_MM:
         axes.plot(plan.t[course.counts], expected, color=FLOOR, linewidth=1.0, label="expected")
     axes.set(ylabel="tip off by, mm", ylim=(0.0, max(LEAST_MM, axes.get_ylim()[1])))
 
 
 def _commands(axes: Axes, plan: Plan, unit: str) -> None:
-    """Draw the commands that lead the tip along, and to where the figure begins."""
+    """Draw the commands that lead the tip along the figure, and to its start."""
     for c, command in enumerate(plan.commands.T):
         axes.plot(plan.t, command, color=COLOURS[c % len(COLOURS)], linewidth=1.2, label=f"u{c}")
     axes.set_ylabel(f"command, {unit}")
 
 
 def _closer(axes: Axes, paths: list[ArrayLike]) -> None:
-    """Show paths and some of what is around them.
+    """Limit the axes to the paths and their surroundings.
 
-    An edge of reach that is farther off has no place in the legend.
+    A boundary of the reachable set outside is left out of the legend.
     """
     points = np.concatenate([np.asarray(path, float) for path in paths])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -137,7 +136,7 @@ def _closer(axes: Axes, paths: list[ArrayLike]) -> None:
 
 
 def _reach(axes: Axes, kinematics: Kinematics, across: int, up: int) -> None:
-    """Draw where the tip can go."""
+    """Draw the reachable set of the tip."""
     bounds = kinematics.acting_bounds
     if len(bounds) != 2:
         places, _ = kinematics.reach.samples

@@ -1,4 +1,4 @@
 """Drive a real or emulated robot: servos, control loop, motions, teleoperation, checks.
 
-Nothing here imports the simulator, the diagnosis or the reports, so that it stays small on a board.
+Nothing here imports the simulator, the diagnosis or the reports, so it stays small on a board.
 """

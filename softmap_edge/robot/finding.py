@@ -1,6 +1,6 @@
-"""One check of the doctor, as a line: its name, state, finding and remedy.
+"""One check of the doctor as a line: its name, state, finding and remedy.
 
-Errors here state what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by
+Errors here state the finding and, after "; ", the remedy (`remedies.parted`). Pinned by
 tests/robot/test_doctor.py.
 """
 
@@ -24,7 +24,7 @@ class Line:
 
     @property
     def fine(self) -> bool:
-        """Whether it is in order."""
+        """Whether the check passed."""
         return self.state == OK
 
     def __str__(self) -> str:
@@ -33,6 +33,6 @@ class Line:
 
 
 def faulty(name: str, message: object, otherwise: str) -> Line:
-    """Return an error or a complaint as a line; `otherwise` is the remedy where it names none."""
+    """Return an error or a message as a line; `otherwise` is the remedy if the message has none."""
     found, do = parted(message)
     return Line(name, FAULT, found or "no reason is given", do or otherwise)

@@ -1,8 +1,7 @@
-"""A rig with the finger on it, and its robot, for a user's own program.
+"""Open a rig with the finger on it as a robot, for a user's own program.
 
-docs/do/own_program.md shows one.
-
-Pinned by tests/robot/test_own_program.py, and by the tests of the commands that drive.
+docs/do/own_program.md shows an example. Pinned by tests/robot/test_own_program.py, and by the tests
+of the commands that drive.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot that can be driven.
+    """A robot that is ready to be driven.
 
-    It has its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a real
-    rig has that calibration as its own; of an emulated one the `finger`.
+    It has its `rig`, the `limits` of its loop, its `calibration` and its `model`. The model of a
+    real rig uses that calibration. An emulated robot also has its `finger`.
     """
 
     rig: Rig
@@ -44,9 +43,9 @@ def read_bench(path: str | Path, model: Model) -> Bench:
     """Return the robot of a rig file, ready to be driven with the finger of `model`.
 
     Raises:
-        ServoError: something that driving needs is unknown; the line names it.
+        ServoError: something that driving needs is missing; the message names it.
     """
-    known = calibration_of(model)  # asked first: the bundle is what a user mends first
+    known = calibration_of(model)  # first, because a user corrects the bundle before the rig
     rig = read_rig(path)
     found = effective_limits(rig, model, known, RATE)
     return Bench(
@@ -61,18 +60,18 @@ def open_robot(
     axes: str = "xyz",
     record: str | Path | None = None,
 ) -> Controller:
-    """Return the robot of a rig, which is driven from entering to leaving it (`with`).
+    """Return the robot of a rig; it can be driven inside a `with` block.
 
     Args:
-        rig: the file of the rig, as `softmap servo setup` writes it.
-        model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are
-            compensated.
-        axes: that count for `robot.kinematics`.
-        record: a file for all inputs, decisions and outputs of the loop.
+        rig: rig file, as `softmap servo setup` writes it
+        model: model of its finger, or the folder of a bundle; it must be calibrated, and its
+            effects are compensated
+        axes: axes that count for `robot.kinematics`
+        record: file for all inputs, decisions and outputs of the loop
 
     Raises:
-        BundleError: no such bundle, or a damaged one.
-        ServoError: something that driving needs is unknown; the line names it. On entering: as
+        BundleError: there is no such bundle, or it is damaged.
+        ServoError: something that driving needs is missing; the message names it. On entering: as
             `Controller`.
     """
     bench = read_bench(rig, model if isinstance(model, Model) else load_bundle(model))

@@ -1,8 +1,8 @@
 """Remedies in messages: separate finding and remedy, and complete the named commands.
 
-A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to
-the text there. Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out;
-the command that shows the message fills it in. Pinned by tests/robot/test_hints.py.
+A message is the finding and, after "; ", the remedy. A "; " inside brackets or backquotes does not
+separate them. Code that does not know the user's files writes `--rig FILE`, or omits `--rig`; the
+command that prints the message fills it in. Pinned by tests/robot/test_hints.py.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ COMPLETES = {
 
 
 def parted(said: object) -> tuple[str, str]:
-    """Return finding and remedy of a message; the remedy is "" if it names none."""
+    """Return finding and remedy of a message; the remedy is "" if there is none."""
     text = str(said)
     ends = _ends(text)
     return (text, "") if ends is None else (text[:ends], text[ends + 2 :])
@@ -39,7 +39,7 @@ def parted(said: object) -> tuple[str, str]:
 def _ends(text: str) -> int | None:
     """Return where the finding ends: at the first "; " outside brackets and backquotes, or None.
 
-    Brackets that never close (a file's name may hold one) bracket nothing.
+    An unclosed bracket, as in a file name, has no effect.
     """
     depth, quoted = 0, False
     for k, letter in enumerate(text):
@@ -53,12 +53,12 @@ def _ends(text: str) -> int | None:
 def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
     """Return a message whose commands name the user's files.
 
-    `--bundle DIR` stands for one not given.
+    `--bundle DIR` remains if no bundle was given.
 
     Args:
-        text: the message; its commands stand in backquotes.
-        rig: the file of the rig, None if none was given.
-        bundle: the folder of the bundle, None if none was given.
+        text: the message; its commands stand in backquotes
+        rig: rig file; None if none was given
+        bundle: folder of the bundle; None if none was given
     """
     if rig is None and bundle is None:
         return text

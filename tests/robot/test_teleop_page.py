@@ -197,15 +197,15 @@ def test_the_age_of_a_word_is_never_reported_too_small():
 
 
 def test_connections_that_bring_no_token_are_few_and_do_not_stay(monkeypatch):
-    monkeypatch.setattr(pages, "OPENING", 1.0)
+    monkeypatch.setattr(pages, "TOKEN_WITHIN", 1.0)
     with served() as page, ExitStack() as stack:
         driver = Client(stack.enter_context(connect(**link(page))))
         driver.until(lambda state: state.get("seat") == "mine")
         before, idle = threading.active_count(), []
-        for _ in range(4 * pages.MOST_OPENING):
+        for _ in range(4 * pages.MOST_UNAUTHENTICATED):
             idle.append(stack.enter_context(socket.create_connection(("127.0.0.1", page.port))))
-        until(lambda: sum(closed(one) for one in idle) >= 3 * pages.MOST_OPENING)
-        assert threading.active_count() - before <= 2 * pages.MOST_OPENING + 2
+        until(lambda: sum(closed(one) for one in idle) >= 3 * pages.MOST_UNAUTHENTICATED)
+        assert threading.active_count() - before <= 2 * pages.MOST_UNAUTHENTICATED + 2
         until(lambda: driver.press() or held(page))
         until(lambda: all(closed(one) for one in idle))
         until(lambda: threading.active_count() <= before + 2)

@@ -24,7 +24,7 @@ from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig
 
 WELL = 0
-FAULT = 1  # exit code: a fault, limits that let no servo be driven, a decision that differs
+FAULT = 1  # exit code: a fault, limits that allow no motion, a decision that differs
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class DoctorOptions:
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo doctor`."""
     parser.add_argument(
-        "--rig", metavar="rig.toml", help="ask the servos of this rig too; nothing moves"
+        "--rig", metavar="rig.toml", help="also read the servos of this rig; nothing moves"
     )
-    parser.add_argument("--bundle", metavar="DIR", help="look at this bundle too")
+    parser.add_argument("--bundle", metavar="DIR", help="also check this bundle")
     parser.add_argument("--camera", metavar="N|/dev/…", help="take a picture of this camera")
 
 
@@ -88,7 +88,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def limits(args: LimitsOptions) -> int:
-    """Print the limits; return 1, with the reason, if they let no servo be driven."""
+    """Print the limits; return 1, with the reason, if they allow no motion."""
     load_own(args)
     model = open_model(args.bundle)
     found = effective_limits(read_rig(args.rig), model, rate=args.rate)
@@ -118,15 +118,15 @@ class ReplayOptions:
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo replay`."""
-    parser.add_argument("recording", help="what the control loop recorded (.mcap)")
+    parser.add_argument("recording", help="recording of the control loop (.mcap)")
     parser.add_argument(
-        "--run", metavar="FILE.npz", help="write it as a run as well, with what was seen"
+        "--run", metavar="FILE.npz", help="also write it as a run, with the camera frames"
     )
-    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 
 
 def replay(args: ReplayOptions) -> int:
-    """Let the guard decide a recording again.
+    """Replay a recording through the guard.
 
     Returns:
         1 if a decision differs or the recording is incomplete, else 0.

@@ -310,10 +310,10 @@ def _where(args: RebootOptions) -> tuple[str, int]:
 
 def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--port", metavar="PORT", help="a serial port; every one of this machine without it"
+        "--port", metavar="PORT", help="a serial port; default: all of this machine"
     )
     parser.add_argument(
-        "--baud", type=int, metavar="BAUD", help="one rate; every known one without it"
+        "--baud", type=int, metavar="BAUD", help="one rate; default: all known rates"
     )
 
 
@@ -329,7 +329,7 @@ class ScanOptions:
 
 def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this rig")
+    parser.add_argument("--rig", metavar="rig.toml", help="search for the servos of this rig")
 
 
 @dataclass(frozen=True)
@@ -345,9 +345,7 @@ class ReadOptions:
 
 def _read_arguments(parser: argparse.ArgumentParser) -> None:
     _scan_arguments(parser)
-    parser.add_argument(
-        "--id", type=int, metavar="ID", help="one servo; all that answer without it"
-    )
+    parser.add_argument("--id", type=int, metavar="ID", help="one servo; default: all that answer")
 
 
 @dataclass(frozen=True)
@@ -366,10 +364,10 @@ class SetupOptions:
 def _setup_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
     parser.add_argument(
-        "--id", type=int, metavar="ID", help="its id now, where several servos are connected"
+        "--id", type=int, metavar="ID", help="its current id, if several servos are connected"
     )
-    parser.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
-    parser.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
+    parser.add_argument("--new-id", type=int, metavar="ID", help="its new id")
+    parser.add_argument("--new-baud", type=int, metavar="BAUD", help="its new baud rate")
     parser.add_argument("--rig", metavar="rig.toml", help="add it to this rig")
 
 
@@ -409,13 +407,16 @@ def _reboot_arguments(parser: argparse.ArgumentParser) -> None:
 ACTIONS: dict[str, Action] = {
     "scan": Action("find ports, baud rates and servos", _scan_arguments, _scan, ScanOptions),
     "read": Action(
-        "what a servo is, and what keeps it from being driven", _read_arguments, _read, ReadOptions
+        "show the servos, and faults that block driving", _read_arguments, _read, ReadOptions
     ),
     "setup": Action(
-        "make one servo ready, and note it in a rig.toml", _setup_arguments, _setup, SetupOptions
+        "set up one servo, and enter it into a rig.toml", _setup_arguments, _setup, SetupOptions
     ),
     "home": Action(
-        "prove where the finger is straight, after each power-up", home_arguments, home, HomeOptions
+        "home the robot with the finger straight, after each power-up",
+        home_arguments,
+        home,
+        HomeOptions,
     ),
     "calibrate": Action(
         "a first calibration without a camera: pulley, jogged signs, a ruler",
@@ -430,20 +431,23 @@ ACTIONS: dict[str, Action] = {
         PullOptions,
     ),
     "limits": Action(
-        "every limit in force on a rig, and who set it", limits_arguments, limits, LimitsOptions
+        "list every effective limit of a rig, and who set it",
+        limits_arguments,
+        limits,
+        LimitsOptions,
     ),
     "off": Action("switch the torque of every servo off", _off_arguments, _off, OffOptions),
     "reboot": Action(
-        "restart a servo that has shut itself down", _reboot_arguments, _reboot, RebootOptions
+        "restart a servo that has shut down", _reboot_arguments, _reboot, RebootOptions
     ),
     "heartbeat": Action(
-        "be the emergency stop of a robot on another computer",
+        "act as the emergency stop of a robot on another computer",
         heartbeat_arguments,
         heartbeat,
         HeartbeatOptions,
     ),
     "emulate": Action(
-        "an emulated robot: servos, a finger, a camera, faults on command",
+        "emulate a robot: servos, a finger, a camera, and injected faults",
         emulate_arguments,
         emulate,
         EmulateOptions,

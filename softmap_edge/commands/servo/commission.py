@@ -52,9 +52,11 @@ def home_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig", required=True, metavar="rig.toml", help="the rig; its homes are written into it"
     )
-    parser.add_argument("--yes", action="store_true", help="the finger is straight: ask nothing")
     parser.add_argument(
-        "--new", action="store_true", help="this is home, whatever was stored before"
+        "--yes", action="store_true", help="do not ask whether the finger is straight"
+    )
+    parser.add_argument(
+        "--new", action="store_true", help="take the current position as the new home"
     )
 
 
@@ -102,7 +104,7 @@ class CalibrateOptions:
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the rig, its homes known")
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the rig, homed before")
     parser.add_argument(
         "--pulley-mm",
         required=True,
@@ -111,13 +113,15 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         help="radius at which tendon is wound",
     )
     parser.add_argument(
-        "--signs", metavar="+,-", help="which way each servo bends; jogged and asked for without it"
+        "--signs", metavar="+,-", help="bending direction of each servo (default: jog it and ask)"
     )
     parser.add_argument(
-        "--ruler", metavar="TICKS=MM", help="mm of tendon that so many ticks wound, by a ruler"
+        "--ruler",
+        metavar="TICKS=MM",
+        help="length of tendon wound by these ticks, measured with a ruler",
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it"
+        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
     )
     effects_argument(parser)
     bundle_arguments(parser)
@@ -131,7 +135,7 @@ def calibrate(args: CalibrateOptions) -> int:
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # raises before anything moves
+    found = bench_calibration(rig, model, pulley, given)  # raises an error before anything moves
     if args.signs is None:
         found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
@@ -184,7 +188,7 @@ def _signs(text: str) -> list[int]:
 
 
 def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
-    """Jog each servo a little and back, and ask which way the finger bent; return the signs."""
+    """Jog each servo back and forth, and ask which way the finger bent; return the signs."""
     signs = []
     for k, servo in enumerate(rig.servos):
         way = bends(model, k)
@@ -242,9 +246,7 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
         "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
     )
     effects_argument(parser)
-    parser.add_argument(
-        "--servo", type=int, metavar="ID", help="this servo alone; all of them without it"
-    )
+    parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone; default: all")
     hold_argument(parser)
 
 

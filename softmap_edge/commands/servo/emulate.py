@@ -69,38 +69,36 @@ class EmulateOptions:
 
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
-    parser.add_argument(
-        "--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)"
-    )
+    parser.add_argument("--bundle", metavar="DIR", help="the finger (default: the built-in one)")
     effects_argument(parser)
     parser.add_argument(
         "--hide",
         "--hidden",
         default="",
         metavar="NAME,NAME",
-        help="effects that it hides: backlash,creep",
+        help="hidden effects: backlash,creep",
     )
     parser.add_argument(
-        "--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)"
+        "--strength", type=float, default=1.0, metavar="X", help="factor on their strength (1)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (0)")
+    parser.add_argument(
+        "--model", default=SERVO, metavar="NAME", help=f"model of the servos ({SERVO})"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)"
-    )
-    parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
-    parser.add_argument(
-        "--baud", type=int, default=BAUD, metavar="BAUD", help=f"their rate ({BAUD})"
+        "--baud", type=int, default=BAUD, metavar="BAUD", help=f"baud rate of the servos ({BAUD})"
     )
     parser.add_argument(
-        "--fresh", action="store_true", help="servos as delivered: not set up, home not known"
+        "--fresh", action="store_true", help="servos with factory settings: not set up, never homed"
     )
     parser.add_argument(
-        "--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger"
+        "--servos", type=int, metavar="N", help="N servos with factory settings, without a finger"
     )
     parser.add_argument("--rig", metavar="FILE.toml", help="write the rig of the emulated robot")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="replace the rig and the bundle there, real ones too",
+        help="overwrite an existing rig and bundle, also those of a real robot",
     )
     parser.add_argument(
         "--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos"
@@ -110,9 +108,9 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="udp://HOST:PORT",
-        help="send what its camera sees there (docs/do/camera.md); may be given again",
+        help="send the points of its camera to this address (docs/do/camera.md); may be repeated",
     )
-    parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
+    parser.add_argument("--key", metavar="FILE", help="sign the points with this shared key")
 
 
 def emulate(args: EmulateOptions) -> int:

@@ -39,9 +39,9 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
         "robot",
         nargs="?",
         metavar="HOST:PORT",
-        help="whose rig.toml has this port in [emergency] udp",
+        help="robot with this port in [emergency] udp of its rig.toml",
     )
-    parser.add_argument("--key", metavar="FILE", help="the key that both computers have")
+    parser.add_argument("--key", metavar="FILE", help="key shared by both computers")
     parser.add_argument(
         "--new-key",
         metavar="FILE",

@@ -44,14 +44,14 @@ ENDS = {
     "window": ": the end of its window",
     "travel": ": as far as one jog goes; let go, and on once torque is off",
 }
-NEAR = 25.0  # ticks from its target at which a servo has arrived
-LAGS = 1.0  # s after its goal arrived, by which a servo is as near as it gets
+NEAR = 25.0  # ticks: largest distance to the target of a servo that has arrived
+LAGS = 1.0  # s from the goal's arrival until a servo is as close as it will come
 CAME_SHORT = 1  # exit code
 HELD = (
     "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
     "servo pull` measures the current that the stroke needs"
 )
-STEP = 10.0  # ticks of one tap; a held key goes on from its first repetition
+STEP = 10.0  # ticks of one tap; a held key continues from its first repetition
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a "
     f"tap is one step of {STEP:.0f} ticks, a held key goes on from its first repetition; space, "
@@ -79,7 +79,10 @@ class MoveOptions:
 def move_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo move`."""
     parser.add_argument(
-        "command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it"
+        "command",
+        nargs="?",
+        metavar="U1,U2",
+        help="command to go to, mm, and back (default: jog by keys)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
@@ -89,7 +92,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="whose calibration maps mm to ticks (default: built-in finger)",
+        help="bundle with the calibration (default: built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
@@ -101,7 +104,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=3.0,
         metavar="S",
-        help="stay so long where U1,U2 is reached (3)",
+        help="time at U1,U2, s (3)",
     )
     hold_argument(parser, "; with U1,U2 nothing is asked first")
 
@@ -385,7 +388,7 @@ def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--hold",
         action="store_true",
-        help=f"no key needs to be held: the program holds while it runs, Ctrl-C lets go{more}",
+        help=f"no key needs to be held; Ctrl-C releases{more}",
     )
 
 

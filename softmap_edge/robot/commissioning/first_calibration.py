@@ -1,12 +1,10 @@
-"""A first calibration without a camera.
+"""A first calibration without a camera: from pulley radius, bending directions, and a ruler.
 
-It uses the pulleys' radius, which way each servo bends the finger, and one ruler reading.
-
-A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b
-= 0). Nothing else is claimed: no coupling was measured, so that every other entry is 0 with a
-standard deviation of COUPLING of the servo's own; home was set by eye, as far as homing lets it be
-off. `held_out` is what these deviations expect over the model's range, since no block was left out.
-A camera's calibration (`softmap model calibrate`) replaces it. Pinned by
+Servo k's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b
+= 0). Coupling is not measured, so every other entry is 0 with a standard deviation of COUPLING of
+the servo's own. The home was set by eye, so its standard deviation is what homing tolerates.
+`held_out` is the error expected from these deviations over the model's range, because no block was
+left out. A calibration with a camera (`softmap model calibrate`) replaces this one. Pinned by
 tests/robot/test_calibrate_bench.py.
 """
 
@@ -29,18 +27,18 @@ from softmap_edge.robot.servo.rig import Rig
 Floats = NDArray[np.float64]
 
 RADIUS = (0.5, 100.0)  # mm
-CALIPER = 0.1  # of the radius: a tendon lies on top of the pulley and winds in layers
-RULER_MM = 0.5  # standard deviation of a reading of the ruler
-SHORTEST_MM = 2.0  # of tendon: what a ruler must read to say anything
-AGREE = 3.0  # standard deviations that radius and ruler may lie apart
-# of a servo's own slope: how far a servo may move another command, unobserved
+CALIPER = 0.1  # of the radius: the tendon lies on top of the pulley and winds in layers
+RULER_MM = 0.5  # mm: standard deviation of a ruler reading
+SHORTEST_MM = 2.0  # mm of tendon: shortest useful ruler reading
+AGREE = 3.0  # standard deviations by which radius and ruler may differ
+# unobserved motion of another command by a servo, as a share of its own
 COUPLING = 0.1
 AXES = "xyz"
 
 
 @dataclass(frozen=True)
 class Radius:
-    """A pulley's radius and its standard deviation, mm, and in words where they are from."""
+    """A pulley's radius, its standard deviation (mm), and their origin as text."""
 
     mm: float
     sigma: float
@@ -48,12 +46,10 @@ class Radius:
 
 
 def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius:
-    """Return the radius at which tendon is wound.
-
-    It is the pulley's, weighed with a reading (ticks, mm) of the ruler.
+    """Return the radius at which tendon is wound: the pulley's, combined with a ruler (ticks, mm).
 
     Raises:
-        CalibrationError: out of range, or the two do not agree.
+        CalibrationError: the radius is out of range, or the two do not agree.
     """
     if not RADIUS[0] <= pulley_mm <= RADIUS[1]:
         raise CalibrationError(
@@ -97,11 +93,11 @@ def bends(model: Model, k: int) -> str:
 def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
     """Return the calibration of a rig whose servo k pulls command k by `signs[k]`, ±1.
 
-    All pulleys have one radius.
+    All pulleys have the same radius.
 
     Raises:
         ServoError: a home is not known, or servos, signs and commands do not agree.
-        CalibrationError: the model's commands are no mm.
+        CalibrationError: the model's commands are not in mm.
     """
     count = model.channels
     if len(rig.servos) != count or len(signs) != count:
@@ -136,7 +132,7 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
 def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
     """Return the error expected from these deviations, RMS over the model's range.
 
-    That of the shape is at the ends of the range.
+    The shape error is that at the ends of the range.
     """
     box = np.asarray(model.command_range, float)
     # mean of u² over each range
@@ -153,7 +149,7 @@ def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
 
 
 def document(found: Calibration, model: Model, warnings: Sequence[str]) -> Document:
-    """Return softmap.calibration/1, as `softmap model calibrate` does, without matched pairs."""
+    """Return softmap.calibration/1 as `softmap model calibrate` does, without matched pairs."""
     matched: Document = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
     return found.to_dict() | {
         "affine": True,

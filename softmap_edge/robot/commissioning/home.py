@@ -1,9 +1,8 @@
-"""Homing: the finger straight and without torque; each servo's turn nearest its home, a mark.
+"""Home a robot: find each servo's turn with the finger straight, and mark it as homed.
 
-The home is the stored one; the mark states that the servo is homed.
-
-Turns are lost without power (modes 4 and 5), so it is done again after each power-up; `proof.py`
-keeps who has not. Pinned by tests/robot/test_home.py.
+The stored home stays; only its turn is found again. In modes 4 and 5 servos lose their turns
+without power, so home again after each power-up; `home_mark.py` detects servos that were not.
+Pinned by tests/robot/test_home.py.
 """
 
 from __future__ import annotations
@@ -27,18 +26,19 @@ from softmap_edge.robot.servo.examined import examined, members, refusal
 from softmap_edge.robot.servo.home_mark import marked, set_mark
 from softmap_edge.robot.servo.rig import FARTHEST, Rig, RigServo
 
-# ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
+# ticks: largest distance of a straight finger from home: 0.5 mm on a spool of 2.2 mm
 NEAR = 150
-STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3
-WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is looked at meanwhile
+STEADY = 4  # ticks of encoder noise at rest that are tolerated; the play of an XM is 3
+# s for which the finger must be still, and number of readings in that time
+WATCHED, LOOKS = 1.0, 20
 
 
 @dataclass(frozen=True)
 class Homed:
     """The result of homing.
 
-    It has the rig with its homes, how far (ticks) each servo is from its own, and the turns (of the
-    count of each servo) by which a stored home was moved. `first` names servos that had no home.
+    The rig with its homes, the distance (ticks) of each servo from its home, and the turns by which
+    each stored home was moved. `first` names servos that had no home.
     """
 
     rig: Rig
@@ -76,7 +76,7 @@ def relax(rig: Rig) -> list[int]:
     """Switch torque off and check the servos of `rig` and their set-up; return their firmware.
 
     Raises:
-        ServoError: one does not answer, is another model, is not set up, or reports an error.
+        ServoError: a servo does not answer, is another model, is not set up, or reports an error.
     """
     seen = examined(rig.port, rig.baud, members(rig), release=True)
     if said := refusal(seen):
@@ -85,16 +85,15 @@ def relax(rig: Rig) -> list[int]:
 
 
 def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
-    """Home: watch the finger stand, take the turn nearest to each stored home, set marks.
+    """Home: check that the finger is still, find the turn nearest to each stored home, set marks.
 
     Args:
-        rig: whose servos are relaxed (`relax`) and whose finger somebody found straight. confirmed:
-            by whom or how.
-        new: what stands now is home, whatever was stored.
+        rig: rig with relaxed servos (`relax`) and a finger that was found straight
+        confirmed: by whom or how that was confirmed
+        new: take the current position as home, whatever was stored
 
     Raises:
-        ServoError: the finger moves, or stands too far from the stored home; nothing is marked
-            then.
+        ServoError: the finger moves, or is too far from the stored home; nothing is marked then.
     """
     firmware = relax(rig)
     with opened(rig.port, rig.baud) as bus:
@@ -135,7 +134,7 @@ def _far(
     """Return why a servo is not at its home, and commands that turn it back; None if it is.
 
     Raises:
-        ServoError: no home can be there.
+        ServoError: no home is possible there.
     """
     if abs(home) > FARTHEST:
         raise ServoError(
@@ -156,7 +155,7 @@ def _far(
 
 
 def _check_near(far: Sequence[tuple[str, str]]) -> None:
-    """Raise ServoError if a servo is not where its home is; the message lists all of them."""
+    """Raise ServoError if servos are not at their homes; the message lists all of them."""
     if not far:
         return
     found, turns = (", ".join(texts) for texts in zip(*far))
@@ -168,10 +167,10 @@ def _check_near(far: Sequence[tuple[str, str]]) -> None:
 
 
 def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:
-    """Return where servos without torque stand, ticks, having watched that they do not move.
+    """Return the positions of servos without torque, ticks, after checking that they do not move.
 
     Raises:
-        ServoError: one moves, or has torque.
+        ServoError: a servo moves, or has torque.
     """
     table = _core.servo_registers()
     (at, size, _), (enable, _, _) = table["present_position"], table["torque_enable"]

@@ -1,14 +1,14 @@
-"""Jogs: small slow moves of single servos under little current, homed or not.
+"""Jog: move single servos slowly over short distances at low current, homed or not.
 
-They take place in the guard's commissioning state.
+Jogs use the commissioning state of the guard.
 
     with Jog(rig) as jog:
-        jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
+        jog.by(0, 100, Held())     # as long as the key is held: releasing it stops the jog
 
-Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it
-brakes when no key is held, and torque goes off after the limit `hold`. The limits of the rig
-(`[ceiling]` and each `[[servo]]`) bind a jog like a drive, the ticks only once it is homed.
-Pinned by tests/robot/test_move.py.
+All orders pass the guard, which limits `travel` (ticks from the start of the jog), `slew` and
+`current`. It brakes when no key is held, and switches torque off after the limit `hold`. The limits
+of the rig (`[ceiling]` and each `[[servo]]`) also apply to jogs; those in ticks only once the servo
+is homed. Pinned by tests/robot/test_move.py.
 """
 
 from __future__ import annotations
@@ -37,53 +37,54 @@ from softmap_edge.robot.servo.rig import FARTHEST, Rig
 Ticks = NDArray[np.float64]
 
 EVERY = 0.02  # s between two orders
-AHEAD = 0.4  # s of its slew that a held key aims ahead
-ARRIVED = 3.0  # ticks of the goal from where it was sent
-SETTLES = 0.4  # s that a servo may be behind its goal
-WAITS = 3.0  # s beyond the time that a jog should take
+AHEAD = 0.4  # s at full slew by which the goal of a held key leads the servo
+ARRIVED = 3.0  # ticks: distance at which a goal counts as reached
+SETTLES = 0.4  # s that a jog waits at its goal for the servo
+WAITS = 3.0  # s beyond the expected duration of a jog
 
 
 class Deadman(Protocol):
-    """What is held while anything moves: a key (`keys.Keys`) that repeats, or `Held`.
+    """The enable key of a move: a key (`keys.Keys`) that repeats, or `Held`.
 
     A key counts from its first repetition on.
     """
 
-    how: str  # it is let go, in words
+    how: str  # how to release it, as text
 
     @property
     def stopped(self) -> bool:
-        """Whether somebody asked to stop; it stays so."""
+        """Whether the user asked to stop; it stays set."""
 
     @property
     def emergency(self) -> bool:
-        """Whether somebody stopped by the emergency stop; it stays so."""
+        """Whether the user stopped by the emergency stop; it stays set."""
 
     def held(self) -> bool:
-        """Whether it is held now."""
+        """Whether the key is held now."""
 
 
 class Held:
-    """An enable key that the program holds as long as it runs; Ctrl-C releases it."""
+    """An enable key that the program holds while it runs; Ctrl-C releases it."""
 
     how, stopped, emergency = "Ctrl-C lets go", False, False
 
     def held(self) -> bool:
-        """Always."""
+        """Whether the key is held: always."""
         return True
 
 
 class Jog:
-    """The servos of `rig`, jogged one at a time; from entering to leaving.
+    """Jog the servos of `rig`, one at a time, from entering to leaving.
 
     Args:
-        travel, slew, current: ticks, ticks/s and mA of a jog, by default the rig's or softmap's;
-            the rig's also limit the given values. tell: called with each line for the user on the
-            servos and the bus.
+        travel: ticks of a jog, by default the rig's or softmap's; the rig's limits also bound it
+        slew: ticks/s, likewise
+        current: mA, likewise
+        tell: called with each line for the user on the servos and the bus
 
     Raises:
-        ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig
-            says.
+        ServoError: the port cannot be opened, the loop cannot start, or a servo does not match the
+            rig.
     """
 
     def __init__(
@@ -125,32 +126,33 @@ class Jog:
 
     @property
     def position(self) -> Ticks:
-        """The positions (C,) of the servos, ticks, by the last period that read each.
+        """The positions (C,) of the servos, ticks, from the last period that read each.
 
-        One lost answer does not count as a position.
+        A single lost answer does not change them.
         """
         return self.robot.position
 
     @property
     def goal(self) -> Ticks:
-        """Where they are sent (C,), ticks; where they stand without torque."""
+        """The goals (C,), ticks; without torque, the positions."""
         goal = self.robot.report.get("goal") or [None]
         return self.position if None in goal else np.array(goal, float)
 
     @property
     def current(self) -> Ticks:
-        """What they draw (C,), mA; NaN of those that do not measure it."""
+        """The currents (C,), mA; NaN for servos without a current sensor."""
         return np.array(
             [np.nan if one is None else one for one in self.robot.report["current_mA"]], float
         )
 
     def press(self, servo: int, ticks: float) -> Literal["", "window", "travel"]:
-        """Aim servo number `servo` (from 0) at `ticks`, the others at their positions.
+        """Move servo number `servo` (from 0) towards `ticks`; the others hold their positions.
 
-        This counts as a pressed enable key.
+        Each call counts as a pressed enable key. The first one switches torque on. Ticks beyond the
+        servo's window or the travel of the jog are limited.
 
-        Torque comes on with the first. Ticks beyond the servo's window or the travel of the jog are
-        cut off; returns which of the two it has come to the end of.
+        Returns:
+            Which of the two limits has been reached, if one has.
 
         Raises:
             ServoError: there is no such servo, `ticks` is not finite, the guard denies it, or a
@@ -173,7 +175,7 @@ class Jog:
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        # Within the guard's limits, so that the target can be reached.
+        # Within the guard's limits, so that the goal can be reached.
         limits, at = self.robot.limits["servos"][servo], float(began[servo])
         low, high = (
             max(at - self.travel, min(at, limits["low"])),
@@ -187,14 +189,14 @@ class Jog:
         return "travel" if abs(target[servo] - at) >= self.travel - ARRIVED else "window"
 
     def push(self, servo: int, direction: int) -> Literal["", "window", "travel"]:
-        """Let servo number `servo` turn in a direction, ±1, as long as this is called again.
+        """Turn servo number `servo` in a direction, ±1, for as long as this is called again.
 
-        This counts as a pressed enable key, as `press` does.
+        Each call counts as a pressed enable key, as for `press`.
         """
         return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
     def keep(self) -> None:
-        """Keep everything where it is, with the enable key pressed."""
+        """Hold all servos, with the enable key pressed."""
         if self._target is not None:
             self.robot.target(self._target)
 
@@ -208,7 +210,7 @@ class Jog:
                 self.robot.time.sleep(EVERY)
 
     def obey(self, hand: Deadman) -> None:
-        """Press the robot's emergency stop if `hand` did so.
+        """Press the robot's emergency stop if `hand` did.
 
         Raises:
             ServoError: it did; torque is off.
@@ -222,14 +224,14 @@ class Jog:
     ) -> float:
         """Turn a servo by `ticks` while `hand` holds; return its move.
 
-        The servo is still under torque if the key is held.
+        The servo keeps its torque while the key is held.
 
         Args:
-            seen: is shown this jog each time; True ends the move where it is.
+            seen: called with this jog in each step; returning True ends the move
 
         Raises:
             ServoError: there is no such servo, `ticks` is not finite, a fault or the emergency stop
-                ended it, or it did not arrive in time.
+                ended the move, or it did not finish in time.
         """
         self._check(servo, ticks)
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
@@ -257,7 +259,7 @@ class Jog:
         return float(self.position[servo] - begin)
 
     def _check(self, servo: int, ticks: float) -> None:
-        """Raise ServoError if a jog names no servo of the rig, or no finite number of ticks."""
+        """Raise ServoError if a jog names no servo of the rig, or the ticks are not finite."""
         count = len(self.rig.servos)
         if not 0 <= servo < count:
             raise ServoError(f"no servo number {servo}; the rig has {count}, counted from 0")
@@ -271,17 +273,17 @@ class Jog:
 
 
 def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
-    """Return how far one jog may go, ticks: the limit of the rig, or `otherwise`."""
+    """Return the largest travel of a jog, ticks: the limit of the rig, or `otherwise`."""
     return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
-    """Return the limits of jogs: what is `asked` for, as far as the rig allows it.
+    """Return the limits of jogs: those in `asked`, reduced to what the rig allows.
 
     All other limits are those of the rig.
     """
     robot, servos = of_bench(rig), _servos(rig)
-    anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
+    anywhere = (float(FARTHEST),) * 2  # the goal of a jog may jump: its travel and slew bound it
     names = [
         name
         for name in loop_limits(servos, jump=anywhere)
@@ -293,18 +295,18 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ServoError(f"{name} is '{value!s:.20}'; give a number")
             table[name] = min(value, table.get(name, value))
-    # All servos keep to the slowest, so that how long a jog takes is known.
+    # All servos use the slowest slew, so that the duration of a jog is known.
     table["jog_slew"] = min(table.get("jog_slew", JOG_SLEW), *(one["slew"] for one in servos))
     return loop_limits(servos, jump=anywhere, **table)
 
 
 def _allowed(limit: tuple[float, str, str] | None, otherwise: float) -> float:
-    """Return the value of a rig's limit (`of_bench`), `otherwise` if the rig has none."""
+    """Return the value of a rig's limit (`of_bench`), or `otherwise` if the rig has none."""
     return otherwise if limit is None else float(limit[0])
 
 
 def _servos(rig: Rig) -> list[ServoLimits]:
-    """Return the limits of each servo: its ticks about home if homed, else no window."""
+    """Return the limits of each servo, with its window about home only if it is homed."""
     found = []
     with opened(rig.port, rig.baud) as bus:
         for servo in rig.servos:

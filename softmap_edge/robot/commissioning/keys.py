@@ -1,8 +1,8 @@
-"""A held key of a terminal as enable key of commissioning moves, from its first repetition.
+"""A held terminal key as enable key of commissioning moves, from its first repetition on.
 
-A key that was pressed once may have been let go at once, and this is unknown for 0.7 s
-(`terminal_keys.RepeatedKey`): nothing runs on so long after a tap. Pinned by
-tests/robot/test_move.py and tests/robot/test_emergency_key.py.
+After a single press the terminal cannot report a release for 0.7 s (`servo/terminal.py`,
+`RepeatedKey`). Motion therefore starts only at the first repetition, so a tap moves nothing. Pinned
+by tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ STOP = (EMERGENCY, "escape", " ", "q", "\x03")
 class Keys:
     """A held key of the terminal `file` (standard input) as enable key (`jog.Deadman`).
 
-    It acts from entering to leaving.
+    It is active from entering to leaving.
 
     Args:
-        always: no key has to be held, but those that stop do.
+        always: no key needs to be held, but stop keys work
 
     Raises:
         ServoError: it is no terminal.
@@ -58,9 +58,7 @@ class Keys:
     def key(self) -> str:
         """Return the key that is down, by its name in `named`, or an empty text.
 
-        It was pressed lately, or it repeats.
-
-        `.presses` counts how often one was pressed again.
+        It was pressed recently, or it repeats. `.presses` counts new presses.
         """
         now = time.monotonic()
         for key in self._typed.read():
@@ -73,6 +71,6 @@ class Keys:
         return self._name if not self.stopped and self._key.held(now) else ""
 
     def held(self) -> bool:
-        """Return whether a key is held and repeats, or none is needed, and none stopped it."""
+        """Return whether a key repeats, or none is needed, and no stop key was pressed."""
         self.key()
         return not self.stopped and (self._always or self._key.repeats(time.monotonic()))

@@ -1,13 +1,13 @@
-"""The pull test: the current of each servo with the finger at its stroke.
+"""The pull test: measure the current of each servo at the stroke of the finger, in slow moves.
 
-It is measured in slow held moves.
+Each servo goes alone, the others at home, in the guard's commissioning state: from home to one end
+of its effective window, to the other end, and home. A standing servo draws less current than a
+turning one, so the larger value counts. The ceiling is MARGIN times that, plus IDLE of the stall
+current for motor and gears at speed.
 
-Each servo goes alone, the others at home, through the guard's commissioning state: from home to one
-end of the window in force, to the other, and home. Standing takes less current than turning does,
-so that the larger of both counts; the ceiling is MARGIN times that and IDLE of the stall current
-for motor and gears at speed. Torque off between two legs would let the finger spring back, so that
-it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer is reached by a
-straight line, a stroke much longer is refused. Pinned by tests/robot/test_pull.py.
+The finger would spring back if torque went off between two legs. So each side is a single leg of at
+most FARTHEST_LEG ticks. For a slightly longer stroke the current is extrapolated linearly; a much
+longer stroke is rejected. Pinned by tests/robot/test_pull.py.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from softmap_edge.robot.servo.rig import Rig, RigServo
 
 Floats = NDArray[np.float64]
 
-MARGIN = 1.25  # times the current at the stroke that the ceiling allows
-FARTHEST_LEG = _core.limit_ranges()["jog_travel"][1]  # ticks from home, of a move
-BEYOND = 1.25  # times what was reached: a stroke up to there follows a straight line
-SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
+MARGIN = 1.25  # ceiling as a multiple of the current at the stroke
+FARTHEST_LEG = _core.limit_ranges()["jog_travel"][1]  # ticks from home, of one move
+BEYOND = 1.25  # times the travel that was reached: the current is extrapolated up to there
+SHORT = 0.05  # share of a leg by which a servo may miss its goal, but at least LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
 LEAST_READ = 5  # readings of the current at an end
-PATIENCE = 3.0  # s more in which they have to come, and in which a servo comes to rest
+PATIENCE = 3.0  # s for further readings, and for a servo to come to rest
 STILL = 3.0  # ticks by which a servo at rest may move
-STANDS = 0.6  # s at an end over which the current is taken
-OUTER = 0.9  # of a leg from which on the current of the move counts
-# steps of its current reading by which a servo draws more at the stroke than at home, standing
+STANDS = 0.6  # s at an end over which the current is measured
+OUTER = 0.9  # share of a leg from which the current in motion counts
+# least rise of the current from home to the stroke, in steps of its sensor, at rest
 RISES = 2.0
 
 
@@ -52,8 +52,8 @@ RISES = 2.0
 class Leg:
     """One side of a pull test.
 
-    The stroke and how far it came, ticks about home; `mA` there, `rises` mA above home; and the
-    readings on the way (n, 2), ticks about home and mA.
+    The stroke and the travel reached, ticks about home; `mA` there, and `rises` mA above home; and
+    the readings on the way (n, 2), ticks about home and mA.
     """
 
     stroke: float
@@ -65,7 +65,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Pulled:
-    """What one servo's pull found, at `slew` ticks/s: both sides, and the ceiling that follows."""
+    """The result for one servo, at `slew` ticks/s: both sides, and the resulting ceiling."""
 
     servo: RigServo
     slew: float
@@ -93,7 +93,7 @@ class Pulled:
         )
 
     def provenance(self, when: str) -> str:
-        """Return in words how its ceiling was found."""
+        """Return how its ceiling was found, as text."""
         low, high = self.legs
         return (
             f"{when}: {_told(low)}, {_told(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, "
@@ -111,7 +111,7 @@ def _told(leg: Leg) -> str:
 
 
 def strokes(found: EffectiveLimits) -> list[tuple[float, float]]:
-    """Return how far each servo may go, (low, high) ticks about home: the window in force."""
+    """Return the stroke of each servo, (low, high) ticks about home: its effective window."""
     sides = [{limit.name: limit for limit in limits} for limits in found.servos]
     return [(float(one["low"].number), float(one["high"].number)) for one in sides]
 
@@ -126,14 +126,14 @@ def pull(
     """Pull each servo of the rig (or of `ids`) to both ends of its window while `hand` holds.
 
     Args:
-        found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and
-            `jog_travel`.
-        progress: called with the moving part and the completed share of the test. tell: called with
-            each line for the user on the servos and the bus.
+        found: effective limits; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and
+            `jog_travel`
+        progress: called with the moving part and the completed share of the test
+        tell: called with each line for the user on the servos and the bus
 
     Raises:
-        ServoError: a servo reports no current or is not homed, the finger does not come to its
-            stroke, its current does not rise, or somebody stopped it; nothing follows then.
+        ServoError: a servo reports no current or is not homed, the finger does not reach its
+            stroke, the current does not rise, or the user stopped it; there is no result then.
     """
     rig, numbers = (
         found.rig,
@@ -175,7 +175,7 @@ def pull(
 
 
 def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
-    """Return the rig with the ceilings that were found, and how."""
+    """Return the rig with the measured ceilings and their provenance."""
     by_id, when = (
         {one.servo.id: one for one in done},
         datetime.now(UTC).isoformat(timespec="seconds"),
@@ -210,7 +210,7 @@ def _check_reach(servo: RigServo, ends: tuple[float, float], allowed: float) -> 
 
 
 def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
-    """Go to one end, stand there, and return the current."""
+    """Go to one end, stay there, and return the current."""
     servo, near = jog.rig.servos[k], 1.0 - LEAST_SHORT / most
     target = float(np.sign(stroke)) * min(abs(stroke), near * most)
     read: list[tuple[float, float]] = []
@@ -242,11 +242,11 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Wait until a servo is still, at most PATIENCE more; return readings of the last STANDS."""
+    """Wait at most PATIENCE until a servo is still; return the readings of the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []
-    held, last = 0.0, time.monotonic()  # only while it is held does its time go on
+    held, last = 0.0, time.monotonic()  # time counts only while the key is held
     while True:
         jog.obey(hand)
         if hand.stopped or jog.robot.state != "commissioning":
@@ -270,7 +270,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
-    """Return the current at the stroke, by the line of a leg's outer half if it ended early."""
+    """Return the current at the stroke; extrapolate the outer half of a leg that ended early."""
     outer = side[np.abs(side[:, 0]) >= 0.5 * abs(reached)]
     if abs(stroke) <= abs(reached) or len(outer) < 3:
         return mA
@@ -292,7 +292,7 @@ def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, fl
 
 
 def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
-    """Return a servo's ticks about home and its mA; nothing in periods without both."""
+    """Return a servo's ticks about home and its mA; nothing in periods that lack one."""
     now = float(jog.position[k]) - float(jog.rig.servos[k].home or 0), float(jog.current[k])
     return [now] if np.isfinite(now).all() else []
 
@@ -308,7 +308,7 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     """Return the ceiling, mA.
 
     Raises:
-        ServoError: on a side the current does not rise towards the stroke.
+        ServoError: on one side the current does not rise towards the stroke.
     """
     entry = servo_model(servo.model)
     for leg in legs:

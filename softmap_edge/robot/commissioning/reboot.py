@@ -19,13 +19,13 @@ from softmap_edge.robot.servo.known_state import hardware
 from softmap_edge.robot.servo.presence import why_silent
 from softmap_edge.robot.servo.status_words import kept_words
 
-WAITS = 3.0  # s within which a servo that was restarted answers again
-TRIES = 3
+WAITS = 3.0  # s within which a restarted servo answers again
+TRIES = 3  # repetitions of the request
 
 
 @dataclass(frozen=True)
 class Restarted:
-    """A servo that was restarted at `port`, and its earlier hardware error bits (register 70)."""
+    """A restarted servo at `port`, and its earlier hardware error bits (register 70)."""
 
     port: str
     baud: int
@@ -54,9 +54,12 @@ class Restarted:
 def restart(port: str, baud: int, id: int) -> Restarted:
     """Switch the torque of every servo off and restart servo `id`; home the robot again afterwards.
 
+    A control loop holds the port exclusively, so no servo can restart while it drives.
+
     Args:
-        port, baud, id: of the servo. A control loop holds the port exclusively, so no servo
-            restarts while it drives.
+        port: port of the servo
+        baud: its baud rate
+        id: its id
 
     Raises:
         ServoError: the port is in use, the servo does not answer, keeps its torque, or still
@@ -100,7 +103,7 @@ def _rebooted(bus: _core.ServoBus, id: int) -> None:
         ServoError: it does not answer in time.
     """
     for _ in range(TRIES):
-        with suppress(NoAnswer):  # it may restart before it answers
+        with suppress(NoAnswer):  # the servo may restart before it answers
             bus.reboot(id)
             break
     until = time.monotonic() + WAITS

@@ -1,7 +1,7 @@
 """Enter a servo that was set up into its rig; it keeps its place if its id changes.
 
-A servo has no serial number. A servo that was set up before and answers at the rate of the rig is
-taken for the one listed under its old id. A servo with factory settings is another one. Pinned by
+Servos have no serial number. A servo that was set up before and answers at the rate of the rig is
+assumed to be the one listed under its old id. A servo with factory settings is a new one. Pinned by
 tests/robot/test_set_up.py.
 """
 
@@ -27,7 +27,7 @@ class Entry:
 
     @property
     def asked(self) -> Asked | None:
-        """The rig's requirements for this servo, without the gains, which set-up determines."""
+        """The rig's requirements for this servo, except gains, which set-up determines."""
         known = {} if self.rig is None else {one.id: one.asked for one in members(self.rig)}
         found = None if self.listed is None else known.get(self.listed)
         return None if found is None else replace(found, gains=())
@@ -37,11 +37,13 @@ def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: i
     """Return the place in `rig` of a servo that is about to be set up.
 
     Args:
-        rig: the rig; None if there is none yet. found: the servo as it answers now. new_id,
-            new_baud: its new values.
+        rig: the rig; None if there is none yet
+        found: the servo as it answers now
+        new_id: its new id
+        new_baud: its new baud rate
 
     Raises:
-        ServoError: it would have another rate than the rig, or the rig lists its new id for another
+        ServoError: its rate would differ from the rig's, or the rig lists its new id for another
             servo.
     """
     id, baud = (found.id if new_id is None else new_id), new_baud or found.baud
@@ -64,11 +66,12 @@ def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: i
 
 
 def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
-    """Return the rig with the servo in its place; home and measured current must be found again.
+    """Return the rig with the servo in its place; home and ceiling must be measured again.
 
     Args:
-        entry: its place. done: the servo after set-up. gains: its gains, in the order of
-            `known_state.GAINS`.
+        entry: its place
+        done: the servo after set-up
+        gains: its gains, in the order of `known_state.GAINS`
     """
     assert done.model is not None
     name = done.model["name"]

@@ -1,6 +1,6 @@
-"""Set servos up on a rig: find them, read them, make them ready to be driven.
+"""Set up the servos of a rig: find them, read them, and write the registers that driving needs.
 
-What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads
+The required register values are in one list (`robot/servo/known_state.py`), which each start checks
 again. Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_set_up.py.
 """
 
@@ -34,14 +34,14 @@ from softmap_edge.robot.servo.presence import Heard, listened
 __all__ = ["Asked", "ServoState", "complaints", "gains", "needs", "registers", "scan", "set_up"]
 
 POSITION = 3  # operating mode
-UNANSWERED = 3  # times that a register is written if no answer can be expected
+UNANSWERED = 3  # repetitions of a write that may get no answer
 
 
 def scan(port: str, baud: int | None = None) -> Iterator[ServoState]:
     """Yield every servo that answers at `port`, at one rate or at all of them.
 
     Raises:
-        ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
+        ServoError: the port cannot be opened; rates that the adapter lacks are skipped.
     """
     for heard_there in scanned(port, baud):
         yield from heard_there.found
@@ -51,7 +51,7 @@ def scanned(port: str, baud: int | None = None) -> Iterator[Heard]:
     """Yield the answers at `port` and their faults, rate by rate.
 
     Raises:
-        ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
+        ServoError: the port cannot be opened; rates that the adapter lacks are skipped.
     """
     for rate in rates() if baud is None else [baud]:
         try:
@@ -62,7 +62,7 @@ def scanned(port: str, baud: int | None = None) -> Iterator[Heard]:
 
 
 def gains(found: ServoState) -> list[int]:
-    """Return the gains that a servo has now, in the order of GAINS."""
+    """Return the current gains of a servo in the order of GAINS."""
     with opened(found.port, found.baud) as bus:
         values = registers(bus, found.id)
     return [values[name] for name in GAINS]
@@ -75,16 +75,18 @@ def set_up(
     tell: Callable[[str], None] = lambda line: None,
     asked: Asked | None = None,
 ) -> ServoState:
-    """Make one servo ready to be driven, verify it by reading back, and return its new state.
+    """Set up one servo, verify it by reading back, and return its new state.
 
     Args:
-        found: the servo. new_id, new_baud: what it gets, where it gets another one.
-        tell: called with a line for each correction. asked: the requirements of the rig; without
-            one its limits become the factory settings.
+        found: the servo
+        new_id: its new id, if it changes
+        new_baud: its new rate, if it changes
+        tell: called with a line for each correction
+        asked: requirements of the rig; without a rig the servo's limits become the factory settings
 
     Raises:
-        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it
-            can have, another servo would obey as well, or it keeps other values.
+        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not
+            possible, another servo would receive the same writes, or it does not keep the values.
     """
     model = found.model
     if model is None:
@@ -106,11 +108,11 @@ def set_up(
             _check_free(bus, found, id)
         _answering(bus, found.id, tell)
         _made_ready(bus, found, model, tell, asked)
-        set_mark(bus, found.id, None)  # another mode counts turns from zero again
+        set_mark(bus, found.id, None)  # in another mode, turns are counted from zero again
         if id != found.id:
             _write(bus, found.id, "id", id)
         if baud != found.baud:
-            # Its answer may come at the new rate already: what counts is that it is found there.
+            # The answer may already come at the new rate; finding the servo there is sufficient.
             with suppress(NoAnswer):
                 _write(bus, id, "baud_rate", model["baud_rates"].index(baud))
     return _proved(ServoState(found.port, baud, id, found.number, found.firmware), asked)
@@ -129,10 +131,10 @@ def _proved(now: ServoState, asked: Asked | None) -> ServoState:
 
 
 def _check_free(bus: _core.ServoBus, found: ServoState, id: int) -> None:
-    """Check that no other servo has the new id or would take it as well.
+    """Check that no other servo has the new id or would receive it as well.
 
     Raises:
-        ServoError: another servo has it, or would take it.
+        ServoError: another servo has it, or would receive it.
     """
     if pinged(bus, id) is not None:
         raise ServoError(
@@ -148,7 +150,7 @@ def _check_free(bus: _core.ServoBus, found: ServoState, id: int) -> None:
 
 
 def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> None:
-    """Set the status return level for answers to every request; this write may go unanswered."""
+    """Set the status return level to answer every request; this write may get no answer itself."""
     address, size, _ = _core.servo_registers()["status_return_level"]
     try:
         level = int.from_bytes(patiently(bus.read, id, address, size), "little")
@@ -179,7 +181,7 @@ def _made_ready(
 ) -> None:
     """Write registers that differ, with torque off.
 
-    The servo then resets its gains, as with each new operating mode.
+    The servo then resets its gains, as after each change of the operating mode.
     """
     before = registers(bus, found.id)
     if before["torque_enable"]:

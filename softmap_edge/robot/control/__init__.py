@@ -1,1 +1,1 @@
-"""The control loop in a process of its own: its controller, its supervision, its recordings."""
+"""The control loop in its own process: controller, supervision, recordings."""

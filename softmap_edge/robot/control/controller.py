@@ -3,16 +3,16 @@
     with Controller(rig, calibration, limits) as robot:
         robot.engage()
         for u in path:
-            done = robot.target(u)   # mm in, what will be done out; call it at least every `stale`
-                                     seconds
+            done = robot.target(u)   # commanded mm in, effective mm out; call it at least every
+                                     # `stale` seconds
             time.sleep(0.02)
 
-Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits
-for Python. A program that stops calling `target` is held, then its tension is released; so is one
-that ends or is killed. If the loop's own process dies or freezes, the servos stop by their
-watchdogs, and a thread of this side switches their torque off, whatever the program does meanwhile.
-A servo that has not confirmed that its torque is off at the end is an error. Pinned by
-tests/robot/test_controller.py and tests/robot/test_leaving.py.
+Python sends commands, never ticks. The loop guards them (docs/reference/safety.md) and never waits
+for Python. If a program stops calling `target`, ends or is killed, the guard holds and then
+releases tension. If the process of the loop dies or freezes, the watchdogs stop the servos, and a
+thread on this side switches their torque off, whatever the program is doing. A servo that does not
+confirm at the end that its torque is off is an error. Pinned by tests/robot/test_controller.py and
+tests/robot/test_leaving.py.
 """
 
 from __future__ import annotations
@@ -58,26 +58,31 @@ REQUESTS = (
     "disconnect",
     "commission",
 )
-STARTS = 10.0  # s until the loop's process has reported something
-SAID = 2.0  # s within which every servo has reported whether it has torque
-PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
+STARTS = 10.0  # s until the first report of the loop's process
+SAID = 2.0  # s within which each servo has reported its torque
+PASSING = ("torque", "trouble(late)")  # reasons for a denied request that may pass soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
 class Controller(Supervisor):
-    """The servos of `rig` driven within `limits` (`loop_limits`).
+    """Drive the servos of `rig` within `limits` (`loop_limits`).
 
     `calibration` maps commands to ticks.
 
-    With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the
-    effects of its model, delays aside, from what was really sent. Entering starts the loop, checks
-    that the servos match the rig and that home was confirmed since they got power (`proof.py`), and
-    goes to READY. With `commissioning` it goes to CONNECTED, home is not asked for, and small slow
-    moves are all that is allowed (`jog.py`). Leaving releases tension and switches torque off,
-    whatever happened. With `record` all inputs, decisions and outputs of the loop go to a file that
-    must not exist (`recording.py`). A full disk ends the recording, not the loop; `unrecorded` then
-    holds the cause; leaving raises `RecordingBroken`. `tell` is called with lines for the user:
-    registers rewritten by a start (`mended`), answers lost or not asked for (`bus`).
+    With `kinematics` (`motion.kinematics`), commands are the effective ones: the loop compensates
+    the effects of its model, except delays, from the values that were sent.
+
+    Entering starts the loop, checks that the servos match the rig and were homed since power-up
+    (`home_mark.py`), and goes to READY. With `commissioning` it goes to CONNECTED; homing is not
+    required, and only small slow moves are allowed (`jog.py`). Leaving always releases tension and
+    switches torque off.
+
+    With `record`, all inputs, decisions and outputs of the loop go to a new file (`recording.py`).
+    A full disk ends the recording, not the loop: `unrecorded` then holds the cause, and leaving
+    raises `RecordingBroken`.
+
+    `tell` is called with lines for the user: registers rewritten by a start (`mended`), lost or
+    unrequested answers (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is
@@ -125,7 +130,7 @@ class Controller(Supervisor):
         self._stood: Floats = np.full(count, np.nan)
         self._done = self.calibration.b
         self._command: Floats | None = None
-        self._drove_at: float | None = None  # s of the last target, None once it was let go of
+        self._drove_at: float | None = None  # s of the last target; None after the key is released
         self._pressed = False
         self._silent, self._reports, self._some = 0, -1, b""
         self._reading = threading.Lock()
@@ -160,7 +165,7 @@ class Controller(Supervisor):
     ) -> None:
         ended, kept = self._close()
         if isinstance(fault, GuardStopped) and fault.cause == self._last.get("cause"):
-            ended = ""  # the fault that ended the drive, which is reported already
+            ended = ""  # the fault that ended the drive is reported already
         broken = (
             None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
         )
@@ -168,25 +173,24 @@ class Controller(Supervisor):
         if said and isinstance(fault, SoftmapError):
             raise ServoError(f"{fault}; {said}") from fault
         if said and fault is not None and not kept:
-            fault.add_note(said)  # it goes on as what it is: no servo has torque
+            fault.add_note(said)  # no servo has torque, so the original error goes on
         elif said:
             raise ServoError(said) if ended or kept else RecordingBroken(said)
 
     @property
     def time(self) -> Clock:
-        """The clock of the robot; a simulated one may stand, or run faster than real time."""
+        """The clock of the robot; a simulated one may stand still, or run faster than real time."""
         return self.rig.time
 
     def request(self, name: str, seconds: float = 3.0) -> None:
-        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge` or another change.
+        """Request a change of the guard's state.
 
-        The others are `disconnect` and `commission`.
-
-        `home` is none of them: only a start checks that the robot was homed since the servos got
-        power.
+        It is `connect`, `disconnect`, `arm`, `engage`, `hold`, `stop`, `acknowledge` or
+        `commission`. There is no `home`: only a start checks that the robot was homed since
+        power-up.
 
         Raises:
-            ServoError: no such request, it was denied, or the loop did not answer.
+            ServoError: there is no such request, it was denied, or the loop did not answer.
         """
         if name == "home":
             raise ServoError(
@@ -234,9 +238,10 @@ class Controller(Supervisor):
             raise ServoError(f"'{name}' led to another state: {self._stopped()}")
 
     def engage(self, u: ArrayLike | None = None) -> Floats:
-        """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
+        """Switch torque on at the current position and go to `u` (C,) mm, by default straight.
 
-        Returns what will be done.
+        Returns:
+            The effective command.
 
         Raises:
             ServoError: it is denied.
@@ -248,13 +253,12 @@ class Controller(Supervisor):
     def target(self, u: ArrayLike) -> Floats:
         """Send the command `u` (C,) mm; return the effective one.
 
-        It is the nearest within the window of the servos.
-
-        One that is not finite is refused by the guard: then what was asked before will be done. It
-        counts as a pressed enable key: a program that stops calling it releases the key.
+        That is the nearest command within the window of the servos. The guard rejects a command
+        that is not finite, and the previous one remains effective. Each call counts as a pressed
+        enable key: a program that stops calling releases the key.
 
         Raises:
-            ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the
+            ServoError: `u` is not C numbers, or the guard follows no commands in its state; the
                 message says which and why.
         """
         state = self.state
@@ -270,13 +274,13 @@ class Controller(Supervisor):
     def emergency(self, pressed: bool = True) -> None:
         """Press the emergency stop, or release it: torque is off at once.
 
-        It stays off until it is released and `request("acknowledge")`; home is still known. May be
-        called from any thread.
+        Torque stays off until the stop is released and `request("acknowledge")` is sent. The robot
+        stays homed. May be called from any thread.
 
         Raises:
-            ServoError: the loop does not answer; its servos were released from here.
+            ServoError: the loop does not answer; this process switched torque off instead.
         """
-        self._pressed = pressed  # before anything is sent: every order contains it from now on
+        self._pressed = pressed  # set before sending, so that every later order contains it
         self._send()
         if not pressed:
             return
@@ -291,11 +295,11 @@ class Controller(Supervisor):
             raise ServoError(str(self._last["rescued"]))
 
     def close(self) -> None:
-        """Release tension, switch torque off, end the loop; whatever fails, torque off is sent.
+        """Release tension, switch torque off and end the loop; torque off is sent whatever fails.
 
         Raises:
             ServoError: a servo has not confirmed that its torque is off, or a fault kept the finger
-                from going home. An earlier fault was raised by the earlier call.
+                from going home. Earlier calls have already raised earlier faults.
             RecordingBroken: the recording ended before the loop did.
         """
         if said := "; ".join(filter(None, self._close())):
@@ -303,10 +307,7 @@ class Controller(Supervisor):
         self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
-        """Return what kept the finger from going home, and the message on possible torque.
-
-        The message names servos that may have torque.
-        """
+        """Return why the finger did not go home, and a message on servos that may have torque."""
         process = self._process
         if process is None:
             return "", ""
@@ -376,8 +377,8 @@ class Controller(Supervisor):
             }
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         setup["session"] = session_mark.path_of(self.rig.port)
-        # Its own session: a Ctrl-C in the terminal is for this side, which releases tension and
-        # ends it in order.
+        # A session of its own: Ctrl-C in the terminal reaches only this process, which releases
+        # tension and ends the loop in order.
         self._process = subprocess.Popen(
             [
                 sys.executable,
@@ -402,7 +403,7 @@ class Controller(Supervisor):
         self._reader.start()
 
     def _reach(self, request: str, seconds: float = 3.0) -> None:
-        """Ask until it is granted.
+        """Repeat a request until it is granted.
 
         A servo reports its torque five times a second, and one late answer is not a lasting fault.
         """
@@ -455,7 +456,7 @@ class Controller(Supervisor):
             f"<BB6xQ{len(numbers)}d", flags, request, round(self.rig.time.now() * 1e9), *numbers
         )
         try:
-            # an emergency stop of another thread may come at any time, also before and after
+            # another thread may press the emergency stop at any time, also before and after this
             with self._ordering:
                 if self._process is not None:
                     os.write(self._orders, frame)
@@ -483,10 +484,7 @@ class Controller(Supervisor):
         )
 
     def _let_go(self) -> None:
-        """Close a forked child's copy of the orders' pipe, which would outlive the program.
-
-        Called in a child that a program forks.
-        """
+        """Close the copy of the orders' pipe in a forked child; it would outlive the program."""
         if self._orders >= 0:
             os.close(self._orders)
             self._orders, self._process = -1, None

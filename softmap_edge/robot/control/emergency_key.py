@@ -1,11 +1,11 @@
-"""The emergency stop on a terminal's key, alongside a program that drives a robot.
+"""An emergency stop on a key of the terminal, for a program that drives a robot.
 
     robot = Controller(...)
     with EmergencyKey(robot, print), robot:     # the key works until torque is off
         ...
 
-A thread looks for the key, so that it works while the program computes or waits. Where standard
-input is no terminal of ours there is no key, and nothing is printed. Pinned by
+A thread polls the key, so it works while the program computes or waits. If standard input is no
+terminal of this program, there is no key, and nothing is printed. Pinned by
 tests/robot/test_emergency_key.py.
 """
 
@@ -21,7 +21,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.servo.terminal import EMERGENCY, Typed, terminal
 
-EVERY = 0.02  # s between two looks
+EVERY = 0.02  # s between two polls
 HELP = f"{EMERGENCY} is the emergency stop: torque off at once"
 PRESSED = (
     "the emergency stop was pressed: torque is off, home is known as before; see that all is "
@@ -30,13 +30,13 @@ PRESSED = (
 
 
 class EmergencyKey:
-    """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`.
+    """Press the emergency stop of `robot` when the key `EMERGENCY` of this terminal is pressed.
 
-    It acts from entering to leaving; `say` is called with the name of the key.
+    It is active from entering to leaving; `say` is called with the name of the key.
 
     Raises:
-        ServoError: on leaving, if it was pressed; whatever else failed because of that stands
-            behind it.
+        ServoError: on leaving, if the key was pressed; a failure that it caused is the context of
+            this error.
     """
 
     def __init__(self, robot: Controller, say: Callable[[str], None]) -> None:
@@ -70,7 +70,7 @@ class EmergencyKey:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Leave the terminal to code that reads a line from it; use it while torque is off."""
+        """Release the terminal to code that reads a line from it; use it while torque is off."""
         with (
             self._reading,
             contextlib.nullcontext() if self._typed is None else self._typed.aside(),

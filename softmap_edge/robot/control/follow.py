@@ -1,7 +1,7 @@
-"""Follow a recording while a loop writes it: the periods that are new since one asked last.
+"""Follow a recording while a loop writes it: return the periods that are new since the last call.
 
 The compiled core reads it (`rust/control/recording.rs`); a period is read once it is complete. A
-recording is somebody else's file: what is damaged ends it with a reason. Pinned by
+recording is untrusted input: damaged data ends it with a reason. Pinned by
 tests/robot/test_live.py.
 """
 
@@ -17,9 +17,10 @@ from softmap_edge.robot.control.recording import LOOP, SETUP
 
 
 class Following:
-    """A recording that grows.
+    """A growing recording.
 
-    `.setup` is the document of the loop once it is there, `.ended` whether its loop has closed it.
+    `.setup` is the document of the loop once it is written; `.ended` is whether the loop has closed
+    the file.
 
     Raises:
         RunError: there is no such file.
@@ -35,10 +36,10 @@ class Following:
             raise RunError(f"{fault}; give the file that a loop records to (--record)") from None
 
     def new(self) -> list[Document]:
-        """Return the periods that came since the last call.
+        """Return the periods that were added since the last call.
 
         Raises:
-            RunError: what is there is no recording of a loop.
+            RunError: the file is no recording of a loop.
         """
         try:
             messages, self.ended = self._recording.more()

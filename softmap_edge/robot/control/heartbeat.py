@@ -1,13 +1,13 @@
-"""The emergency stop on another computer: heartbeats over UDP while it is not pressed.
+"""The emergency stop on another computer: UDP heartbeats while it is not pressed.
 
     with Heart("robot.local", 5006, read_key("stop.key")) as heart:
         while True:
             heart.beat(pressed=button())
             time.sleep(0.02)
 
-Missing heartbeats press it: the control loop switches torque off (docs/reference/safety.md).
-Datagrams and sessions are those of `rust/control/heartbeat.rs`, which listens. Pinned by
-tests/robot/test_emergency.py.
+If no heartbeat arrives, the control loop switches torque off (docs/reference/safety.md).
+`rust/control/heartbeat.rs` receives the datagrams and defines their form and their sessions. Pinned
+by tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ PRESSED = 1
 
 
 class Heart(Sender):
-    """Beats for the robot at `host`:`port`, signed with `key`; a context manager.
+    """Send heartbeats to the robot at `host`:`port`, signed with `key`; a context manager.
 
-    Closing it presses the stop.
-
-    `.heard` is whether the robot has answered; until then the heartbeats have no effect.
+    Closing it presses the stop. `.heard` is whether the robot has answered; until then heartbeats
+    have no effect.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -39,7 +38,7 @@ class Heart(Sender):
         super().__init__(host, port, key, OFFER_MARK, mend)
 
     def beat(self, pressed: bool = False) -> bool:
-        """Beat once, with the stop `pressed` or not; False where it could not be sent now."""
+        """Send a heartbeat, with the stop `pressed` or not; return False if it cannot be sent."""
         session, sequence = self._next()
         flags = PRESSED if pressed else 0
         return self._put(

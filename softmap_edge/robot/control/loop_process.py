@@ -1,13 +1,13 @@
-"""The process of the control loop: Rust alone once it runs.
+"""The process of the control loop; once started, it runs in Rust alone.
 
-Its command is `python -m softmap_edge.robot.control.loop_process ORDERS REPORTS < setup`.
+Its command is `python -m softmap_edge.robot.control.loop_process ORDERS REPORTS < setup`. ORDERS
+and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`).
 
-ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input
-(`Controller`). A failed start is reported as `{"error": …}`. Set-up and home of the servos are
-checked here, as late as possible: the guard detects a servo that loses its turns afterwards.
-Registers that a start rewrites (a profile, gains) are reported as `{"mended": […]}`. Where a fault
-made home unknown, its proof is taken from the servos at the end. Pinned by
-tests/robot/test_controller.py and tests/robot/test_bad_input.py.
+A failed start is reported as `{"error": …}`. This process checks set-up and homing of the servos as
+late as possible; afterwards the guard detects a servo that loses its turns. Registers that a start
+rewrites (a profile, gains) are reported as `{"mended": […]}`. If a fault invalidated the home, the
+home marks are cleared at the end. Pinned by tests/robot/test_controller.py and
+tests/robot/test_bad_input.py.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from softmap_edge.robot.servo.home_mark import check_confirmed, forget
 
 
 def main() -> int:
-    """Run the loop of the setup on standard input; 0 when its orders ended."""
+    """Run the loop of the setup on standard input; return 0 when its orders end."""
     orders, reports = int(sys.argv[1]), int(sys.argv[2])
-    reported_to = os.dup(reports)  # the loop closes its own
+    reported_to = os.dup(reports)  # the loop closes its own descriptor
     try:
         setup = json.load(sys.stdin)
         homes, session = setup.pop("homes"), setup.pop("session", None)
@@ -43,7 +43,7 @@ def main() -> int:
             host, port, key_file, timeout = setup["heartbeat"]
             setup["heartbeat"] = host, port, read_key(key_file), timeout
         if _core.control_loop(orders, reports, **setup):
-            # a fault made home unknown
+            # a fault invalidated the home
             forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])
         note_released(session)
     except SoftmapError as fault:

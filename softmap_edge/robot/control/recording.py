@@ -1,8 +1,8 @@
-"""A recording of the control loop: read, replayed through the guard, or taken as a run.
+"""A recording of the control loop: read it, replay it through the guard, or convert it to a run.
 
-The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, JSON a period, readable to
-the last message when it was cut short. A recording is somebody else's file: what is damaged ends it
-with a reason. Pinned by tests/robot/test_recording.py.
+The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, one JSON message per period.
+A truncated file is readable to its last complete message. A recording is untrusted input: damaged
+data ends it with a reason. Pinned by tests/robot/test_recording.py.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopRepor
 from softmap_edge.run.run import CALIBRATION, Run
 
 SETUP, LOOP = "/setup", "/loop"
-FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
+FARTHEST = 2.0**31  # ticks: range of the position register of a servo
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
+    """The setup of a loop, and each of its periods (softmap.loop as in the schema of the file).
 
-    short: why periods may be missing; None if the loop closed the file. incomplete: a sentence on
-    this, with the end of
-        the readable part and the missing amount. doubtful: the checksum fails, so any number may be
-        wrong.
+    Attributes:
+        short: why periods may be missing; None if the loop closed the file
+        incomplete: a sentence on this, with the end of the readable part and the missing amount
+        doubtful: the checksum fails, so any number may be wrong
     """
 
     file: Path
@@ -46,7 +46,7 @@ class Recording:
 
     @property
     def limits(self) -> LoopLimits:
-        """The limits that the guard kept to."""
+        """The limits that the guard enforced."""
         return cast(LoopLimits, dict(self.setup["limits"]))
 
     @property
@@ -63,7 +63,7 @@ class Recording:
         """Time 0 of the run, when torque first came on: s of the host's monotonic clock.
 
         Raises:
-            RunError: it never did.
+            RunError: torque never came on.
         """
         return float(self.periods[self._first]["now"]) * 1e-9
 
@@ -78,10 +78,10 @@ class Recording:
         return first
 
     def replay(self) -> list[int]:
-        """Let the same guard decide all periods again; return those it decides otherwise.
+        """Let the same guard repeat its decisions in all periods; return the periods that differ.
 
         Raises:
-            RunError: a period is not of this form.
+            RunError: a period has another form.
         """
         try:
             again = _core.replay(self.limits, self._told())
@@ -102,11 +102,11 @@ class Recording:
     def run(self) -> Run:
         """Return it as a run: goals, positions (ticks), currents, hottest servo; no frames.
 
-        Periods before torque first came on are left out; without torque a goal is where the servo
-        stands.
+        Periods before torque first came on are left out. Without torque, a goal is the position of
+        the servo.
 
         Raises:
-            RunError: torque was never on, or a servo was not heard before it was.
+            RunError: torque was never on, or a servo did not answer before it was.
         """
         self._told()
         first = self._first
@@ -149,16 +149,16 @@ class Recording:
         )
 
     def _about(self) -> dict[str, NDArray[np.generic]]:
-        """Return the field of a run with the map that was driven with."""
+        """Return the field of a run with the servo map in use."""
         known = self.setup.get("calibration")
         return {} if known is None else {CALIBRATION: np.array(json.dumps(known))}
 
     @property
     def calibration(self) -> Calibration:
-        """The map between ticks and mm that was driven with.
+        """The map between ticks and mm that was used.
 
         Raises:
-            RunError: the file does not hold it.
+            RunError: the file does not contain it.
         """
         try:
             return Calibration.from_dict(self.setup.get("calibration"))
@@ -166,10 +166,10 @@ class Recording:
             raise RunError(f"{self.file}: damaged ({fault}); record again") from None
 
     def _told(self) -> list[tuple[object, ...]]:
-        """Return the inputs of the guard in each period, as `_core.replay` takes it.
+        """Return the inputs of the guard in each period, as `_core.replay` takes them.
 
         Raises:
-            RunError: a period is not of this form.
+            RunError: a period has another form.
         """
         heard, servos = [], None
         for k, period in enumerate(self.periods):
@@ -186,7 +186,8 @@ class Recording:
 def _servos(period: Document, servos: int | None) -> int:
     """Return the number of servos of a period.
 
-    Raise an error where it is not of the form of one, or of another number of servos.
+    Raises:
+        RunError: the period has another form, or another number of servos.
     """
     _told(period)
     forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
@@ -232,10 +233,10 @@ def _told(period: Document) -> tuple[object, ...]:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording; of one that was cut short, all complete periods.
+    """Read a recording; of a truncated one, all complete periods.
 
     Raises:
-        RunError: no recording of a loop, or damaged.
+        RunError: it is no recording of a loop, or it is damaged.
     """
     file = Path(path)
     if not file.is_file():
@@ -271,10 +272,7 @@ def read_recording(path: str | Path) -> Recording:
 def _documents(
     messages: list[tuple[str, int, bytes]],
 ) -> tuple[list[tuple[str, Document]], str | None]:
-    """Return topic and document of each message before the first bad one.
-
-    Also what is wrong with that one.
-    """
+    """Return topic and document of each message before the first bad one, and its fault."""
     found: list[tuple[str, Document]] = []
     servos = None
     for topic, _, message in messages:
@@ -297,9 +295,9 @@ def _documents(
 def _filled(
     rows: list[list[float | None]], before: list[list[float | None]]
 ) -> NDArray[np.float64]:
-    """Return (T, C) numbers, missing ones as the last one there or that of `before`.
+    """Return (T, C) numbers; a missing one is replaced by the last one before it.
 
-    `before` stands before the first row.
+    `before` is the row before the first.
     """
     whole = np.array(
         [[np.nan if value is None else value for value in row] for row in before + rows], float

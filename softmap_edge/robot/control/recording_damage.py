@@ -1,6 +1,4 @@
-"""Find whether a recording of the loop was cut short or is damaged.
-
-The damage is at one place, or at an unknown place.
+"""Find out whether a recording of the loop is truncated or damaged, and where if that is known.
 
 The file ends with a checksum of its data and the number of its messages. The compiled reader stops
 at a damaged record. Pinned by tests/robot/test_recording.py and
@@ -17,7 +15,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.files.mcap_records import MESSAGE, Closing, Damage, Walk, read_closing
 
 CUT = "its loop did not close it: cut short"
-# how the reader begins where the checksum of everything fails
+# how the reader's message begins if the checksum of all data fails
 _ANYWHERE = "damaged (Data section CRC"
 
 
@@ -25,7 +23,7 @@ _ANYWHERE = "damaged (Data section CRC"
 class Shortfall:
     """Why a recording may be incomplete (None if complete), and a sentence on missing data.
 
-    doubtful: the checksum of the data fails and the place is unknown, so any number may be wrong.
+    doubtful: the checksum of the data fails at an unknown place, so any number may be wrong.
     """
 
     why: str | None = None
@@ -39,11 +37,11 @@ def find_shortfall(
     """Return why a recording is incomplete, and by how much.
 
     Args:
-        file: the recording.
-        messages: messages that the reader found.
-        read: messages that are used, all before the first one that is `broken`.
-        seconds: s from the first period to the last that is used.
-        broken: why the next message is no document; None if all messages are.
+        file: the recording
+        messages: number of messages that the reader found
+        read: number of messages that are used, all before the first one that is `broken`
+        seconds: s from the first period to the last that is used
+        broken: why the next message is no document; None if all messages are
     """
     why = broken or _why(file)
     with open(file, "rb") as stream:
@@ -74,7 +72,7 @@ def find_shortfall(
 
 
 def _why(file: Path) -> str | None:
-    """Return why a recording may be incomplete: damaged inside, or never closed by its loop."""
+    """Return why a recording may be incomplete: damaged inside, or not closed by its loop."""
     try:
         _, ended = _core.Reading(str(file)).more()
     except SoftmapError as fault:
@@ -92,7 +90,7 @@ def _head(file: Path, why: str, closing: Closing | None) -> str:
 
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
-    """Return the count of missing messages, of those that the file states or that were found."""
+    """Return the number of missing messages, of those that the file states or that were found."""
     stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:
@@ -105,14 +103,14 @@ def _unchecked(file: Path, closing: Closing | None, walk: Walk) -> Damage | None
     if (closing is not None and closing.data is not None) or all(
         record.kind != MESSAGE for record in walk
     ):
-        return None  # chunks have checksums of their own, which the reader checks
+        return None  # each chunk has its own checksum, which the reader verifies
     return Damage(
         f"{file} carries no checksum of its data: numbers that were damaged would not be noticed"
     )
 
 
 def _readable(walk: Walk, size: int) -> int:
-    """Return where the records that can be read end."""
+    """Return the end of the readable records."""
     for _ in walk:
         if walk.gaps:
             break

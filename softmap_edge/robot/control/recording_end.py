@@ -22,13 +22,13 @@ def system_words(fault: str) -> str:
 
 
 def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> str | None:
-    """Return the fault of a recording as text; None if there is none.
+    """Return why a recording ended early, as text; None if it did not.
 
     Args:
-        file: the recording.
-        fault: why its loop could not write it any more.
-        lost: number of periods that came faster than the disk could write.
-        ended: whether the loop has ended, so that the file must exist.
+        file: the recording
+        fault: why its loop could not write on
+        lost: number of periods that came faster than the disk could write
+        ended: whether the loop has ended, so that the file must exist
     """
     if fault is not None:
         return (
@@ -46,7 +46,7 @@ def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> s
 
 
 def _up_to(file: Path) -> str:
-    """Return the time up to which a recording can be read, as text."""
+    """Return the time up to which a recording is readable, as text."""
     times: list[int] = []
     with contextlib.suppress(SoftmapError):
         times = [time for topic, time, _ in _core.read_recording(str(file)) if topic == LOOP]

@@ -22,8 +22,8 @@ from softmap_edge.errors import SessionWarning
 
 EMULATED = "/dev/pts/"
 RELEASED = "released"
-_MOST = 1 << 16  # bytes of a mark that are read
-_NAME = 80  # characters of a program's or a file's name that are printed
+_MOST = 1 << 16  # bytes of a mark that are read at most
+_NAME = 80  # characters of a program's or file's name that are printed at most
 
 
 def mark_file(port: str) -> Path | None:
@@ -131,10 +131,10 @@ def _printable(name: object) -> str:
 
 
 def _runs(pid: int, began: object = None) -> bool:
-    """Return whether the process runs that had this id and began then; this one counts as well.
+    """Return whether the process with this id and start time runs; this process counts as well.
 
-    Ids are used again: another process of the same id began at another time. A mark without that
-    time counts by its id.
+    The system reuses ids, so the start time must agree. A mark without a start time counts by its
+    id.
     """
     now = _began(pid)
     if began is not None and now is not None and began != now:
@@ -149,13 +149,11 @@ def _runs(pid: int, began: object = None) -> bool:
 
 
 def _began(pid: int) -> int | None:
-    """Return a process's start, clock ticks after the boot (field 22 of its stat).
-
-    None if it is not known.
-    """
+    """Return when a process started, clock ticks after boot (field 22 of its stat), or None."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text("ascii", "replace")
-        return int(text.rpartition(")")[2].split()[19])  # its name, in brackets, may hold anything
+        # its name, in brackets, may contain anything
+        return int(text.rpartition(")")[2].split()[19])
     except (OSError, ValueError, IndexError):
         return None
 

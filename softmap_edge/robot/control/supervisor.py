@@ -1,4 +1,4 @@
-"""The control loop's process, watched by a thread: reports, and actions if it dies or freezes.
+"""A thread that watches the process of the control loop, and acts if it dies or freezes.
 
 `controller.py` starts it. Pinned by tests/robot/test_nobody_watches.py.
 """
@@ -25,11 +25,11 @@ from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopRepor
 from softmap_edge.robot.servo.rig import Rig
 from softmap_edge.run.fields import unmasked
 
-LOOK = 0.1  # s between two looks for reports
+LOOK = 0.1  # s between two checks for reports
 
 
 class Running(Protocol):
-    """What holds the pipe of a running loop."""
+    """The holder of the pipe of a running loop."""
 
     def _let_go(self) -> None: ...
 
@@ -38,7 +38,7 @@ running: weakref.WeakSet[Running] = weakref.WeakSet()
 
 
 def numbers(command: ArrayLike) -> NDArray[np.float64] | None:
-    """Return a command as an array of real numbers, None if it is none."""
+    """Return a command as an array of real numbers; None if it is not one."""
     try:
         found = np.asarray(command)
         return None if np.iscomplexobj(found) else unmasked(command)
@@ -57,17 +57,17 @@ if hasattr(os, "register_at_fork"):
 
 def _has_more(pipe: int, seconds: float) -> bool:
     """Return whether a pipe has bytes or has ended, after waiting for at most `seconds`."""
-    poll = select.poll()  # `select` takes descriptors below 1024 only
+    poll = select.poll()  # `select` takes only descriptors below 1024
     poll.register(pipe, select.POLLIN)
     return bool(poll.poll(1e3 * seconds))
 
 
 class Supervisor:
-    """Reads the reports of a loop, and releases its servos when the loop cannot do so."""
+    """Read the reports of a loop, and release its servos if the loop cannot."""
 
     rig: Rig
     limits: LoopLimits
-    # whether a command of the CLI drives: its user has no methods to call
+    # whether a command of the CLI drives: its user cannot call methods
     at_terminal: bool = False
     _drove_at: float | None
     _last: LoopReport
@@ -76,19 +76,18 @@ class Supervisor:
     _rescuing: threading.Lock
     _process: subprocess.Popen[bytes] | None
     _reader: threading.Thread
-    # looks of the reader, one after the other, that found no report: a frozen program itself misses
-    # one
+    # consecutive checks without a report: more than one, because a frozen program misses one too
     _silent: int
-    _reports: int  # the pipe that reports come through, -1 without one
+    _reports: int  # pipe of the reports; -1 without one
     _reading: threading.Lock
-    _some: bytes  # of a report that is not complete yet
+    _some: bytes  # part of a report that is not complete yet
     _ending: bool
     _drove: bool
     _stood: NDArray[np.float64]
     _record: Path | None
-    _broken: str | None = None  # why the recording was interrupted
+    _broken: str | None = None  # why the recording ended early
     _recorded = False  # whether the recording was checked after the end of the loop
-    _mark: Path | None = None  # of the session
+    _mark: Path | None = None  # mark file of the session
 
     @property
     def state(self) -> str:
@@ -101,9 +100,9 @@ class Supervisor:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """The positions (C,) of the servos, ticks, by the last report that read each.
+        """The positions (C,) of the servos, ticks, from the last report that contains each.
 
-        One lost answer does not count as a position.
+        A single lost answer does not change them.
         """
         return self._stood.copy()
 
@@ -114,20 +113,17 @@ class Supervisor:
 
     @property
     def ended(self) -> LoopReport:
-        """The last report: why the loop ended and how it kept its time; empty while it runs."""
+        """The last report: why the loop ended, and its timing; empty while it runs."""
         return self._end.copy()
 
     @property
     def recording(self) -> Path | None:
-        """The file that is recorded to; it can be read while it grows."""
+        """The recording file; it can be read while it grows."""
         return self._record
 
     @property
     def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop (a full disk, for example).
-
-        None if it goes on or is complete.
-        """
+        """Why the recording ended before the loop (for example a full disk); None if it did not."""
         if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
             lost = int(self._end.get("lost", 0)) if ended else 0
@@ -153,19 +149,19 @@ class Supervisor:
         return bus_counts(self._last)
 
     def _stopped(self) -> str:
-        """Return state, cause and remedy for the driver: a command of the CLI, or a program."""
+        """Return state, cause and remedy for the user of a CLI command, or of a program."""
         what = self._silence() or words.where(self._last, self.limits)
         do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
         return self._named(f"the robot is {what}; {do}")
 
     def _named(self, said: str) -> str:
-        """Return a message whose commands name the file of the rig, if it came from one."""
+        """Return a message whose commands name the rig file, if the rig was read from one."""
         return filled(said, self.rig.file)
 
     def _silence(self) -> str | None:
-        """Return state and cause if the guard released because no target came.
+        """Return state and cause if the guard released tension because no target arrived.
 
-        This program sent none, which acts as the enable key.
+        Sending no target counts as releasing the enable key.
         """
         silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
         if self._last.get("cause") not in ("deadman", "stale") or silent <= float(
@@ -177,9 +173,9 @@ class Supervisor:
         )
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
-        """Take the loop's reports until it ends; release servos if it dies or freezes.
+        """Process the loop's reports until it ends; release servos if it dies or freezes.
 
-        It then freezes under torque.
+        Freezing counts only under torque.
         """
         whole = False
         while not whole:
@@ -224,7 +220,7 @@ class Supervisor:
             self._drove |= bool(document.get("torque"))
             if "ended" in document:
                 self._end = document
-            elif "rescued" not in self._last:  # earlier reports are no news then
+            elif "rescued" not in self._last:  # after a rescue, earlier reports are outdated
                 denied = self._last.get("denied")
                 self._last |= document
                 self._last["denied"] = document.get("denied") or denied
@@ -243,14 +239,15 @@ class Supervisor:
         if process is None or "error" in self._last:
             return
         if process.poll() is not None and self._reader is not threading.current_thread():
-            self._reader.join(self.rig.time.patience(0.6))  # why it ended is being read
+            # the thread is reading why the loop ended
+            self._reader.join(self.rig.time.patience(0.6))
         if (
             process.poll() is not None and not self._end and "error" not in self._last
         ) or self._frozen():
             self._rescue(process)
 
     def _rescue(self, process: subprocess.Popen[bytes]) -> None:
-        """End the loop and switch torque off from here, once: servos hold by watchdogs."""
+        """End the loop and switch torque off from here, once; watchdogs only stop the servos."""
         with self._rescuing:
             if "rescued" in self._last:
                 return

@@ -5,8 +5,8 @@ Each fault comes with its remedy.
     from softmap_edge.robot.doctor import examine
     print(examine())
 
-Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the
-computer, `bench.py` at what belongs to one rig. Pinned by tests/robot/test_doctor.py.
+Without a rig, nothing is sent to servos; with one, only read requests. `host.py` checks the
+computer, `bench.py` one rig. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ __all__ = ["FAULT", "OK", "WARNING", "Examined", "Line", "examine"]
 
 @dataclass(frozen=True)
 class Examined:
-    """All that was looked at; it is `well` when there is no fault."""
+    """The results of all checks; `well` if there is no fault."""
 
     lines: tuple[Line, ...]
 
     @property
     def well(self) -> bool:
-        """Whether nothing is at fault; warnings are none."""
+        """Whether there is no fault; warnings do not count."""
         return all(line.state != FAULT for line in self.lines)
 
     def __str__(self) -> str:
@@ -57,12 +57,12 @@ class Examined:
 def examine(
     rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None
 ) -> Examined:
-    """Look at everything: this computer, and what is given of a rig.
+    """Run all checks: of this computer, and of the given parts of a rig.
 
     Args:
-        rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle:
-            its folder. camera: number of a camera, which is opened and closed. With rig and
-            bundle the limits in force are looked at.
+        rig: a `rig.toml`; its port is opened, and its servos are read
+        bundle: folder of the bundle; with a rig, the effective limits are checked too
+        camera: number of a camera, which is opened and closed
     """
     from softmap_edge.robot.doctor import bench, host
 
@@ -89,9 +89,9 @@ def examine(
 
 
 def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
-    """Return a check's lines; a check that fails gives a line too.
+    """Return a check's lines; a check that raises an error gives a line too.
 
-    Whatever it fails on is what the doctor looks for.
+    The doctor looks for exactly such errors.
     """
     try:
         return list(look())

@@ -1,6 +1,6 @@
-"""The doctor's checks of one rig: its bundle, its rig.toml, and what its servos report.
+"""The doctor's checks of one rig: its bundle, its rig.toml, and the readings of its servos.
 
-Servos are asked only: nothing is written to them. Pinned by tests/robot/test_doctor.py.
+Servos are only read, never written. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SCAN = "run `softmap servo scan --rig FILE`"
 
 
 def bundle(folder: str | Path) -> Iterator[Line]:
-    """A bundle: whether it loads, and holds what a robot needs."""
+    """Check whether a bundle loads, and contains what a robot needs."""
     from softmap_edge.model.bundle import load_bundle
 
     try:
@@ -66,9 +66,9 @@ def bundle(folder: str | Path) -> Iterator[Line]:
 
 
 def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
-    """Report whether a finger on its rig gives limits that the guard takes.
+    """Check whether a finger on its rig gives limits that the guard accepts.
 
-    Nothing where one of the two was at fault.
+    Yields nothing if one of the two has a fault.
     """
     from softmap_edge.model.bundle import load_bundle
 
@@ -89,11 +89,11 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
 
 
 def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
-    """A rig: whether its file is sound, its servos answer and are set up, and it is homed.
+    """Check whether a rig file is valid, its servos answer and are set up, and it is homed.
 
     Args:
-        file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must
-            carry.
+        file: its `rig.toml`
+        folder: bundle of the finger on it, whose limits apply to the servos
     """
     try:
         bench = read_rig(file)
@@ -121,7 +121,7 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
 
 
 def _stops(bench: Rig) -> Iterator[Line]:
-    """Report whether the rig's emergency stops work: a heartbeat's key, a line's chip."""
+    """Check whether the rig's emergency stops work: a heartbeat's key, a line's chip."""
     stops, wrong = bench.emergency, []
     if stops.udp is not None:
         try:
@@ -154,10 +154,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 
 def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
-    """Return the requirements for each servo: from the limits in force, else from the rig.
-
-    The limits in force may not be known.
-    """
+    """Return the requirements for each servo: by the effective limits if known, else by the rig."""
     from softmap_edge.model.bundle import load_bundle
 
     if folder is not None:
@@ -186,7 +183,7 @@ def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
 
 
 def _home(bench: Rig, servo: RigServo, position: int) -> Line:
-    """Whether a servo is homed, and how far (ticks) it is from home."""
+    """Check whether a servo is homed, and how far (ticks) it is from home."""
     name = f"home of servo {servo.id}"
     try:
         with opened(bench.port, bench.baud) as bus:

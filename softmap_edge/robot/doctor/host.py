@@ -1,9 +1,8 @@
 """The doctor's checks of this computer.
 
-Versions, processor, real-time rights, serial ports, cameras, MediaPipe.
-
-Each check returns lines and takes its paths as arguments, so that a test can examine another
-computer. Pinned by tests/robot/test_doctor.py.
+They cover versions, processor, real-time rights, serial ports, cameras and MediaPipe. Each check
+returns lines and takes its paths as arguments, so that a test can examine another computer. Pinned
+by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from softmap_edge.version import __version__
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
 NEEDED = ("numpy", "jinja2", "tomlkit", "websockets")
-EXTRAS = {  # how to install each; those of driving by hand: `teleoperation`
+EXTRAS = {  # how to install each; for teleoperation see `teleoperation`
     "dynamixel-sdk": "pip install 'softmap-edge[servo]'",
     "matplotlib": "pip install 'softmap-edge[report]'",
     "onnxruntime": "pip install onnxruntime",
 }
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # their bits in a set of capabilities
-PRIORITY = 50  # what the loop asks for
-LOCKED = 64 << 20  # bytes that it needs in memory
+PRIORITY = 50  # real-time priority that the loop requests
+LOCKED = 64 << 20  # bytes of locked memory that the loop needs
 SIMD = {"x86_64": ("flags", ("avx2", "fma")), "aarch64": ("Features", ("asimd",))}
-QUICK = 1  # ms of a USB adapter's latency timer
+QUICK = 1  # ms: latency timer of a USB adapter
 
 
 def versions() -> Iterator[Line]:
-    """This package, Python, the C library, and what it is used with."""
+    """Report the versions of this package, Python, the C library, and the packages in use."""
     known = sys.version_info[:2] >= PYTHON
     do = "" if known else f"install Python {PYTHON[0]}.{PYTHON[1]} or newer"
     yield Line("python", OK if known else FAULT, platform.python_version(), do)
@@ -65,9 +64,9 @@ def _version(name: str) -> str | None:
 
 
 def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
-    """Report whether the network pass has its instructions here.
+    """Report whether the processor has the instructions that the compiled network code needs.
 
-    What mediapipe needs is checked by `teleoperation`.
+    `teleoperation` checks what mediapipe needs.
     """
     machine = platform.machine() if machine is None else machine
     key, required = SIMD.get(machine, ("", ()))
@@ -107,7 +106,7 @@ def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
 
 
 def real_time(proc: Path = PROC) -> Iterator[Line]:
-    """Whether the loop may have priority and keep its memory."""
+    """Report whether the loop may use real-time priority and lock its memory."""
     rights = _capabilities(proc)
     most = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     name, file = _user(), "/etc/security/limits.d/softmap.conf"
@@ -141,7 +140,7 @@ def real_time(proc: Path = PROC) -> Iterator[Line]:
 
 
 def _capabilities(proc: Path) -> int:
-    """Return the set of capabilities in effect; none where it cannot be read."""
+    """Return the set of effective capabilities; none if it cannot be read."""
     try:
         lines = (proc / "self/status").read_text().splitlines()
         return next(int(line.split()[1], 16) for line in lines if line.startswith("CapEff:"))
@@ -154,7 +153,7 @@ def _user() -> str:
 
 
 def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
-    """The serial ports with that of `rig`, and whether this user may open them; none is opened."""
+    """Report the serial ports and that of `rig`, and whether this user may open them."""
     from softmap_edge.robot.servo.bus import ports as listed
 
     found = listed(dev)
@@ -183,7 +182,7 @@ def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
 
 
 def _port_of(rig: str | Path) -> str | None:
-    """Return the port of a rig file, None if it cannot be read: another line reports that."""
+    """Return the port of a rig file; None if it cannot be read, which another line reports."""
     from softmap_edge.errors import SoftmapError
     from softmap_edge.robot.servo.rig import read_rig
 
@@ -201,7 +200,7 @@ def _group(number: int) -> str:
 
 
 def latency(sys: Path = SYS) -> Iterator[Line]:
-    """How long USB adapters wait before they hand bytes over."""
+    """Report how long USB adapters wait before they pass bytes on."""
     for file in sorted(sys.glob("bus/usb-serial/devices/*/latency_timer")):
         name = f"latency of {file.parent.name}"
         try:
@@ -222,7 +221,7 @@ def latency(sys: Path = SYS) -> Iterator[Line]:
 
 
 def teleoperation() -> Iterator[Line]:
-    """What driving by hand needs: one OpenCV, mediapipe and its libraries, the model of hands."""
+    """Check what teleoperation needs: one OpenCV, mediapipe, its libraries, the hand model."""
     from softmap_edge.robot.teleop.requirements import findings
 
     for one in findings():
@@ -230,9 +229,9 @@ def teleoperation() -> Iterator[Line]:
 
 
 def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
-    """Report the cameras with their lasting names, and whether this user may open them.
+    """Report the cameras with their persistent names, and whether this user may open them.
 
-    Only the one given is opened.
+    Only the given one is opened.
     """
     from softmap_edge.robot.teleop.devices import cameras as listed
 
@@ -254,7 +253,7 @@ def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
 
 
 def _picture(number: str) -> Line:
-    """Take a picture of a camera."""
+    """Take an image with a camera."""
     from softmap_edge.errors import SoftmapError
     from softmap_edge.robot.teleop.frames import CameraFrames, source
 

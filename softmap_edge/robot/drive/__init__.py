@@ -1,1 +1,1 @@
-"""Play commands and follow figures, and keep what was commanded and seen."""
+"""Play commands, follow figures, and store what was commanded and seen."""

@@ -1,16 +1,15 @@
-"""The command file: a protocol as a CSV table that a person reads and a robot plays.
-
-It is written and read with checks.
+"""The command file: a protocol as a CSV table, readable by people and playable on a robot.
 
     # softmap commands 1; robot moe-finger; unit mm
     t,u0,u1,gravity_x,gravity_y,gravity_z,load_g,temperature_c,look,block,note
     0.0000,0.0000,0.0000,0.00000,0.00000,1.00000,0,,1,home,
 
-`t` s; `u0` … in the unit of the first line; gravity in g in the base frame; `load_g` g declared at
-the tip; `temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a
-frame is required (a camera of its own rate may take more); `block` the part of the protocol; `note`
-what is to be done by hand from here on. Limit: frames are taken at rows, 0.02 s apart in what this
-tool writes. Pinned by tests/experiment/test_experiment.py and tests/model/test_mutated_files.py.
+`t` is in s, and `u0` … in the unit of the first line. Gravity is in g in the base frame. `load_g`
+is the declared load at the tip, g. `temperature_c` is the temperature to reach, °C; it is empty if
+the protocol has none. `look` is 1 where a frame is required; a camera may take more. `block` is the
+part of the protocol, and `note` what must be done by hand from this row on. Limit: frames are taken
+at rows, which are 0.02 s apart in files of this tool. Files are checked when written and read.
+Pinned by tests/experiment/test_experiment.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ Floats = NDArray[np.float64]
 
 HEAD = re.compile(r"# softmap commands (\d+); robot (.{0,80}); unit (\S{1,16})")
 VERSION = 1
-# a file, its rows, its channels, characters of a label
+# limits: bytes of a file, its rows, its channels, characters of a label
 BYTES, ROWS, CHANNELS, TEXT = 1 << 27, 1_000_000, 64, 200
 REMEDY = "write it with `softmap next --out`"
 BEFORE = ("t",)
@@ -72,8 +71,8 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
     """Read a command file; return the protocol and the name of the robot that it was made for.
 
     Raises:
-        RunError: it is no command file, a newer one, or a line of it is not usable; the message
-            names the line.
+        RunError: it is no command file, it is of a newer version, or a line is not usable; the
+            message names the line.
     """
     file = Path(path)
     if file.exists() and not file.is_file():
@@ -114,7 +113,7 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
         )
     if not 2 <= len(rows) - 1 <= ROWS:
         raise RunError(f"{path}: {len(rows) - 1} rows of commands; 2 to {ROWS} are read")
-    width = len(names) - 2  # the last two are texts
+    width = len(names) - 2  # the last two columns are texts
     numbers = np.empty((len(rows) - 1, width))
     for k, row in enumerate(rows[1:]):
         if len(row) != len(names):
@@ -188,10 +187,10 @@ def _number(path: str | Path, k: int, name: str, cell: str) -> float:
 
 
 def _line(text: str) -> str:
-    """Return a text as one line of characters that print."""
+    """Return a text as one line of printable characters."""
     return "".join(c for c in text if c.isprintable())
 
 
 def steps(notes: Iterable[tuple[float, str]]) -> list[str]:
-    """Return what is to be done by hand, as lines with minutes and seconds."""
+    """Return the steps to do by hand as lines, each with minutes and seconds."""
     return [f"{int(time // 60)}:{int(time % 60):02d}  {text}" for time, text in notes]

@@ -1,13 +1,11 @@
-"""What a camera saw while a robot is driven, saved as it arrives.
+"""Camera frames of a robot while it is driven, saved as they arrive.
 
-A cut loses its last second at most.
-
-A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when
-each frame came, the frames that were taken, and the CRC-32 of all that; the last line states that
-it is the end. Files of softmap.seen/2 have no such line, those of softmap.seen/1 carry no CRC
-either. Lines are only added, by a thread of its own, and are on the disk every half a second. With
-what the loop recorded meanwhile it becomes a run (`recorded.py`). Pinned by
-tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
+If the program is interrupted, at most the last second is lost. The file has one JSON document per
+line (softmap.seen/3): the robot, the clock of the command file, the arrival of each frame, the
+selected frames, and the CRC-32 of the line; the last line marks the end. Files of softmap.seen/2
+lack the last line; those of softmap.seen/1 also lack the CRC. A thread appends lines and flushes
+them to disk every half second. Together with the recording of the loop, the file makes a run
+(`recorded.py`). Pinned by tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
 """
 
 from __future__ import annotations
@@ -36,15 +34,15 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
 
-SEEN = ".seen"  # ends the name of such a file, next to what the loop recorded
+SEEN = ".seen"  # suffix of such a file, next to the recording of the loop
 SCHEMA, ENDLESS, UNCHECKED = "softmap.seen/3", "softmap.seen/2", "softmap.seen/1"
-SAFE = 0.5  # s after which what came is on the disk
+SAFE = 0.5  # s after which data are on the disk
 LONGEST = 1 << 24  # characters of a line
-POINTS = LONGEST // 40  # points of all frames of a line: 32 characters each in base64
-NONE = np.zeros((0, 3))  # the points of a frame that only its time is kept of
-LOOK = 0.2  # s between two looks at what came
-LATELY = 200  # frames, the newest, that are looked through
-LATEST = 2.0  # s that a frame may take to arrive
+POINTS = LONGEST // 40  # points of all frames in a line: 32 characters each in base64
+NONE = np.zeros((0, 3))  # stands for the points of a frame of which only the time is stored
+LOOK = 0.2  # s between two checks for new data
+LATELY = 200  # newest frames that each check examines
+LATEST = 2.0  # s from exposure to arrival of a frame, at most
 NAME = 200  # characters of a robot's name
 
 _CRC = re.compile(rb', "crc": "([0-9a-f]{8})"}\n$')
@@ -54,15 +52,17 @@ Pair = tuple[float, float]
 
 @dataclass
 class Kept:
-    """What was seen of a robot.
+    """The stored frames of a robot.
 
-    The `camera`'s clock, the frames that were `taken`, each with the capture of a command file that
-    it answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty
-    without one.
-
-    `robot` and `vertices`, how many points a frame of its full body has, are in a file: None where
-    they are not, or where the robot is seen by markers. `lacks` is a sentence on the part that
-    cannot be read.
+    Attributes:
+        camera: clock of the camera
+        taken: selected frames, each with the capture of the command file that it belongs to (else
+            their number)
+        clock: pairs of (host s, s of the command file); empty without one
+        robot: name of the robot; None if it is not in the file
+        vertices: number of points in a frame of the full body; None if not in the file, or for
+            markers
+        lacks: a sentence on the part that cannot be read
     """
 
     clock: list[Pair] = field(default_factory=list)
@@ -74,22 +74,22 @@ class Kept:
 
 
 def vertices_of(model: Model) -> int | None:
-    """Return how many points a frame of the full body has; None where a model is of markers."""
+    """Return the number of points in a frame of the full body; None for a model of markers."""
     return None if model.markers else len(model.rest)
 
 
 def seen_file(recording: str | Path) -> Path:
-    """Return the file next to a recording that holds the frames seen meanwhile."""
+    """Return the file next to a recording that holds the frames."""
     return Path(recording).with_suffix(SEEN)
 
 
 class Keeper:
-    """Writes what is seen of the robot of `model` to a new file, from entering to leaving.
+    """Write the frames of the robot of `model` to a new file, from entering to leaving.
 
-    `fault` is why it ended early, if it did. `late` s is the delay of the quickest frame.
+    `fault` is why it ended early, if it did. `late` s is the delay of the fastest frame.
 
     Raises:
-        RunError: the file is there already, cannot be written, or could not be read again.
+        RunError: the file exists, cannot be written, or could not be read back.
     """
 
     def __init__(self, file: Path, late: float, model: Model) -> None:
@@ -134,7 +134,7 @@ class Keeper:
     def add(
         self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]
     ) -> None:
-        """Keep what is new (`Kept`), and the arrival of its frames; never wait for the disk."""
+        """Store new data (`Kept`) and the arrival of its frames; never wait for the disk."""
         if self.fault is not None:
             return
         try:
@@ -151,7 +151,8 @@ class Keeper:
                     line = self._lines.get()
                     ended = line is None
                     if line is None:
-                        if self.fault is not None:  # what came after it is not kept: this is no end
+                        # later data were not stored, so there is no end mark
+                        if self.fault is not None:
                             break
                         line = {**_document([], [], []), "end": True}
                     stream.write(with_crc(json.dumps(line, allow_nan=False)))
@@ -163,23 +164,23 @@ class Keeper:
                 os.fsync(stream.fileno())
             except OSError as fault:
                 self.fault = (fault.strerror or str(fault)).lower()
-            except Exception as fault:  # whatever it is, what comes is kept no more
+            except Exception as fault:  # any fault ends the storing
                 self.fault = f"{type(fault).__name__}: {fault!s:.80}"
 
 
 @contextlib.contextmanager
 def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) -> Iterator[Keeper]:
-    """Keep every frame seen during a recording in a file next to it.
+    """Store every frame seen during a recording in a file next to it.
 
     Together they are a run of the robot of `model`.
 
     Args:
-        seen: gives the frames that have arrived, oldest first. late: s that the quickest frame
-            takes.
+        seen: returns the frames that have arrived, oldest first
+        late: s from exposure to arrival of the fastest frame
 
     Raises:
-        RunError: something is kept there already, or cannot be.
-        RecordingBroken: on leaving; it could be kept no more, on a full disk perhaps.
+        RunError: the file exists, or cannot be written.
+        RecordingBroken: on leaving, if storing ended early, for example on a full disk.
     """
     camera, end = HostClock(late), threading.Event()
     number = 0
@@ -195,7 +196,8 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
             while not end.wait(LOOK):
                 look()
             look()
-        except Exception as fault:  # whatever `seen` raises: the robot goes on, and it is reported
+        # whatever `seen` raises, the robot goes on and the fault is reported
+        except Exception as fault:
             keeper.fault = f"{type(fault).__name__}: {fault!s:.80}"
 
     with Keeper(seen_file(recording), late, model) as keeper:
@@ -213,10 +215,10 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
 
 
 def read_kept(file: Path) -> Kept:
-    """Return what was kept: every line whose checksum is right, to the last complete one.
+    """Return the stored frames: every line with a correct checksum, up to the last complete one.
 
     Raises:
-        RunError: it is no such file, or damaged where no checksum shows which part.
+        RunError: it is no such file, or it is damaged and no checksum shows where.
     """
     try:
         if file.exists() and not file.is_file():
@@ -242,7 +244,7 @@ def read_kept(file: Path) -> Kept:
 
 
 def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bool) -> None:
-    """Add to `kept` what the lines after the first hold, and what cannot be read of them."""
+    """Add the content of the lines after the first to `kept`, and what cannot be read of them."""
     wrong, count, line, ended = [], 1, b"\n", not ends
     while (line := lines.readline(LONGEST)).endswith(b"\n"):
         count += 1
@@ -277,7 +279,7 @@ def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bo
 def _document(
     clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]
 ) -> Document:
-    """Return what a line holds, as plain numbers that are read back to the last digit.
+    """Return the content of a line as numbers that are read back exactly.
 
     Raises:
         ValueError: a time is not finite, points are not (N, 3), or they are too many for a line.
@@ -314,7 +316,7 @@ def with_crc(document: str) -> str:
 
 
 def _checked(line: bytes) -> tuple[bytes, bool]:
-    """Return the document of a line without its checksum, and whether that is there and right."""
+    """Return the document of a line without its checksum, and whether that is correct."""
     found = _CRC.search(line)
     if found is None:
         return line, False
@@ -323,7 +325,7 @@ def _checked(line: bytes) -> tuple[bytes, bool]:
 
 
 def _head(head: Document) -> Kept:
-    """Return the content of the first line, before any frame is kept."""
+    """Return the content of the first line, before any frame is stored."""
     late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
     if head["schema"] not in (SCHEMA, ENDLESS, UNCHECKED):
         raise ValueError(f"schema {head['schema']!s:.20}")
@@ -345,7 +347,7 @@ def _list(found: object) -> list[Any]:
 
 
 def _number(found: object) -> float:
-    # a bool is an int, but none of a record's numbers
+    # bool is a subclass of int, but not valid here
     if not isinstance(found, int | float) or isinstance(found, bool) or not math.isfinite(found):
         raise ValueError(f"'{found!s:.20}' is no finite number")
     return float(found)

@@ -1,14 +1,14 @@
-"""When each row of a command file is played on servos.
+"""The times at which the rows of a command file are played on servos.
 
-It is slowed where they may not be as fast, and waits where it rests.
+Each row follows the one before after the time in the file, or later if the slew limit and the
+following error of the servos require it. A *rest* is a stretch of rows with one command, of `LEAST`
+s or more. The clock of the file stands at its first row until the robot has settled. A *stop* is a
+row from which on something must be done by hand (a note, another gravity or load).
 
-A row is reached `t` s after the one before, or as much later as the slew limit and the following
-error of the servos ask. A *rest* is a stretch of rows with one command, of `LEAST` s and more: the
-file's clock stands at its first row until the robot has settled. A *stop* is a row from which on
-something is to be done by hand (a note, another gravity or load). Settled is, over `SPAN` s: no
-servo moves by more than `TICKS` ticks, and what is seen moves by no more than `STILL` mm (RMS over
-its points) beyond what its own scatter explains. After `PATIENCE` s it goes on all the same: a body
-that creeps is never still. Pinned by tests/robot/test_record_robot.py.
+The robot has settled if, over `SPAN` s, no servo moves by more than `TICKS` ticks, and the frames
+move by no more than `STILL` mm (RMS over the points) beyond their noise. After `PATIENCE` s playing
+goes on anyway, because a body that creeps never settles. Pinned by
+tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -27,24 +27,27 @@ from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]
 
-LEAST = 0.5  # s
-SPAN, TICKS, STILL = 0.3, 3, 0.05  # s, ticks, mm
-PATIENCE = 3.0  # s
-SHARE = 0.9  # of the slew limit that a file is played at, at most
-# s by which servos may be late (the trunk's: 0.24): at speed they are that far behind their goals
+LEAST = 0.5  # s: shortest rest
+# settled: s of observation, ticks of servo motion, mm RMS of motion in the frames
+SPAN, TICKS, STILL = 0.3, 3, 0.05
+PATIENCE = 3.0  # s after which a rest ends, settled or not
+SHARE = 0.9  # share of the slew limit at which a file is played at most
+# s of assumed servo delay (the trunk's: 0.24), which is a following error in motion
 ANSWER = 0.25
-BEHIND = 0.75  # of the following error that is allowed
-FEWEST = 3  # frames in each half of a span, to detect whether what is seen is still
+BEHIND = 0.75  # share of the allowed following error that is used
+FEWEST = 3  # frames in each half of a span that are needed to detect motion
 
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """A command file as it is played.
+    """The schedule of a command file.
 
     Attributes:
-        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool,
-            first rows of rests.
-        stops: row → what is to be done by hand there. looks: (K,) s at which a frame is required.
+        made: the file
+        t: (T,) s at which its rows are due, without waiting
+        rests: (T,) bool, first rows of rests
+        stops: row → what must be done by hand there
+        looks: (K,) s at which a frame is required
     """
 
     made: Protocol
@@ -54,20 +57,20 @@ class Pace:
     looks: Floats
 
     def command(self, now: float) -> Floats:
-        """Return the command (C,) at a time of `t`."""
+        """Return the command (C,) at time `t`."""
         return np.array([np.interp(now, self.t, column) for column in self.made.command.T])
 
     def row(self, now: float) -> int:
-        """Return the row that holds at a time of `t`."""
+        """Return the row that is effective at time `t`."""
         return int(np.clip(np.searchsorted(self.t, now, side="right") - 1, 0, len(self.t) - 1))
 
 
 def pace(made: Protocol, calibration: Calibration, servos: Sequence[ServoLimits]) -> Pace:
-    """Return how a command file is played on `servos` (their limits: low, high, slew, following).
+    """Return the schedule of a command file on `servos` (their limits: low, high, slew, following).
 
     Raises:
-        SoftmapError: it has another number of commands, another unit, or asks for what lies outside
-            the servos' window.
+        SoftmapError: the file has another number of commands or another unit, or a command is
+            outside the servos' window.
     """
     channels = made.command.shape[1]
     if channels != len(calibration.b) or made.unit != calibration.unit:
@@ -92,7 +95,7 @@ def pace(made: Protocol, calibration: Calibration, servos: Sequence[ServoLimits]
     fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
     least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)
     step = np.diff(made.t)
-    # A step asks for its full way at once; the path between is left to the guard.
+    # A step is commanded at once; the guard plans the path between.
     t = np.concatenate([[0.0], np.cumsum(np.maximum(step, least))])
     return Pace(made, t, _rests(made), _stops(made), np.interp(made.t_seen, made.t, t))
 
@@ -109,9 +112,9 @@ def _rests(made: Protocol) -> NDArray[np.bool_]:
 
 
 def _stops(made: Protocol) -> dict[int, str]:
-    """Return rows with a note, and where a condition changes without one.
+    """Return rows with a note, and rows where a condition changes without one.
 
-    The latter counts since the last capture.
+    Conditions are compared with those of the last capture.
     """
     stops = {
         int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text
@@ -130,23 +133,23 @@ def _stops(made: Protocol) -> dict[int, str]:
 
 
 def condition(made: Protocol, row: int) -> str:
-    """Return how the robot stands at a row, in words."""
+    """Return the orientation and load of the robot at a row, as text."""
     down = " ".join(f"{g:.2f}" for g in made.gravity[row])
     load = 0.0 if made.load is None else made.load[row]
     return f"gravity points along {down}, {load:g} g hang at the tip"
 
 
 def servos_still(history: Sequence[tuple[float, Sequence[float]]], now: float) -> bool:
-    """Return whether no servo moved over the last `SPAN` s of (s, ticks) that were heard."""
+    """Return whether no servo moved over the last `SPAN` s of the (s, ticks) readings."""
     last = [ticks for t, ticks in history if t >= now - SPAN]
     enough = bool(history) and history[0][0] <= now - SPAN and len(last) >= FEWEST
     return enough and bool(np.all(np.ptp(np.array(last), axis=0) <= TICKS))
 
 
 def view_still(frames: Sequence[Frame], since: float, now: float) -> bool:
-    """Return whether what was seen stands still.
+    """Return whether the frames show no motion.
 
-    In the frames that arrived after `since` within the last `SPAN` s or so.
+    It uses frames that arrived after `since`, within about the last `SPAN` s.
     """
     last = [frame.points for frame in frames if frame.arrived > max(since, now - 3 * SPAN)][
         -4 * FEWEST :

@@ -1,10 +1,9 @@
-"""Play a command file on a robot that records, and make a run of what was driven and what was seen.
+"""Play a command file on a robot that records, and make a run of its commands and frames.
 
-The file's clock stands while the robot settles where the file rests, while the guard holds, and
-while the camera is gone; where something is to be done by hand the finger goes home, torque goes
-off, and the user confirms when to go on. A frame is taken at each capture of the file: the one
-nearest to it. However it ends, the commands and frames so far are kept. Pinned by
-tests/robot/test_record_robot.py.
+The clock of the file stands while the robot settles at a rest, while the guard holds, and while the
+camera is lost. For a step by hand, the finger goes home, torque goes off, and the user confirms
+when to go on. Each capture of the file gets the nearest frame. However playing ends, the commands
+and frames so far are stored. Pinned by tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -29,32 +28,32 @@ from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 
-SENT = 50.0  # commands a second
-NEAR = 0.1  # s: a frame this near to a capture is the required one
-WAIT = 0.5  # s after a capture until the frames about it have arrived
-# s without a frame after which the file's clock stands, and after which it is over
+SENT = 50.0  # commands per second
+NEAR = 0.1  # s: largest distance of a frame from its capture
+WAIT = 0.5  # s after a capture until the frames around it have arrived
+# s without a frame after which the clock of the file stands, and after which playing fails
 GONE, LOST = 0.5, 15.0
-BACK = 15.0  # s within which a finger that was commanded to stop has torque off
-BEGIN = 8.0  # s until the robot is where the file begins
+BACK = 15.0  # s within which torque is off after a stop was requested
+BEGIN = 8.0  # s within which the robot reaches the first command of the file
 
 
 @dataclass
 class Played(Kept):
-    """What happened: what was seen, how long it waited to settle, whether all was played."""
+    """The result: frames, time spent settling, and whether the complete file was played."""
 
     waited: float = 0.0  # s
-    unsettled: int = 0  # rests that went on before all was still
+    unsettled: int = 0  # rests that ended before all was still
     whole: bool = False
 
 
 class Player:
-    """Plays a pace on an entered `robot` that records, seen by `seen`.
+    """Play a schedule on an entered `robot` that records, with frames from `seen`.
 
     Args:
-        ask: called with what is to be done by hand; returns when it is done.
-        tell: called with the share that is done.
-        late: s that the quickest frame takes.
-        keep: called all the time with what is new (`Keeper.add`).
+        ask: called with a step to do by hand; returns when it is done
+        tell: called with the completed share
+        late: s from exposure to arrival of the fastest frame
+        keep: called repeatedly with new data (`Keeper.add`)
     """
 
     def __init__(
@@ -73,15 +72,15 @@ class Player:
         self._robot, self._pace, self._seen = robot, pace, seen
         self._ask, self._tell, self._keep = ask, tell, keep
         self.played = Played(camera=HostClock(late))
-        self._looks: list[tuple[float, int]] = []  # host s, of which look
+        self._looks: list[tuple[float, int]] = []  # (host s, number of the capture)
         self._history: list[tuple[float, list[float]]] = []
         self._newest, self._looked, self._kept = -np.inf, 0, 0
 
     def play(self) -> Played:
-        """Play it to its end.
+        """Play the file to its end.
 
         Raises:
-            SoftmapError: the guard stopped, or the camera is gone.
+            SoftmapError: the guard stopped, or the camera is lost.
         """
         pace = self._pace
         self._await_camera()
@@ -135,7 +134,7 @@ class Player:
                 self._history.pop(0)
 
     def _rest(self, at: float, seconds: float) -> None:
-        """Stay where it is for a while."""
+        """Hold the current command for a while."""
         end = self._robot.time.now() + seconds
         while (now := self._robot.time.now()) < end:
             self._send(at, now)
@@ -143,7 +142,7 @@ class Player:
             self._robot.time.sleep(1.0 / SENT)
 
     def _settle(self, at: float, patience: float = PATIENCE) -> None:
-        """Stay until servos and what is seen stand, or for as long as patience lasts."""
+        """Hold until servos and frames are still, at most `PATIENCE`."""
         begun = self._robot.time.now()
         still_since: float | None = None
         self._history.clear()
@@ -163,7 +162,7 @@ class Player:
         self.played.clock += [(begun, at), (self._robot.time.now(), at)]
 
     def _by_hand(self, what: str, at: float) -> None:
-        """Let torque go off, have something done, and go on where it was."""
+        """Switch torque off, have a step done by hand, and return to the same command."""
         self._rest(at, WAIT + 0.1)
         self._robot.request("stop")
         end = self._robot.time.now() + BACK
@@ -179,10 +178,10 @@ class Player:
         self._engage(at)
 
     def _camera_there(self, now: float) -> bool:
-        """Return whether frames come.
+        """Return whether frames arrive.
 
         Raises:
-            SoftmapError: none has come for `LOST` s.
+            SoftmapError: none has arrived for `LOST` s.
         """
         silent = now - self._newest
         if silent > LOST:
@@ -204,7 +203,7 @@ class Player:
         self._gather(self._robot.time.now())
 
     def _gather(self, now: float) -> None:
-        """Note what has arrived, and take the frames of looks that are long enough ago."""
+        """Record new arrivals, and select the frames of captures that are old enough."""
         frames = self._seen()[-LATELY:]
         came = self.played.camera.add(frames)
         before = len(self.played.taken)
@@ -222,7 +221,7 @@ class Player:
 
 
 def merged(recording: Path, model: Model, pace: Pace, played: Kept) -> Run:
-    """Return the run of what a robot's loop recorded and what was seen meanwhile.
+    """Return the run of a loop's recording and the frames seen meanwhile.
 
     Raises:
         RunError: torque was never on, or the frames do not fit the model.

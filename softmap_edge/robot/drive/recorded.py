@@ -1,7 +1,7 @@
-"""What a control loop recorded and what a camera saw meanwhile, as one run.
+"""Combine the recording of a control loop and the stored camera frames into one run.
 
-`softmap track S --sim --record s.mcap` leaves `s.mcap` and next to it `s.seen` (`kept.py`); opening
-the first as a run reads both. Pinned by tests/robot/test_recorded.py and
+`softmap track S --sim --record s.mcap` leaves `s.mcap` and next to it `s.seen` (`observations.py`);
+opening the first as a run reads both. Pinned by tests/robot/test_recorded.py and
 tests/robot/test_record_robot.py.
 """
 
@@ -30,19 +30,18 @@ RECORDING = ".mcap"
 def open_run(path: str | Path, model: Model | None = None) -> Run:
     """Return the run of a file: .npz, or a recording of a control loop (.mcap).
 
-    The latter has what was seen, if it was kept next to it.
-
-    A recording that was cut short, or is damaged at one place, is read up to there, and a
-    `RecordingWarning` is issued.
+    A recording includes its stored frames, if there are any. A recording that is truncated, or
+    damaged at one place, is read up to there, and a `RecordingWarning` is issued.
 
     Args:
-        path: the file.
-        model: what the run is for. One in mm without a calibration cannot read ticks: it gets mm,
-            by the map that was driven with.
+        path: the file
+        model: model that the run is for; if it is in mm and has no calibration, the run is in mm by
+            the map in the recording
 
     Raises:
-        RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen
-            belongs to it, or it was made by `softmap record`, which alone has the declarations.
+        RunError: it is neither, is damaged at an unknown place, torque was never on, its stored
+            frames do not belong to it, or it was made by `softmap record`, which alone has the
+            declarations.
     """
     run, incomplete = open_incomplete(path, model)
     if incomplete is not None:
@@ -74,10 +73,10 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
 def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str | None]:
     """Return a recording as a run, and a sentence on missing data.
 
-    It has the frames of its `.seen` file if there is one.
+    The run has the frames of the `.seen` file, if there is one.
 
     Raises:
-        RunError: as `open_run`, but for numbers that may be wrong.
+        RunError: as `open_run`, except for numbers that may be wrong.
     """
     kept_in = seen_file(recording.file)
     run, lacks = _seen(recording, kept_in) if kept_in.exists() else (recording.run(), None)
@@ -92,10 +91,7 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
 
 
 def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
-    """Return a recording with its kept frames, and a sentence on the missing part.
-
-    They are those that were seen and kept.
-    """
+    """Return a recording with its stored frames, and a sentence on the missing part."""
     kept = read_kept(kept_in)
     if kept.clock:
         raise RunError(
@@ -117,14 +113,14 @@ def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
 def with_seen(
     recording: Recording, frames: Sequence[Frame], camera: HostClock, vertices: int | None
 ) -> tuple[Run, NDArray[np.bool_]]:
-    """Return a recording as a run with these frames, and which of them (K,) lie within it.
+    """Return a recording as a run with these frames, and which of them (K,) are within it.
 
     Args:
-        camera: the clock of the frames.
-        vertices: how many points a frame of the full body has; any other number are markers.
+        camera: clock of the frames
+        vertices: number of points in a frame of the full body; any other number are markers
 
     Raises:
-        RunError: as `Recording.run`, or frames of several numbers of points.
+        RunError: as `Recording.run`, or if frames have different numbers of points.
     """
     run = recording.run()
     counts = sorted({len(frame.points) for frame in frames})

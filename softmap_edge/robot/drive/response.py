@@ -1,8 +1,8 @@
-"""How late servos are: what lies between the goals that are sent and the positions that come back.
+"""Estimate the response of servos: delay and lag between sent goals and measured positions.
 
-Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least
-squares on a grid that is refined once; what counts is the shape of the motion, so that a constant
-miss is left out. Pinned by tests/robot/test_track.py.
+Each servo is a pure delay followed by a first-order lag (the library's own `latency` and `lag`),
+fitted by least squares on a grid that is refined once. A constant offset is ignored. Pinned by
+tests/robot/test_track.py.
 """
 
 from __future__ import annotations
@@ -17,16 +17,14 @@ from softmap_edge.files.atomic import Document
 
 Floats = NDArray[np.float64]
 
-LONGEST = (0.5, 0.4)  # s of delay and of lag that are looked at
-MOVES = 30.0  # ticks that a servo must move to give a response
+LONGEST = (0.5, 0.4)  # s: largest delay and lag of the search
+MOVES = 30.0  # ticks that a servo must move for an estimate
 
 
 def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, float] | None:
-    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks.
+    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks at `t` (T,) s.
 
-    At `t` (T,) s. None where nothing moves.
-
-    One pair for all servos: the median of those that move.
+    They are the medians over the servos that move; None if no servo moves.
     """
     found = []
     for asked, measured in zip(goal.T, position.T):
@@ -50,9 +48,9 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
 
 
 def response_of(periods: Sequence[Document]) -> tuple[float, float] | None:
-    """Return delay and lag of the servos from a recording's complete periods.
+    """Return delay and lag of the servos from a recording.
 
-    In those, goals were sent and all servos were read.
+    It uses complete periods in which goals were sent and all servos were read.
     """
     complete = [
         p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]

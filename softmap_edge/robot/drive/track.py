@@ -1,7 +1,7 @@
-"""Lead the tip along a figure: path, timing, commands, run on servos, and tip error.
+"""Move the tip along a figure: path, timing, commands, motion on servos, and tip error.
 
-The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the
-effects of the model are compensated in the control loop, from what was really sent. Where a camera
+A small move at the start measures the response of the servos (delay, lag), which is then previewed.
+The control loop compensates the effects of the model from the commands that were sent. If a camera
 sees the tip, the remaining error can be fed back (`observe`). Pinned by tests/robot/test_track.py.
 """
 
@@ -31,23 +31,23 @@ from softmap_edge.robot.motion.timing import timed
 Floats = NDArray[np.float64]
 T = TypeVar("T")
 
-PATH_POINTS = 600  # of a figure at which it is timed
-LEAD = 2.0  # s of the way from rest to the figure, at least
-SENT = 100.0  # commands a second
-SETTLED = 1.5  # s after engaging and after the figure
-ARRIVED = 0.3  # s after the figure until all that was seen of it has arrived
+PATH_POINTS = 600  # points of a figure at which it is timed
+LEAD = 2.0  # s: least duration of the way from rest to the figure
+SENT = 100.0  # commands per second
+SETTLED = 1.5  # s of waiting after engaging and after the figure
+ARRIVED = 0.3  # s after the figure until all of its frames have arrived
 PROBE = (140.0, 3.0)  # ticks and s of the move that measures the servos
-AVERAGED = 0.2  # s over which what is seen to be off is averaged before it is fed back
-MOST_BACK = 5.0  # mm that feedback may add
-GONE = 0.5  # s without the tip after which it is not seen
-FADES = 1.0  # s in which feedback goes when the tip is not seen: what it knew grows old
+AVERAGED = 0.2  # s over which the observed error is averaged before it is fed back
+MOST_BACK = 5.0  # mm: largest correction by feedback
+GONE = 0.5  # s without the tip after which it counts as not seen
+FADES = 1.0  # s: time constant with which feedback decays when the tip is not seen
 
 
 @dataclass(frozen=True)
 class Course:
-    """A plan and which of its waypoints (T,) are the figure's; the others lead to it.
+    """A plan, and which of its waypoints (T,) belong to the figure; the others lead to it.
 
-    The figure could take `quickest` s at least.
+    The shortest possible duration of the figure is `quickest` s.
     """
 
     plan: Plan
@@ -67,16 +67,19 @@ def course(
     calibration: Calibration,
     method: str = "exact",
 ) -> Course:
-    """Plan a figure about the tip at rest, in the first two of the axes that count.
+    """Plan a figure around the tip at rest, in the first two of the axes that count.
 
     Args:
-        name: a figure or a file (`curves.figure`). amplitude: mm. duration: s, stretched where the
-            limits ask for more.
-        rate: waypoints a second. slew, acceleration: (C,) of the servos, in ticks. calibration:
-            commands to ticks.
+        name: a figure or a file (`figures.figure`)
+        amplitude: mm
+        duration: s; longer where the limits require it
+        rate: waypoints per second
+        slew: (C,) ticks/s of the servos
+        acceleration: (C,) ticks/s² of the servos
+        calibration: from commands to ticks
 
     Raises:
-        SoftmapError: a rate or duration that is none, fewer than two axes, or as `figure`.
+        SoftmapError: a rate or duration is invalid, fewer than two axes count, or as `figure`.
     """
     if not (0 < duration <= 3600 and 1 <= rate <= 1000):
         raise SoftmapError(
@@ -117,9 +120,9 @@ def course(
 
     targets, _, counts, quickest = complete_path(fine=False)
     plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
-    # Where a tendon hangs slack a full mm of command may lie between two waypoints: no servo
-    # follows that. Then the path is timed evenly in ticks, and what was timed is to act, although
-    # the tip strays while it is taken up.
+    # While a tendon hangs slack, a full mm of command may lie between two waypoints, which no servo
+    # can follow. Then the path is timed evenly in ticks, and the timed commands are the effective
+    # ones, although the tip leaves its path while the slack is taken up.
     if (
         method == "exact"
         and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any()
@@ -135,10 +138,12 @@ def course(
 class Tracked:
     """The result of tracking.
 
-    Where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
-    `target` (K, 3), and the `error` (K,) mm along the axes that count; `response` (delay, lag) s of
-    the servos, None where it was not to be measured, `unseen` s of the figure without frames of the
-    camera.
+    Attributes:
+        tip: (K, 3) mm, observed positions at `t` (K,) s of the plan
+        target: (K, 3) mm, target positions at these times
+        error: (K,) mm along the axes that count
+        response: (delay, lag) s of the servos; None if it was not measured
+        unseen: s of the figure without camera frames
     """
 
     t: Floats
@@ -159,14 +164,14 @@ def track(
     late: float = 0.0,
     progress: Callable[[str, float], None] | None = None,
 ) -> Tracked:
-    """Drive a course on an entered `robot` that records, and measure its error with `seen`.
+    """Follow a course on an entered `robot` that records, and measure its error with `seen`.
 
-    A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and
-    nothing else changes. `late` s is what the quickest frame takes; `progress` is called with the
-    current step and the share that is done.
+    If the tip is not seen for `GONE` s, its feedback decays; nothing else changes. `late` s is the
+    delay of the fastest frame. `progress` is called with the current step and the completed share.
 
     Raises:
-        SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
+        SoftmapError: the robot records nothing, there is feedback without a camera, or the guard
+            stopped.
     """
     if robot.recording is None or (observe and seen is None):
         raise SoftmapError(
@@ -176,7 +181,7 @@ def track(
     robot.engage(home)
     say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
-    slope = robot.calibration.A  # command a tick
+    slope = robot.calibration.A  # command per tick
     _play(
         robot,
         lambda t: home + slope @ _probe(t, len(home)),
@@ -184,7 +189,7 @@ def track(
         partial(say, "measuring servos"),
     )
     measured = _meanwhile(robot, home, partial(_response, robot.recording))
-    robot.check_recorded()  # what broke off measured nothing
+    robot.check_recorded()  # an interrupted recording has no measurement
     delay, lag = measured or (0.0, 0.0)
     plan = course.plan
     delays, lags = (own + more for own, more in zip((delay, lag), kinematics.delays))  # (C,) s
@@ -206,7 +211,7 @@ def track(
 
 
 def spread(error: Floats) -> Document:
-    """Return mean, standard deviation, largest and number of errors, as documents have them."""
+    """Return mean, standard deviation, maximum and number of errors, as in documents."""
     return {
         "mean": float(error.mean()),
         "sd": float(error.std()),
@@ -221,7 +226,7 @@ def _play(
     seconds: float,
     say: Callable[[float], None] | None = None,
 ) -> None:
-    """Send `command` of the time since now, `SENT` times a second; `say` the share done."""
+    """Send `command` of the elapsed time at `SENT` Hz; pass the completed share to `say`."""
     begun = due = robot.time.now()
     reported = -1.0
     while (now := robot.time.now()) - begun < seconds:
@@ -236,10 +241,10 @@ def _play(
 def _meanwhile(robot: Controller, command: Floats, work: Callable[[], T]) -> T:
     """Send `command` while a thread does `work`.
 
-    So the guard goes on receiving targets, however slow the computer.
+    So the guard keeps receiving targets on a slow computer.
     """
     if robot.time.stepped:
-        return work()  # time stands meanwhile
+        return work()  # simulated time stands meanwhile
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         while not done.done():
@@ -263,7 +268,7 @@ def _probe(t: float, channels: int) -> Floats:
 
 
 def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
-    """Return the tips that were seen (K, 3) mm; NaN where not all of a tip was."""
+    """Return the observed tips (K, 3) mm; NaN where a tip was not completely seen."""
     index = kinematics.model.tip_indices
     return np.array(
         [np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]
@@ -290,12 +295,12 @@ def _errors_of(
 
 
 class _Feedback:
-    """The observed error as a change of the effective command: a disturbance observer.
+    """A disturbance observer: the observed error as a change of the effective command.
 
-    What a frame shows beyond the target and beyond the corrections that had reached the tip by then
-    is the disturbance; averaged over `AVERAGED` s it is taken back at once. The corrections under
-    way are known, so the servos' answer does not have to be waited for. Errors shorter than that
-    answer, as at a reversal, are not corrected. While the tip is not seen, the correction fades.
+    The disturbance is the observed tip, minus the target, minus the corrections effective at
+    exposure. It is averaged over `AVERAGED` s and subtracted at once. Corrections in transit are
+    known, so feedback need not wait for the response of the servos. Errors shorter than that
+    response, as at a reversal, are not corrected. While the tip is not seen, the correction decays.
     """
 
     def __init__(self, kinematics: Kinematics, plan: Plan, answer: float, late: float) -> None:
@@ -307,7 +312,7 @@ class _Feedback:
         self._asked: list[tuple[float, Floats]] = [(-np.inf, np.zeros(3))]
 
     def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:
-        """Return by how much (C,) mm what should act changes at `t` s of the plan."""
+        """Return the change (C,) mm of the effective command at `t` s of the plan."""
         new = self._clock.add(frames)
         for frame, taken in zip(new, self._clock.times(new) - begun):
             tip = _tips(self._kinematics, [frame])[0] if taken >= 0 else np.full(3, np.nan)

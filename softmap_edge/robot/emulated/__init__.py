@@ -1,1 +1,1 @@
-"""A finger behind emulated servos, in place of hardware."""
+"""A finger on emulated servos, in place of hardware."""

@@ -1,9 +1,10 @@
-"""A finger behind emulated servos: what a camera would see of it while real packets drive it.
+"""A finger on emulated servos, and the camera frames of it, driven by real packets.
 
-Horns wind tendons by the robot's own map; what hides between is one of the truth's laws
-(`robot/emulated/laws.py`, never the effect library); the shape is the model's without its effects.
-Frames come with a clock of their own, some of it off. A stand-in for hardware, never called real.
-Pinned by tests/robot/test_emulated_finger.py.
+Horns wind tendons by the robot's own map. Hidden laws (`robot/emulated/laws.py`, never the effect
+library) act between horn and body. The shape is that of the model without its effects. Frames are
+stamped by a camera clock with an offset and a drift. It replaces hardware in tests and
+demonstrations; results are always labelled as emulated. Pinned by
+tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations
@@ -41,24 +42,24 @@ from softmap_edge.run.rest_command import home_command
 
 Floats = NDArray[np.float64]
 
-RATE = 200.0  # looks at the horns a second
-FRAMES = 30.0  # frames a second
-LATE = (0.02, 0.01)  # s from a frame to its arrival: at least, and at random beyond
-NOISE = 0.1  # mm, each coordinate of each point
-DRIFT = 30e-6  # of the camera's clock against the host's
-LATEST = 15  # frames that may still be on their way
+RATE = 200.0  # readings of the horns per second
+FRAMES = 30.0  # frames per second
+LATE = (0.02, 0.01)  # s from exposure to arrival of a frame: minimum, and mean of the random part
+NOISE = 0.1  # mm, of each coordinate of each point
+DRIFT = 30e-6  # relative rate of the camera's clock against the host's
+LATEST = 15  # frames in transit at most
 KEPT = 9000  # frames: five minutes
-ASKED = 5  # times
+ASKED = 5  # repetitions of a request
 SERVO, BAUD = "XL330-M288", 1_000_000
-# s: delay and lag of the trunk's servos, commands against encoders of its recording
+# s: delay and lag of the trunk's servos, from commands to encoders in its recording
 ANSWER = (0.19, 0.05)
 
 
 def hidden_laws(names: Sequence[str], channels: int, seed: int, strength: float = 1.0) -> list[Law]:
-    """Return laws of commands to hide, drawn from `seed`, `strength` times as strong as they come.
+    """Return hidden laws of commands drawn from `seed`, scaled by `strength`.
 
     Raises:
-        SoftmapError: an unknown or repeated name, or a law that moves no command.
+        SoftmapError: a name is unknown or repeated, or a law moves no command.
     """
     check_hidden(names, seed)
     known = {**LAWS, **NAMED}
@@ -81,9 +82,12 @@ class EmulatedFinger:
     """A finger on the horns of `bus`, seen by a camera, from entering to leaving.
 
     Args:
-        bus: emulated servos, in the order of the commands. model: whose prior gives the shape.
-            calibration: the true map of ticks. laws: what hides between horn and body
-            (`hidden_laws`). seed: of noise and clock. clock: the time of the servos.
+        bus: emulated servos, in the order of the commands
+        model: its prior gives the shape
+        calibration: true map of ticks
+        laws: hidden between horn and body (`hidden_laws`)
+        seed: of noise and clock
+        clock: time of the servos
     """
 
     def __init__(
@@ -107,7 +111,7 @@ class EmulatedFinger:
         self._rest, self._mm = home_command(model.command_range), tendon_mm(model.command_unit)
         self._rng = np.random.default_rng(seed)
         self._clock = clock
-        # where the camera's clock began
+        # start of the camera's clock
         self._zero = clock.now() - float(self._rng.uniform(5.0, 500.0))
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
         self._blind = False
@@ -135,7 +139,7 @@ class EmulatedFinger:
             self._thread.join(2.0)
 
     def blind(self, dark: bool) -> None:
-        """Let the camera see nothing, or again."""
+        """Block or unblock the view of the camera."""
         self._blind = dark
 
     def seen(self) -> list[Frame]:
@@ -144,9 +148,9 @@ class EmulatedFinger:
         return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
-        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm.
+        """Return the true effective commands: times (T,) s, monotonic, and (T, C) mm.
 
-        A real robot does not report it.
+        A real robot does not report them.
         """
         known = list(self._acting)
         return np.array([t for t, _ in known]), np.array([u for _, u in known])
@@ -159,7 +163,7 @@ class EmulatedFinger:
             self._done.wait(max(0.0, due - time.monotonic()))
 
     def _look(self) -> None:
-        """Let the finger follow its horns, and take a frame where one is due."""
+        """Let the finger follow its horns, and take a frame if one is due."""
         now, horns = self._bus.state()
         angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
         u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
@@ -191,16 +195,16 @@ def emulated_bench(
     ready: bool = True,
     time: Literal["real", "paced", "stepped"] = "real",
 ) -> Iterator[tuple[_core.EmulatedBus, Rig, LoopLimits, EmulatedFinger]]:
-    """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
+    """Return an emulated bus, its rig, its limits, and a finger on it.
 
-    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders
-    of its recording) and draw what the model's tendons ask. Without `ready` they are as they are
-    delivered, and the rig has no home. `real` time serves them at a pseudo-terminal, which any
-    program can open; else they are simulated for this program, and no load of the computer makes
-    them late (`robot/servo/clock.py`).
+    The servos have the delay of the trunk's (0.19 s, lag 0.05 s: from commands to encoders in its
+    recording), and draw the current that the model's tendons require. With `ready` they are set up
+    and homed; without, they have factory settings, and the rig has no home. `real` time serves them
+    at a pseudo-terminal, which any program can open. Otherwise they are simulated for this program,
+    independent of the load of the computer (`robot/servo/clock.py`).
 
     Raises:
-        ServoError: no such model, or it has no such rate.
+        ServoError: there is no such servo model, or it lacks the baud rate.
     """
     known = servo_model(servo)
     ids = range(1, model.channels + 1)
@@ -233,11 +237,9 @@ def emulated_bench(
 
 
 def _ready(found: ServoState, home: int) -> list[int]:
-    """Set an emulated servo up and mark it as homed.
+    """Set an emulated servo up and mark it as homed; return its gains.
 
-    Requests are repeated if a busy computer made an answer late.
-
-    Returns its gains.
+    Requests are repeated in case a busy computer delayed an answer.
     """
     for left in reversed(range(ASKED)):
         try:

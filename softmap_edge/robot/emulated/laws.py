@@ -1,26 +1,22 @@
-"""The laws of hidden effects, one class an effect, in a form of their own.
+"""The laws of hidden effects, one class per effect, independent of the effect library.
 
-The effect library is never called.
+Each law differs in form from the effect of the same name in the library (after the semicolon):
 
-    effect  law of the truth  differs from the library in
-    offset      servo horn mounted askew, angle rounded to encoder steps
-        rounding, direction per channel
-    gain  spool of another radius that grows with the wound length  slightly curved, per channel
-    lag         two poles in series (servo, then cable), exact for ramps    order two
-    latency     bus packets at a fixed period, each late by its own delay   sample and hold, jitter
-    backlash    mean of eight plays of different width (friction-like)      soft corners
-    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z
-        differential law, not stops
-    creep       three Kelvin-Voigt terms at τ/5, τ, 5τ                      three terms
-    gravity     density and mounting angle, solved in the finite elements
-        equilibrium, not a linear field
-    payload  dead weight at the tip, solved in the finite elements  equilibrium, not a linear field
-    mount       rigid rotation (Rodrigues) and shift of all points seen     exact rotation
+    offset      horn mounted at an angle, rounded to encoder steps; rounding, sign per channel
+    gain        spool radius that grows with the wound length; slightly curved, per channel
+    lag         two poles in series (servo, then cable), exact for ramps; second order
+    latency     bus packets at a fixed period, each with its own delay; sample and hold, jitter
+    backlash    mean of eight plays of different width (friction-like); soft corners
+    hysteresis  Bouc-Wen: z' = v (1 - |z|^n (1 + sgn(v z))/2), y = u - H z; differential law
+    creep       three Kelvin-Voigt terms at τ/5, τ, 5τ; three terms
+    gravity     density and mounting angle, solved in the finite elements; equilibrium
+    payload     dead weight at the tip, solved in the finite elements; equilibrium
+    mount       rigid rotation (Rodrigues) and shift of all points; exact rotation
 
-Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever.
-`scaled(s)` multiplies the strength and keeps the character; `LIMIT` is the largest s that is still
-plausible for a real finger. Loops over time stand here in Python on purpose: they validate the
-compiled loops. Pinned by `tests/synthetic/test_truth.py` against closed forms.
+Units: s, mm, g, degrees. Each law starts in equilibrium with its first command. `scaled(s)`
+multiplies the strength and keeps the other parameters; `LIMIT` is the largest s that is plausible
+for a real finger. Loops over time are in Python on purpose: they validate the compiled loops.
+Pinned by `tests/synthetic/test_truth.py` against closed forms.
 """
 
 from __future__ import annotations
@@ -39,14 +35,14 @@ NEWTON_PER_GRAM = 9.80665e-3
 
 @dataclass(frozen=True)
 class Law:
-    """One hidden cause; a subclass overrides the one place where it acts."""
+    """One hidden law; a subclass overrides the one method at its place in the chain."""
 
     NAME: ClassVar[str]
     LIMIT: ClassVar[float] = 2.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        """Draw the character at strength 1, about the middle of the plausible range."""
+        """Draw the parameters at strength 1, near the middle of the plausible range."""
         raise NotImplementedError
 
     def scaled(self, s: float) -> Self:
@@ -54,7 +50,7 @@ class Law:
         raise NotImplementedError
 
     def command(self, t: Floats, u: Floats) -> Floats:
-        """Return what reaches the body: t (T,) s, u (T, C) mm → (T, C) mm."""
+        """Return the command that reaches the body: t (T,) s, u (T, C) mm → (T, C) mm."""
         return u
 
     def gravity(self, g: Floats) -> Floats:
@@ -66,11 +62,11 @@ class Law:
         return np.zeros(3)
 
     def seen(self, points: Floats) -> Floats:
-        """Return where points (..., 3) mm appear."""
+        """Return where points (..., 3) mm are seen."""
         return points
 
     def params(self) -> dict[str, float | list[float]]:
-        """Return the numbers of the law, units in the names."""
+        """Return the parameters of the law, with units in their names."""
         return {
             k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()
         }
@@ -78,7 +74,7 @@ class Law:
 
 @dataclass(frozen=True)
 class AskewHorn(Law):
-    """y = round((u + b) r)/r: the horn sits askew by b, the encoder counts r steps per mm."""
+    """y = round((u + b) r)/r: the horn is offset by b, the encoder counts r steps per mm."""
 
     NAME = "offset"
     shift_mm: Numbers
@@ -99,7 +95,7 @@ class AskewHorn(Law):
 
 @dataclass(frozen=True)
 class OtherSpool(Law):
-    """y = (1 + e) u + e k u²/2 per wound side: radius off by e, growing with the wound length."""
+    """y = (1 + e) u + e k u²/2 per side: the radius is off by e and grows with the wound length."""
 
     NAME = "gain"
     radius_excess: Numbers
@@ -138,7 +134,7 @@ class TwoPoles(Law):
 
 @dataclass(frozen=True)
 class LatePackets(Law):
-    """The servo holds the newest packet; packet k, sent at kΔ, arrives late by its own delay."""
+    """The servo holds the newest packet; packet k, sent at kΔ, has its own random delay."""
 
     NAME = "latency"
     delay_s: float
@@ -195,7 +191,7 @@ class BoucWen(Law):
     """y = u − H z, z' = (u'/d0)(1 − |z|^n (1 + sgn(u' z))/2), in steps of at most d0/20."""
 
     NAME = "hysteresis"
-    share: Numbers  # of the motion that is held back after a reversal: H = share · d0
+    share: Numbers  # share of the motion that is lost after a reversal: H = share · d0
     saturation_mm: float  # d0
     sharpness: float  # n
 
@@ -260,7 +256,7 @@ class TrueWeight(Law):
     """g_true = (1 + e) R g: density off by e, the mounting askew by two angles."""
 
     NAME = "gravity"
-    # twice the weight or half of it, 56 degrees: less moves some fingers by less than 1 mm
+    # Half or double the weight, 56 degrees: smaller changes move some fingers by less than 1 mm.
     LIMIT = 4.0
     density_excess: float
     askew_deg: Numbers  # about x and y of the base frame
@@ -302,7 +298,7 @@ class TipWeight(Law):
 
 @dataclass(frozen=True)
 class AskewBase(Law):
-    """p_seen = R p + s: the base is not clamped at the origin of the camera frame."""
+    """p_seen = R p + s: the base is not at the origin of the camera frame."""
 
     NAME = "mount"
     turn_deg: Numbers
@@ -325,7 +321,7 @@ class AskewBase(Law):
         return np.asarray(points @ rotation(self.turn_deg).T + np.array(self.shift_mm))
 
 
-# In the order in which they act: command, transmission, material, body, camera.
+# In the order of the chain: command, transmission, material, body, camera.
 LAWS: dict[str, type[Law]] = {
     law.NAME: law
     for law in (
@@ -372,6 +368,6 @@ def _pole(t: Floats, u: Floats, tau: float) -> Floats:
 
 
 def _spread(rng: np.random.Generator, channels: int) -> Floats:
-    """Draw one number a channel: any signs, sizes within 0.5..1, the largest 1."""
+    """Draw one number per channel: random signs, sizes within 0.5..1, the largest 1."""
     size = rng.uniform(0.5, 1.0, channels)
     return np.asarray(size / size.max() * rng.choice([-1.0, 1.0], channels), dtype=np.float64)

@@ -1,8 +1,6 @@
-"""Hidden laws by name, in their own strength.
+"""Hidden laws by name, in a fixed strength: faults that the effect library does not contain.
 
-They are a fault, and what the library has no effect for.
-
-As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by
+Like those of `robot/emulated/laws.py`, they differ in form from the effect library. Pinned by
 tests/commands/test_own_effect_page.py and tests/synthetic/test_truth.py.
 """
 
@@ -21,18 +19,18 @@ from softmap_edge.robot.emulated.laws import LAWS, Floats, Law, Numbers
 
 @dataclass(frozen=True)
 class OffCentreSpool(Law):
-    """A spool that turns off its centre: exact geometry of winding, not in the library.
+    """A spool that turns off its centre: exact winding geometry, not in the library.
 
-    The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along
-    the tangent towards a guide D away. With L the free length, β the angle of the tangent point
-    about c and θ the servo's angle, the tendon is shortened by L(θ) − L(0) + R (θ − β(θ) + β(0));
-    its slope is the moment arm of the free tendon about the axis. A command is the rim's radius
-    times the servo's angle, as if the spool turned about its middle.
+    The rim (radius R) turns about a point at distance e from its centre c. The tendon leaves the
+    rim along the tangent towards a guide at distance D. With L the free length, β the angle of the
+    tangent point about c and θ the servo's angle, the tendon is shortened by L(θ) − L(0) + R (θ −
+    β(θ) + β(0)). Its slope is the moment arm of the free tendon about the axis. The command is the
+    rim's radius times the servo's angle, as if the spool turned about its centre.
     """
 
     NAME = "off_centre_spool"
     radius_mm: float = 5.0
-    off_mm: Numbers = (0.9, 0.8)  # of each channel, again from the first where there are more
+    off_mm: Numbers = (0.9, 0.8)  # of each channel, repeated for more channels
     phase: Numbers = (0.6, -1.1)
     guide_mm: float = 40.0
 
@@ -63,7 +61,7 @@ class OffCentreSpool(Law):
 
 @dataclass(frozen=True)
 class SwappedServos(Law):
-    """The first two servos have each other's place; with a single one it turns the wrong way."""
+    """The first two servos are swapped; a single servo turns the wrong way."""
 
     NAME = "servo_swap"
 
@@ -82,7 +80,7 @@ NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentr
 
 
 def check_hidden(names: Sequence[str], seed: int) -> None:
-    """Raise SoftmapError for bad hidden laws: an unknown name, one twice, a negative seed."""
+    """Raise SoftmapError for an unknown or repeated name of a law, or a negative seed."""
     unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
         raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))

@@ -1,12 +1,10 @@
-"""Servo ticks and millimetres of tendon: u = A (ticks − home) + b.
+"""The published map of the MOE finger from servo ticks to tendon length: u = A (ticks − home) + b.
 
-The numbers are those published for the MOE finger.
-
-Ma et al., SOFTMAP, fit A and b between real and simulated shapes; the numbers of `PUBLISHED` are
-those that the authors released with their browser demonstration, the window of ±7000 ticks around
-home too (neither stands in the paper). Two servos, one for each pair of tendons; b is not zero, so
-that home is not command 0. The truth's own law, written apart from `model/servo_calibration.py`,
-which has to find it. Pinned by tests/synthetic/test_virtual.py.
+Ma et al., SOFTMAP, fit A and b between real and simulated shapes. The numbers in `PUBLISHED` are
+those of the authors' browser demonstration, including the window of ±7000 ticks around home;
+neither is in the paper. Each of the two servos drives a pair of tendons. b is not zero, so home is
+not command 0. This is a hidden law, written independently of `model/servo_calibration.py`, which
+must recover it. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -23,9 +21,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoMap:
-    """The map of C servos: `slope` A (C, C) mm a tick, `shift` b (C,) mm, `home` (C,) ticks.
+    """The map of C servos: `slope` A (C, C) mm per tick, `shift` b (C,) mm, `home` (C,) ticks.
 
-    `window` is ± ticks.
+    `window` is the largest distance from home, ticks.
     """
 
     slope: tuple[tuple[float, ...], ...]
@@ -40,9 +38,10 @@ class ServoMap:
         )
 
     def to_ticks(self, command: ArrayLike) -> NDArray[np.int64]:
-        """Return the whole ticks (..., C) nearest to commands (..., C) mm.
+        """Return the integer ticks (..., C) nearest to commands (..., C) mm.
 
-        Raises SoftmapError outside the window.
+        Raises:
+            SoftmapError: ticks are outside the window.
         """
         away = np.linalg.solve(
             np.array(self.slope), (np.asarray(command, np.float64) - self.shift)[..., None]

@@ -1,8 +1,8 @@
-"""The truth's laws sample by sample: for an emulated finger that moves while it is watched.
+"""The hidden laws sample by sample, for an emulated finger that moves in real time.
 
-A record and a stream of the same law agree (tests/robot/test_emulated_finger.py). As in
-`robot/emulated/laws.py` each law begins in equilibrium with its first sample, and the effect
-library is never called.
+A law gives the same result for a complete record and for a stream
+(tests/robot/test_emulated_finger.py). As in `robot/emulated/laws.py`, each law starts in
+equilibrium with its first sample, and the effect library is never called.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Step = Callable[[float, Floats], Floats]
 
 
 def streamed(laws: Sequence[Law]) -> Step:
-    """Return the laws in series as a function (t s, u (C,) mm) → (C,) mm, with t rising."""
+    """Return the laws in series as a function (t s, u (C,) mm) → (C,) mm; t increases."""
     steps = [_MEMORY.get(type(law), _still)(law) for law in laws]
 
     def step(t: float, u: Floats) -> Floats:
@@ -103,7 +103,7 @@ def _bouc_wen(law: BoucWen) -> Step:
 def _packets(law: LatePackets) -> Step:
     rng = np.random.default_rng(law.seed)
     under_way: deque[tuple[float, Floats]] = deque()
-    # last sample, arrival of the last packet, what is held
+    # last sample, arrival of the last packet, held value
     known: list[tuple[float, Floats, float, Floats]] = []
 
     def step(t: float, u: Floats) -> Floats:

@@ -1,12 +1,12 @@
-"""What its tendons ask of a servo: mA over ticks, from the tensions of a model.
+"""The load of the tendons on a servo: current (mA) over ticks, from the tensions of a model.
 
     τ_s = Σ_c (4096 / 2π) A_cs Σ_i S_ic T_i(u),    mA = τ / k
 
-T_i (N) are the tensions that a simulated bundle keeps, S_ic is +1 for the tendon that command c
-shortens and -1 for the one that it lengthens, A mm a tick, k the servo's torque a current, as its
-stall figures have it (without gear losses). The other commands stand at home. Bundles that know no
-tensions take a stated nominal stiffness. For emulated servos; a real ceiling is measured. Pinned by
-tests/robot/test_emulated_finger.py.
+T_i (N) are the tensions stored in a simulated bundle. S_ic is +1 for the tendon that command c
+shortens and −1 for the one that it lengthens. A is in mm per tick, and k is the servo's torque per
+current from its stall figures (without gear losses). The other commands stay at home. Bundles
+without tensions get a nominal stiffness. Used for emulated servos; the ceiling of a real one is
+measured. Pinned by tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ Floats = NDArray[np.float64]
 Load = list[tuple[float, float]]
 
 TICKS_PER_RAD = TURN / (2.0 * np.pi)
-NOMINAL = 0.5  # N a mm of command, of a bundle without tensions: about the built-in finger's
-OWN = 0.6  # of the largest change of tension: a tendon that changes as much is the command's own
-POINTS = 41  # of a table
+# N per mm of command, for a bundle without tensions: about that of the built-in finger
+NOMINAL = 0.5
+OWN = 0.6  # share of the largest change of tension from which a tendon belongs to the command
+POINTS = 41  # points of a table
 
 
 def tendon_loads(
     model: Model, calibration: Calibration, window: tuple[float, float], servo: ServoModel
 ) -> list[Load]:
-    """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
+    """Return the load of each servo, (ticks, mA) ascending over `window` about home.
 
     Args:
-        servo: what is known of its model (`servo_model`).
+        servo: data of its model (`servo_model`)
     """
     stall = servo["stall_torque_Nm"], servo["stall_current_mA"]
-    length = calibration.A * tendon_mm(model.command_unit)  # of tendon, a tick
+    length = calibration.A * tendon_mm(model.command_unit)  # of tendon, per tick
     away = np.linspace(*window, POINTS)
     loads = []
     for s, home in enumerate(calibration.home):
@@ -50,7 +51,7 @@ def tendon_loads(
 
 
 def _forces(model: Model, u: Floats) -> Floats:
-    """Return with how many N each command (n, C) is pulled back, (n, C)."""
+    """Return the force (N) that pulls back each command (n, C), (n, C)."""
     pull = None if model.arrays is None else model.arrays.prior.tensions()
     if model.structure.cables is None or pull is None:
         return NOMINAL * tendon_mm(model.command_unit) * (u - home_command(model.command_range))

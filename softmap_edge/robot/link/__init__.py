@@ -1,1 +1,1 @@
-"""Signed datagrams between computers: sessions, frames of a camera and the points in them."""
+"""Signed datagrams between computers: sessions, camera frames and their points."""

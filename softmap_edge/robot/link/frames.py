@@ -1,11 +1,11 @@
-"""A frame of points that a camera saw, and when that was by the host's clock.
+"""A camera frame of points, and its exposure time by the host's clock.
 
-    taken = rate · stamp + offset,   arrived − taken ≥ 0, and the quickest frame came at once
+    taken = rate · stamp + offset,   arrived − taken ≥ 0, equality for the fastest frame
 
-A camera has a clock of its own: an offset from the first frame on, a rate once the frames span
-`LONG` s. The host cannot measure the fixed latency of a frame (exposure, readout, detection): the
-program that measured it states it (`late`). Known limit: over frames that all wait in a queue they
-seem to be taken late. Pinned by tests/robot/test_emulated_finger.py and
+A camera has its own clock: the offset is estimated from the first frame on, the rate once the
+frames span `LONG` s. The fixed latency (exposure, readout, detection) cannot be estimated; a
+program that measured it passes it as `late`. Known limit: if all frames wait in a queue, their
+times are estimated too late. Pinned by tests/robot/test_emulated_finger.py and
 tests/robot/test_camera_points.py.
 """
 
@@ -20,18 +20,16 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-LONG = 60.0  # s of frames from which on two clocks are seen to part
-PART = 10.0  # s; the quickest frame of each such part counts
-MOST_DRIFT = 1e-3  # of a clock against another: beyond any crystal
+LONG = 60.0  # s of frames from which the rate of the camera's clock is estimated
+PART = 10.0  # s; the fastest frame of each such interval counts
+MOST_DRIFT = 1e-3  # relative rate of two clocks: more than any crystal drifts
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a camera saw: `stamp` s by its clock, `arrived` s by the host's, `points` (N, 3) mm.
+    """A camera frame: `stamp` s by its clock, `arrived` s by the host's, `points` (N, 3) mm.
 
-    The clock of the host is monotonic.
-
-    NaN stands for a point that was not seen.
+    The clock of the host is monotonic. NaN stands for a point that was not seen.
     """
 
     stamp: float
@@ -39,24 +37,24 @@ class Frame:
     points: NDArray[np.floating]
 
 
-Seen = Callable[[], list[Frame]]  # the frames that have arrived, oldest first
+Seen = Callable[[], list[Frame]]  # returns the frames that have arrived, oldest first
 
 
 class HostClock:
-    """A camera's clock against the host's, learnt by frame; it keeps numbers, no frames.
+    """Estimate a camera's clock against the host's, frame by frame, without storing frames.
 
     Args:
-        late: s that the quickest frame takes from its light to its arrival.
+        late: s from exposure to arrival of the fastest frame
     """
 
     def __init__(self, late: float = 0.0) -> None:
         self._late, self._first, self._newest = late, math.nan, -math.inf
-        # s since the first, s behind: the quickest under whatever drift
+        # (s since the first frame, delay s) of frames that are fastest at some drift: a convex hull
         self._lower: list[tuple[float, float]] = []
-        self._parts: dict[int, tuple[float, float]] = {}  # the quickest of each part
+        self._parts: dict[int, tuple[float, float]] = {}  # fastest frame of each interval
 
     def add(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Take frames, oldest first, and return those that were not taken before."""
+        """Add frames, oldest first, and return those that are new."""
         new: list[Frame] = []
         for frame in reversed(frames):
             if frame.stamp <= self._newest:
@@ -75,7 +73,7 @@ class HostClock:
         return new
 
     def times(self, frames: Sequence[Frame]) -> Floats:
-        """Return when frames were taken (K,) s by the host's clock, by all that were added."""
+        """Return the exposure times (K,) s by the host's clock, estimated from all added frames."""
         stamps = np.array([frame.stamp for frame in frames])
         if not self._lower:
             return stamps
@@ -94,7 +92,7 @@ def _above(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float
 
 
 def on_host(frames: Sequence[Frame], late: float = 0.0) -> Floats:
-    """Return when all frames of a camera were taken (K,) s by the host's clock."""
+    """Return the exposure times (K,) s of all frames of a camera by the host's clock."""
     clock = HostClock(late)
     clock.add(frames)
     return clock.times(frames)

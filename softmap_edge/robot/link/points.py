@@ -1,13 +1,13 @@
-"""Points that a camera program sees, sent to the robot's host over UDP (docs/do/camera.md).
+"""Points seen by a camera program, sent to the robot's host over UDP (docs/do/camera.md).
 
     with PointSender("192.168.1.20", 9870, read_key("camera.key")) as out:
-        out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for what is
-                                         not seen; s
+        out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for points
+                                         # that are not seen; s
 
-A datagram, little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number (u64),
-stamp (f64 s, the camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that where both
-sides have a key. It is sent and listened for in sessions (`signed_udp`), within which stamps rise.
-Pinned by tests/robot/test_camera_points.py.
+Each datagram is little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number
+(u64), stamp (f64 s, the camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that if
+both sides have a key. Datagrams belong to sessions (`link/session.py`), within which stamps
+increase. Pinned by tests/robot/test_camera_points.py.
 """
 
 from __future__ import annotations
@@ -37,23 +37,20 @@ from softmap_edge.robot.link.session import (
 
 MARK, OFFER_MARK = b"SMP1", b"SMQ1"
 _HEAD = struct.Struct("<4sHH16sQd")
-MOST_POINTS = 5000  # what one datagram carries
-FARTHEST = 1e4  # mm
-NEAREST = 1.0  # mm: a robot whose points all lie nearer to the origin is one in metres
-# s by which a sender's clock may leave ours between two frames before it counts as a new clock
+MOST_POINTS = 5000  # points that fit into one datagram
+FARTHEST = 1e4  # mm: largest coordinate
+NEAREST = 1.0  # mm: if all points are closer to the origin, they are in metres
+# s: change of a sender's clock against ours between two frames that counts as a new clock
 JUMP = 2.0
-LATEST = 1e10  # s: three hundred years; beyond, stamps of two frames are no two numbers any more
+LATEST = 1e10  # s, three hundred years: beyond, the stamps of two frames cannot be distinguished
 KEPT = 9000  # frames: five minutes
-WAIT = 0.2  # s that the receiver waits at a time
+WAIT = 0.2  # s for which the receiver waits at a time
 THIS_COMPUTER = ("127.0.0.1", "localhost", "::1")
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """A datagram's content: `points` (N, 3) mm, NaN if unseen, `stamp` s, session data.
-
-    The latter is its place in a session.
-    """
+    """The content of a datagram: `points` (N, 3) mm (NaN if unseen), `stamp` s, session data."""
 
     points: NDArray[np.float32]
     stamp: float
@@ -62,14 +59,14 @@ class Message:
 
 
 def packed(message: Message, key: bytes | None = None) -> bytes:
-    """Return a message as a datagram, signed where there is a key."""
+    """Return a message as a datagram, signed if there is a key."""
     points = np.ascontiguousarray(message.points, "<f4")
     head = _HEAD.pack(MARK, len(points), 0, message.session, message.sequence, message.stamp)
     return signed(key, head + points.tobytes())
 
 
 def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
-    """Return a datagram's content, or a word on why it is rejected: length, signature, content."""
+    """Return the content of a datagram, or why it is rejected: length, signature, content."""
     if len(datagram) < _HEAD.size:
         return "length"
     mark, count, zero, session, sequence, stamp = _HEAD.unpack_from(datagram)
@@ -86,9 +83,9 @@ def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
 
 
 class PointSender(Sender):
-    """Sends frames to `host`:`port`; a context manager, to be closed.
+    """Send frames to `host`:`port`; a context manager.
 
-    The first only asks the receiver to listen.
+    The first frame only asks the receiver for a session.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -100,15 +97,15 @@ class PointSender(Sender):
     def send(
         self, points: ArrayLike, stamp: float | None = None, visible: ArrayLike | None = None
     ) -> bool:
-        """Send a frame; False where it could not be sent just now (no network, or no receiver).
+        """Send a frame; return False if it cannot be sent now (no network, or no receiver).
 
         Args:
-            points: (N, 3) mm, NaN where not seen. stamp: s by the camera's clock; this moment
-                without it.
-            visible: (N,) bool.
+            points: (N, 3) mm, NaN if not seen
+            stamp: s by the camera's clock; by default the current time
+            visible: (N,) bool
 
         Raises:
-            LinkError: points that are none, too many of them, or not in mm; a stamp that is none.
+            LinkError: points are invalid, too many, or not in mm, or the stamp is invalid.
         """
         now = np.array(points, np.float32)
         if now.ndim != 2 or now.shape[1:] != (3,) or not 1 <= len(now) <= MOST_POINTS:
@@ -140,19 +137,19 @@ class PointSender(Sender):
 
 
 class PointReceiver(Listener):
-    """Takes frames at `host`:`port` (0: any free one, see `.port`) from entering to leaving.
+    """Receive frames at `host`:`port` (0: any free port, see `.port`) from entering to leaving.
 
-    `.refused` counts what was not taken, by why: length, signature, content, points (another number
-    of them), replay also of a stamp that did not rise, and the others of a `Listener`. `.taken`
-    counts the frames.
+    `.refused` counts rejected datagrams by reason: length, signature, content, points (another
+    number of them), replay (also a stamp that did not increase), and those of a `Listener`.
+    `.taken` counts accepted frames.
 
     Args:
-        key: shared with the sender; without it only this computer may send. count: how many points
-            a frame has; any number without it. frame: (3, 4) [R | mm] from the camera to the base,
-            as in a run of `softmap run align`.
+        key: shared with the sender; without a key only this computer may send
+        count: number of points in a frame; by default any number
+        frame: (3, 4) [R | mm] from the camera to the base, as in a run of `softmap run align`
 
     Raises:
-        LinkError: the address is not ours or in use, the key is too short, or it is needed.
+        LinkError: the address is not local or in use, the key is too short, or a key is required.
     """
 
     def __init__(
@@ -175,7 +172,8 @@ class PointReceiver(Listener):
         self.taken = 0
         self._frames: deque[Frame] = deque(maxlen=KEPT)
         self._last: tuple[Message, float] | None = None
-        self._shift, self._quickest = 0.0, math.inf  # of stamps: one clock through all sessions
+        # s: shift of stamps to one clock for all sessions; smallest delay
+        self._shift, self._quickest = 0.0, math.inf
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
 
@@ -184,7 +182,7 @@ class PointReceiver(Listener):
         return self
 
     def close(self) -> None:
-        """Listen no more, and free the port; may be called again."""
+        """Close the socket and free the port; may be called again."""
         self._done.set()
         if self._thread.is_alive():
             self._thread.join(10 * WAIT)
@@ -195,7 +193,7 @@ class PointReceiver(Listener):
         return list(self._frames)
 
     def summary(self) -> str:
-        """Return what came, in a line."""
+        """Return a one-line summary of received and rejected frames."""
         lost = f", {self.lost} lost on the way" if self.lost else ""
         dropped = dropped_words(self.refused)
         return f"{self.taken} frames came{lost}" + (f"; {dropped}" if dropped else "")
@@ -204,7 +202,7 @@ class PointReceiver(Listener):
         while not self._done.is_set():
             try:
                 datagram, address = self._socket.recvfrom(_HEAD.size + 12 * MOST_POINTS + TAG + 1)
-            except OSError:  # nothing came, or what came back of another's datagram
+            except OSError:  # no datagram, or an error caused by another program's datagram
                 continue
             self._take(datagram, address, time.monotonic())
 
@@ -225,8 +223,7 @@ class PointReceiver(Listener):
                 self.refused["replay"] += 1
                 return
             if new or abs((now - last[1]) - (got.stamp - last[0].stamp)) > JUMP:
-                # Another clock: its first frame is taken to have come as quickly as the quickest
-                # did.
+                # Another clock: assume that its first frame was as fast as the fastest before.
                 self._shift, old = now - got.stamp - self._quickest, self._shift
                 self._shift = max(self._shift, last[0].stamp + old - got.stamp + 1e-6)
         stamp = got.stamp + self._shift

@@ -1,16 +1,16 @@
-"""The shared part of datagrams: a key in a file, a signature, an address, and both ends.
+"""Sessions of signed datagrams: a key file, a signature, an address, a sender and a listener.
 
-They are the two ends of a session.
+HMAC-SHA256 under a shared key: without the key a datagram can be read, but neither created nor
+changed.
 
-HMAC-SHA256 under a shared key: without it a datagram can be read, but neither written nor changed.
-
-A session is a random number of the listener's: it offers it, signed, to who signs rightly under
-another one, and sequence numbers must rise within it. So a recorded datagram counts nowhere again,
-also after either side was restarted, and no clocks need agree. While a sender is alive no other
-takes its place. Rejected datagrams are counted by reason and not answered. The first datagrams of a
-sender only ask for the session. Without a key (programs of one computer) all is the same, unsigned.
-`rust/control/heartbeat.rs` is another listener. Pinned by tests/robot/test_landmarks_udp.py,
-tests/robot/test_camera_points.py and tests/robot/test_emergency.py.
+A session is a random number chosen by the listener. The listener offers it, signed, to a sender
+that signs correctly under another one. Sequence numbers must increase within a session. So a
+replayed datagram is never accepted, even after a restart of either side, and clocks need not agree.
+While a sender is active, no other can take its place. Rejected datagrams are counted by reason and
+not answered. The first datagrams of a sender only request the session. Without a key (programs on
+one computer) datagrams are unsigned; all else is the same. `rust/control/heartbeat.rs` is another
+listener. Pinned by tests/robot/test_landmarks_udp.py, tests/robot/test_camera_points.py and
+tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from typing import Self
 
 from softmap_edge.errors import LinkError
 
-# of IPv4, of IPv6, and of a computer without IPv6, as Python gives them
+# an IPv4 address, an IPv6 address, and one without IPv6 support, as Python returns them
 Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
 
 TAG = 32  # bytes of HMAC-SHA256
-SESSION = 16  # bytes that name a session
+SESSION = 16  # bytes of a session number
 NO_SESSION = bytes(SESSION)
-SILENCE = 0.5  # s after which a sender that is not heard may be followed by another
-OFFER_LASTS = 1.0  # s for which a session that was offered can be taken up
-MOST_OFFERS = 64  # that are taken in at a time
+SILENCE = 0.5  # s without a datagram after which another sender may take over
+OFFER_LASTS = 1.0  # s for which an offered session can be accepted
+MOST_OFFERS = 64  # offers that are read at a time
 SHORTEST_KEY = 16  # bytes
 
 
 def new_key(path: str | Path) -> bytes:
-    """Write a random 32-byte key as text to a new file for its owner alone, and return it.
+    """Write a random 32-byte key as text to a new file readable by its owner alone, and return it.
 
     Raises:
-        LinkError: the file is there already, or cannot be written.
+        LinkError: the file exists, or cannot be written.
     """
     key = secrets.token_bytes(32)
     try:
@@ -66,10 +66,10 @@ def read_key(path: str | Path) -> bytes:
     """Return the key in a file that `new_key` wrote.
 
     Raises:
-        LinkError: it cannot be read, others may read it, or it is no key.
+        LinkError: the file cannot be read, other users may read it, or it holds no key.
     """
     try:
-        # Do not wait for a pipe without a writer.
+        # Do not block on a pipe without a writer.
         with open(
             path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)
         ) as file:
@@ -92,7 +92,7 @@ def checked_key(key: bytes) -> bytes:
     """Return a key that is long enough.
 
     Raises:
-        LinkError: it is not.
+        LinkError: the key is too short.
     """
     if len(key) < SHORTEST_KEY:
         raise LinkError(
@@ -103,20 +103,17 @@ def checked_key(key: bytes) -> bytes:
 
 
 def tag(key: bytes, body: bytes) -> bytes:
-    """Return what signs `body`, TAG bytes."""
+    """Return the signature of `body`, TAG bytes."""
     return hmac.new(key, body, hashlib.sha256).digest()
 
 
 def signed(key: bytes | None, body: bytes) -> bytes:
-    """Return `body` as a datagram: followed by its tag where there is a key."""
+    """Return `body` as a datagram, followed by its tag if there is a key."""
     return body if key is None else body + tag(key, body)
 
 
 def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
-    """Return the first `size` bytes of a `signed` datagram, or a word on what is wrong.
-
-    It is its length or its signature.
-    """
+    """Return the first `size` bytes of a `signed` datagram, or the fault: length or signature."""
     if len(datagram) != size + (0 if key is None else TAG):
         return "length"
     body = datagram[:size]
@@ -126,7 +123,7 @@ def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
 
 
 class _Link:
-    """An open socket and its key; a context manager, to be closed."""
+    """An open socket and its key; a context manager."""
 
     def __init__(self, key: bytes | None, opened: socket.socket) -> None:
         self._key, self._socket = key, opened
@@ -148,9 +145,9 @@ class _Link:
 
 
 class Sender(_Link):
-    """The end that sends to `host`:`port`, for a class with its own layout.
+    """Send to `host`:`port`; the base of a class with its own datagram layout.
 
-    Offers stand behind `mark`.
+    Offers follow `mark`.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -170,11 +167,11 @@ class Sender(_Link):
 
     @property
     def heard(self) -> bool:
-        """Whether the listener has answered; until then what is sent only asks for its session."""
+        """Whether the listener has answered; until then datagrams only request a session."""
         return self._session != NO_SESSION
 
     def _next(self) -> tuple[bytes, int]:
-        """Return the newest session that the listener offers, and the next number in it."""
+        """Return the newest session offered by the listener, and the next sequence number."""
         size = len(self._mark) + SESSION
         for _ in range(MOST_OFFERS):
             try:
@@ -182,7 +179,7 @@ class Sender(_Link):
             except BlockingIOError:
                 break
             except OSError:
-                continue  # what came back of an earlier datagram
+                continue  # the answer to an earlier datagram
             body = body_of(self._key, offer, size)
             if isinstance(body, bytes) and body.startswith(self._mark):
                 self._session = body[len(self._mark) :]
@@ -190,24 +187,23 @@ class Sender(_Link):
         return self._session, self._sequence
 
     def _put(self, datagram: bytes) -> bool:
-        """Send a datagram; False where it could not be sent now (no network, no listener)."""
+        """Send a datagram; return False if it cannot be sent now (no network, no listener)."""
         try:
             return self._socket.send(datagram) == len(datagram)
-        except OSError:  # refused or unreachable: the other side may come back
+        except OSError:  # refused or unreachable: the other side may return
             return False
 
 
 class Listener(_Link):
-    """The end that listens at `host`:`port`, for a class with its own layout.
+    """Listen at `host`:`port`; the base of a class with its own datagram layout.
 
-    Port 0 is any free one, see `.port`.
-
-    `.refused` counts what was not taken, by why: session (of one that is not ours), replay (a
-    number that did not rise), sender (another one while ours is alive), and what the layout adds.
-    `.lost` counts numbers that never came.
+    Port 0 is any free port, see `.port`. `.refused` counts rejected datagrams by reason: session
+    (of another listener), replay (a sequence number that did not increase), sender (another one
+    while ours is active), and the reasons of the layout. `.lost` counts sequence numbers that never
+    arrived.
 
     Raises:
-        LinkError: the address is not ours or in use, or the key is too short.
+        LinkError: the address is not local or in use, or the key is too short.
     """
 
     def __init__(self, host: str, port: int, key: bytes | None, mark: bytes) -> None:
@@ -218,26 +214,26 @@ class Listener(_Link):
         self.refused: Counter[str] = Counter()
         self.lost = 0
         self._mark = mark
-        # ours; one that was offered, and when it first was
+        # our session; an offered one, and when it was first offered
         self._session, self._offered = b"", (b"", -math.inf)
         self._from: object = None
-        # the last that counted: its number, and s at which it came
+        # last accepted datagram: its number, and its arrival, s
         self._sequence, self._heard = 0, -math.inf
 
     def _counts(self, session: bytes, sequence: int, address: Address, now: float) -> bool:
-        """Return whether a rightly signed datagram from `address` at `now` s counts.
+        """Return whether a correctly signed datagram from `address` at `now` s is accepted.
 
-        Else note why not.
+        Otherwise count the reason.
         """
         offered, since = self._offered
         another = address != self._from and now - self._heard < SILENCE
         if another:
             self.refused["sender"] += 1
         elif session == offered and now - since < OFFER_LASTS:
-            # A sender that signs under the offered session is live: a recording cannot.
+            # A sender that signs under the offered session is live; a replay cannot.
             self._session, self._offered, self._sequence = session, (b"", -math.inf), sequence - 1
         elif session != self._session:
-            if session != NO_SESSION:  # who only asks is not refused
+            if session != NO_SESSION:  # a request for a session is not rejected
                 self.refused["session"] += 1
             self._offer(address, now)
         if another or session != self._session:
@@ -256,11 +252,11 @@ class Listener(_Link):
         try:
             self._socket.sendto(signed(self._key, self._mark + self._offered[0]), address)
         except OSError:
-            return  # it asks again with its next datagram
+            return  # the sender asks again with its next datagram
 
 
 def dropped_words(refused: Mapping[str, int]) -> str:
-    """Return how many datagrams were not taken, and why, in a line; empty if all were."""
+    """Return a line on the numbers of rejected datagrams by reason; empty if there are none."""
     counts = ", ".join(f"{count} for {why}" for why, count in sorted(refused.items()))
     return f"datagrams dropped: {counts}" if counts else ""
 
@@ -268,7 +264,7 @@ def dropped_words(refused: Mapping[str, int]) -> str:
 def udp_address(text: str) -> tuple[str, int]:
     """Return (host, port) of `udp://HOST:PORT`.
 
-    The host may be left out, or be an IPv6 address in brackets.
+    The host may be omitted, or be an IPv6 address in brackets.
 
     Raises:
         LinkError: it is no such address.
@@ -286,10 +282,10 @@ def _open(
 ) -> socket.socket:
     """Return a non-blocking socket, connected or bound (`use`) to an address.
 
-    It is IPv4 where a host has both.
+    If a host has both, it is the IPv4 address.
 
     Raises:
-        LinkError: it cannot; the line states `what`, and how to `mend` it.
+        LinkError: this fails; the message states `what`, and the remedy `mend`.
     """
     if not (1 if use is socket.socket.connect else 0) <= port <= 65535:
         raise LinkError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")
@@ -300,7 +296,7 @@ def _open(
         family, kind, proto, _, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
         opened = socket.socket(family, kind, proto)
         try:
-            use(opened, address)  # connected, so that offers of others do not arrive
+            use(opened, address)  # connected, so that datagrams of other hosts do not arrive
         except BaseException:
             opened.close()
             raise

@@ -1,8 +1,8 @@
-"""Figures for the tip to follow: letters, circle, figure of eight, polylines of CSV files.
+"""Figures for the tip to follow: letters, circle, figure eight, polylines from CSV files.
 
-A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger
-half side 1; corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by
-tests/robot/test_curves.py.
+A figure is a polyline (n, 2) in a plane, x to the right, y up. It is centred at the origin, and
+half of its larger side is 1; corners are not rounded. The letters are drawn in one stroke. Pinned
+by tests/robot/test_curves.py.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from softmap_edge.files.atomic import MOST_TEXT
 
 Floats = NDArray[np.float64]
 
-MOST_POINTS = 20_000
-WIDEST = 1e4  # mm: a larger one is a slip
-FARTHEST = 1e6  # units of a file from its origin: beyond, differences of points lose their digits
+MOST_POINTS = 20_000  # points of a polyline in a file
+WIDEST = 1e4  # mm: a larger figure is a typing error
+FARTHEST = 1e6  # units of a file: beyond, differences between points lose precision
 _ROUND = np.linspace(0.0, 2 * np.pi, 181)
 DRAWING = (
     "drawings are not read; sample its curve and save a .csv with one point x,y a line, y up: "
@@ -29,7 +29,7 @@ DRAWING = (
 
 
 def _s() -> Floats:
-    """Two arcs of 3/4 of a circle, from the upper right to the lower left."""
+    """Return an S: two arcs of 3/4 of a circle, from the upper right to the lower left."""
     upper = np.linspace(np.radians(20), np.radians(270), 60)
     lower = np.linspace(np.radians(90), np.radians(-160), 60)
     return np.concatenate(
@@ -53,10 +53,10 @@ FIGURES: dict[str, Floats] = {
 
 
 def figure(name: str, amplitude: float) -> Floats:
-    """Return a figure's points (n, 2) mm about its middle: one of `FIGURES`, or of a `.csv` file.
+    """Return a figure's points (n, 2) mm about its centre: one of `FIGURES`, or of a `.csv` file.
 
     Args:
-        name: of the figure, or the file
+        name: name of the figure, or the file
         amplitude: half of its larger side, mm
 
     Raises:
@@ -81,7 +81,7 @@ def figure(name: str, amplitude: float) -> Floats:
 
 
 def even(points: Floats, count: int) -> Floats:
-    """Return `count` even points (count, D) along a polyline (n, D), its ends included."""
+    """Return `count` evenly spaced points (count, D) along a polyline (n, D), with its ends."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = np.concatenate([[True], steps > 0])
     along = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])
@@ -114,7 +114,7 @@ def _points_of(file: Path) -> Floats:
 
 
 def _csv(file: Path, text: str) -> list[tuple[float, float]]:
-    """Read two columns x, y; a first line that is no numbers is their heading."""
+    """Read two columns x, y; a first line without numbers is their heading."""
     points = []
     for k, row in enumerate(csv.reader(text.splitlines())):
         if not any(cell.strip() for cell in row):

@@ -1,14 +1,14 @@
-"""Inverse kinematics of the tip: what must act, and what must be commanded so that it acts.
+"""Inverse kinematics of the tip: effective commands, and the commands that produce them.
 
     kinematics = Kinematics(model)
-    kinematics.solve([[5.0, 0.0, 95.0]]).distance     # 0 within reach, else mm to the nearest point
-                                                      of it
+    kinematics.solve([[5.0, 0.0, 95.0]]).distance     # 0 within reach, else mm to the nearest
+                                                      # reachable point
     plan = kinematics.plan(targets, t)  # a timed path through the effects of the model
 
-Targets are in the base frame; sensing effects never enter. The effective command stays within the
-model's range, commands within that and the tick window of its calibration. A delay and a lag are
-previewed along the path, all other effects of the chain are inverted sample by sample
-(`rust/inverse/`). Pinned by tests/model/test_kinematics.py.
+Targets are in the base frame, without sensing effects. Effective commands stay within the range of
+the model; commands also stay within the tick window of its calibration. Delay and lag are previewed
+along the path; all other effects of the chain are inverted sample by sample (`rust/inverse/`).
+Pinned by tests/model/test_kinematics.py.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ Floats = NDArray[np.float64]
 AXES = "xyz"
 METHODS = ("exact", "paper")
 HEAVIEST = 1e4  # g at the tip
-# mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
+# mm: below this a target counts as reached; folds of an interpolated sweep hide some µm
 REACHED = 0.01
-# effects of the path, not of a sample, and the parameter of their delay
+# effects that act on the path rather than on a sample, and their delay parameter
 PREVIEWED = {"latency": "delay", "lag": "tau"}
 
 
@@ -43,8 +43,8 @@ PREVIEWED = {"latency": "delay", "lag": "tau"}
 class Solved:
     """The solution for targets (T, 3).
 
-    `acting` (T, C) mm, the tip there (T, 3), `distance` (T,) mm along the axes that count, and how
-    often the model was evaluated (T,).
+    `acting` (T, C) mm are the effective commands and `tip` (T, 3) mm the tip there. `distance` (T,)
+    mm counts along the axes in use. `asked` (T,) counts evaluations of the model.
     """
 
     acting: Floats
@@ -57,10 +57,10 @@ class Solved:
 class Plan:
     """A timed path: at `t` (T,) s the tip should be at `targets` (T, 3) mm.
 
-    `acting` (T, C) mm brings it there; `commands` (T, C) mm, sent at `t`, make that act through the
-    effects, `tip` (T, 3) is where the model then expects it, `distance` (T,) mm from the target
-    along the axes that count. `unreachable` (T,) are the distances of the targets from what can be
-    reached at all.
+    The effective commands `acting` (T, C) mm bring it there. The commands `commands` (T, C) mm,
+    sent at `t`, produce them through the effects. `tip` (T, 3) is the position that the model then
+    expects, and `distance` (T,) mm its distance from the target along the axes that count.
+    `unreachable` (T,) mm are the distances of the targets from the reachable set.
     """
 
     t: Floats
@@ -78,13 +78,15 @@ class Kinematics:
     `counted` (3,) are the axes that count.
 
     Args:
-        model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g
-            at the tip.
-        temperature: °C. axes: which of a target's coordinates count, as "xy".
+        model: with its effects
+        gravity: (3,) unit vector, by default the model's orientation
+        load: g at the tip
+        temperature: °C
+        axes: coordinates of a target that count, such as "xy"
 
     Raises:
-        SoftmapError: no such axes, gravity or load, a model without commands, an effect that cannot
-            be inverted (a user's own), a field that an effect needs and the model lacks.
+        SoftmapError: invalid axes, gravity or load, a model without commands, an effect that cannot
+            be inverted (a user's own), or a missing field that an effect needs.
     """
 
     def __init__(
@@ -121,14 +123,14 @@ class Kinematics:
         self._chain = self.inverse()
 
     def inverse(self) -> _core.Inverse:
-        """Return the chain of the model's effects to be inverted step by step, at rest."""
+        """Return the chain of the model's effects, at rest, to be inverted step by step."""
         low, high = self.bounds.T
         return _core.Inverse(
             self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world
         )
 
     def document(self) -> Document | None:
-        """Return what the control loop needs to compensate the effects, None without any."""
+        """Return the data for the control loop to compensate the effects; None without effects."""
         if not self.model.chain_names:
             return None
         gravity, load, temperature = self._world
@@ -151,7 +153,7 @@ class Kinematics:
     def acting_bounds(self) -> Floats:
         """The range (C, 2) mm of effective commands.
 
-        It is that of the model, as far as commands reach it one at a time, held for long.
+        It is that of the model, limited to what single commands reach when held for long.
         """
         home = self.home
         ends = []
@@ -167,21 +169,21 @@ class Kinematics:
 
     @cached_property
     def reach(self) -> _core.Reach:
-        """What the tip can reach."""
+        """The reachable set of the tip."""
         low, high = self.acting_bounds.T
         return _core.Reach(self.tip, low.tolist(), high.tolist(), self.counted.tolist())
 
     def solve(
         self, targets: ArrayLike, start: ArrayLike | None = None, method: str = "exact"
     ) -> Solved:
-        """Return what must act for each of `targets` (T, 3) mm, one after the other.
+        """Return the effective commands for each of `targets` (T, 3) mm, one after the other.
 
         Args:
-            start: (C,) mm, where the first search begins; by default all over the range. method:
-                `exact`, or `paper`: the paper's grid, Nelder-Mead and Adam, to compare with.
+            start: (C,) mm, start of the first search; by default the complete range is searched
+            method: `exact`, or `paper`: the paper's grid, Nelder-Mead and Adam, for comparison
 
         Raises:
-            SoftmapError: targets of another shape or not finite, no such method.
+            SoftmapError: targets of another shape or not finite, or no such method.
         """
         points = _points(targets)
         if method not in METHODS:
@@ -199,13 +201,12 @@ class Kinematics:
     ) -> Plan:
         """Return commands that lead the tip through `targets` (T, 3) mm at `t` (T,) s.
 
-        The effects are compensated.
-
-        The finger has rested at home, or at the command `start` (C,) mm, for long before the first
-        of them. The effective commands are solved for, unless `acting` (T, C) mm gives them.
+        The effects are compensated. Before the first target, the finger has been at rest for long,
+        at home or at the command `start` (C,) mm. The effective commands are solved for, unless
+        `acting` (T, C) mm gives them.
 
         Raises:
-            SoftmapError: as `solve`, or times that do not rise.
+            SoftmapError: as `solve`, or times that do not increase.
         """
         points, t = _points(targets), np.asarray(t, float)
         if t.shape != (len(points),) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
@@ -230,7 +231,7 @@ class Kinematics:
     def compensated(self) -> list[str]:
         """The model's effects that commands compensate.
 
-        Delays without a preview are not compensated; a plan expects their error. A shape with
+        Delays without a preview are not compensated; a plan includes their error. A shape with
         memory is solved as if at rest.
         """
         from softmap_edge.model.effect_info import registry
@@ -246,7 +247,7 @@ class Kinematics:
 
     @property
     def delays(self) -> tuple[Floats, Floats]:
-        """The delay of the model's effects (C,) s: a pure delay plus the lag's time constant."""
+        """The delay of the model's effects (C,) s: pure delay plus time constant of the lag."""
         there = _core.Chain(list(PREVIEWED), self.model.channels)
         values = valued(there, self.model.params, there.null)
         wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
@@ -256,8 +257,8 @@ class Kinematics:
     def effective_commands(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
         """Return effective commands (T, C) mm for `commands` sent at `t`, from `rested` (C,).
 
-        The commands were at `rested` for long. It is the model's own chain run forwards, also the
-        part that cannot be inverted.
+        The commands were at `rested` for long. This runs the complete chain of the model forwards,
+        including the part that cannot be inverted.
         """
         if not self.model.chain_names:
             return commands
@@ -275,20 +276,18 @@ class Kinematics:
         return np.asarray(acts)[0, 1:]
 
     def reaches(self, targets: ArrayLike) -> NDArray[np.bool_]:
-        """Return which of `targets` (T, 3) mm the tip reaches, to `REACHED` mm.
+        """Return which of `targets` (T, 3) mm the tip reaches within `REACHED` mm.
 
-        Along the axes that count.
-        """
+        Distances count along the axes in use."""
         points = _points(targets)
         return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
 
 
 def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
-    """Return commands at `t` (T,) s for `acting` (T, C) in time, with delays and lags.
+    """Return commands at `t` (T,) s that make `acting` (T, C) effective in time.
 
-    These are (C,) s.
-
-    u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
+    The delays and lags are (C,) s. u(t) = x(t + delay) + lag x'(t + delay), linear between samples,
+    held after the last.
     """
     if (not delay.any() and not lag.any()) or len(t) < 2:
         return acting

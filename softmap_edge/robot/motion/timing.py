@@ -1,10 +1,10 @@
-"""When to be where: a path timed within the slew and acceleration limits of the servos.
+"""Time a path within the slew and acceleration limits of the servos.
 
-The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is
-accelerated by q''·x + q'·s̈. Half of the acceleration is kept for each term, so that no limit is
-ever passed; a forward and a backward sweep over s give the quickest such profile (as Bobrow,
-Dubowsky & Gibson 1985, coarser), which is then slowed evenly to the duration that was asked for.
-Pinned by tests/robot/test_timing.py.
+The path's parameter s runs from 0 to 1. With x = ṡ², a servo at q(s) ticks moves at q'·√x and is
+accelerated by q''·x + q'·s̈. Each term may use half of the acceleration, so no limit is exceeded. A
+forward and a backward sweep over s give the fastest such profile (as Bobrow, Dubowsky & Gibson
+1985, coarser). It is then slowed evenly to the requested duration. Pinned by
+tests/robot/test_timing.py.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-SHARE = 0.8  # of the limits that a plan uses: the guard's paths need the rest to follow it
+SHARE = 0.8  # share of the limits that a plan uses: the guard needs the rest to follow it
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed.
+    """Times `t` (N,) s at which the evenly spaced parameters s (N,) in [0, 1] are passed.
 
-    `quickest` s is the least time it could take.
+    `quickest` s is the shortest possible duration.
     """
 
     t: Floats
@@ -41,8 +41,10 @@ def timed(
     """Return the profile of a path through `ticks` (N, S) at even parameters, at rest at both ends.
 
     Args:
-        ticks: N >= 3 points. slew: (S,) ticks/s. acceleration: (S,) ticks/s². duration: s, the
-            least that it takes.
+        ticks: N >= 3 points
+        slew: (S,) ticks/s
+        acceleration: (S,) ticks/s²
+        duration: s, shortest duration of the result
     """
     count = len(ticks)
     h = 1.0 / (count - 1)
@@ -52,9 +54,9 @@ def timed(
     bend[1:-1] = np.diff(first, axis=0) / h
     steep = np.abs(first)
     with np.errstate(divide="ignore"):
-        speed = np.min((most / steep) ** 2, axis=1, initial=np.inf)  # of x between points
-        turn = np.min(push / np.abs(bend), axis=1, initial=np.inf)  # of x at points
-        change = np.min(push / steep, axis=1, initial=np.inf)  # of |s̈| between points
+        speed = np.min((most / steep) ** 2, axis=1, initial=np.inf)  # limit of x between points
+        turn = np.min(push / np.abs(bend), axis=1, initial=np.inf)  # limit of x at points
+        change = np.min(push / steep, axis=1, initial=np.inf)  # limit of |s̈| between points
     x = np.minimum(turn, np.minimum(np.append(speed, np.inf), np.append(np.inf, speed)))
     x = np.minimum(x, 1e12)  # where nothing moves
     x[0] = x[-1] = 0.0

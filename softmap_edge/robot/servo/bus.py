@@ -1,6 +1,4 @@
-"""A bus of servos, opened, asked and released from Python, without a running loop.
-
-This is while no loop drives, and when one has died.
+"""Open, query and release a bus of servos from Python while no control loop runs on it.
 
 Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_nobody_watches.py.
 """
@@ -20,12 +18,12 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
-TRIES = 10  # of a question, before a servo is reported as not answering
-ASKED = 10  # times that a servo is asked whether its torque is off
+TRIES = 10  # requests before a servo is reported as not answering
+ASKED = 10  # requests for the state of a servo's torque
 
 
 def ports(root: Path = Path("/dev")) -> list[str]:
-    """Return the serial ports of this machine, each once, by lasting names if they have any."""
+    """Return the serial ports of this machine, each once, by persistent names if they have any."""
     seen: dict[Path, str] = {}
     for pattern in PATTERNS:
         for file in sorted(root.glob(pattern)):
@@ -38,11 +36,14 @@ def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.Serv
     """Open a bus and close it again.
 
     Args:
-        port, baud: the device, and its rate. shared: accept that another program has it open
-            without a lock, so that torque can be switched off in any case.
+        port: device
+        baud: rate
+        shared: accept that another program has the device open without a lock, so that torque can
+            always be switched off
 
     Raises:
-        ServoError: it cannot be opened, or another program has it; the message names that program.
+        ServoError: the port cannot be opened, or another program uses it; the message names that
+            program.
     """
     if not shared:
         from softmap_edge.robot.servo.holders import check_alone
@@ -56,7 +57,7 @@ def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.Serv
 
 
 def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
-    """Ask again where there is no answer: one glitch is no absence."""
+    """Repeat a request without an answer: a single lost answer does not mean a missing servo."""
     for _ in range(TRIES - 1):
         with suppress(NoAnswer):
             return ask(*args, **named)
@@ -64,7 +65,7 @@ def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
 
 
 def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
-    """Return model number and firmware of a servo; None if it does not answer repeated pings."""
+    """Return model number and firmware of a servo; None if repeated pings are not answered."""
     return next((number for _ in range(TRIES) if (number := bus.ping(id)) is not None), None)
 
 
@@ -72,8 +73,8 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
     """Return `size` bytes of the registers of a servo; repeat the request if no answer comes.
 
     Raises:
-        NoAnswer: it does not answer; the message names the servo and the remedy. ServoError: it
-            refuses.
+        NoAnswer: the servo does not answer; the message names it and the remedy.
+        ServoError: the servo refuses.
     """
     try:
         return patiently(bus.read, id, address, size)
@@ -95,7 +96,7 @@ def pings_only(port: str, baud: int, id: int) -> str:
 
 
 def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
-    """Return the value of each register that is used, by its name.
+    """Return the values of all registers in use, by name.
 
     Raises:
         NoAnswer: the servo does not answer; the message names it.
@@ -110,7 +111,7 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
 
 
 def rates() -> list[int]:
-    """Return every baud rate that some servo has, the usual ones first."""
+    """Return every baud rate that some servo supports, the usual ones first."""
     every = sorted({rate for model in _core.servo_models() for rate in model["baud_rates"]})
     usual = [57_600, 1_000_000]
     return usual + [rate for rate in every if rate not in usual]
@@ -119,7 +120,7 @@ def rates() -> list[int]:
 def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
     """Switch the torque of every servo off; return those of `ids` that did not confirm it.
 
-    Each is asked several times.
+    Each servo is asked several times.
     """
     address, size, _ = _core.servo_registers()["torque_enable"]
     left = list(ids)

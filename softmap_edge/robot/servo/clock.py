@@ -1,8 +1,8 @@
 """The clock of a robot: real time, or simulated time, which a busy computer does not delay.
 
-The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for
-a person who drives a simulated robot. Delays of the computer are left out: the robot stops and then
-goes on. In *stepped* time the loop, the servos and the finger advance in the steps of the program,
+A program that drives waits by the clock of the rig (`Rig.time`). *Paced* time follows real time,
+for a person who drives a simulated robot. It stands while the computer is held up: the robot stops,
+then goes on. In *stepped* time the loop, the servos and the finger advance in steps of the program,
 as fast as the computer can. The same program then gives the same result under any load. Pinned by
 tests/robot/test_simulated_time.py.
 """
@@ -18,12 +18,12 @@ from typing import Protocol
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-NS = 1_000_000_000
-EPOCH = 10 * NS  # start of stepped time: set-up is done by then
-EVERY = 5_000_000  # ns between two readings of the horns, and of one step of waiting
+NS = 1_000_000_000  # ns per s
+EPOCH = 10 * NS  # ns: start of stepped time; set-up is complete by then
+EVERY = 5_000_000  # ns between two readings of the horns; also one step of waiting
 FROZEN = 0.6  # s without a report after which a real loop counts as hung
 STUCK = 60.0  # s without a period of the loop after which a simulated session ends
-PATIENT = 50.0  # factor on time limits for a simulated robot: nothing can break meanwhile
+PATIENT = 50.0  # factor on time limits for a simulated robot, where waiting longer is safe
 WINDOW = 0.1  # s for which paced time goes on without a signal from the driving program
 BUSY = "the computer is too busy for real time"
 
@@ -58,10 +58,7 @@ class Clock(Protocol):
         ...
 
     def there(self, driving: bool = True) -> float:
-        """Signal that the program is alive; return for how long the computer was too busy.
-
-        In s, so far.
-        """
+        """Signal that the program is alive; return how long (s) the computer was too busy."""
         ...
 
     def each_step(self, hear: Callable[[], None]) -> None:
@@ -95,7 +92,7 @@ class RealTime:
         return seconds
 
     def running(self) -> contextlib.AbstractContextManager[object]:
-        """Do nothing: real time always goes on."""
+        """Do nothing: real time never stops."""
         return contextlib.nullcontext()
 
     def there(self, driving: bool = True) -> float:
@@ -142,7 +139,7 @@ class PacedTime(RealTime):
 
 
 class SteppedTime(PacedTime):
-    """Simulated servos' time, advanced in steps by one thread, the one that creates this object."""
+    """The time of simulated servos, advanced in steps by the thread that creates this object."""
 
     stepped = True
     frozen = float("inf")  # time stands while that thread computes
@@ -165,7 +162,7 @@ class SteppedTime(PacedTime):
         self._hears = [hear]
 
     def now(self) -> float:
-        """Return the time that is reached, s."""
+        """Return the current time, s."""
         return self._ns / NS
 
     def sleep(self, seconds: float) -> None:

@@ -1,10 +1,8 @@
-"""Servo readings that keep the guard from starting.
+"""Servo readings that keep the guard from starting: temperature, voltage, position.
 
-They are temperature, supply voltage, and a position outside its window.
-
-The doctor, `softmap servo read` and a request that the guard denies word it here, so that they
-agree: the value, the limit, the remedy. Limits are those of the guard
-(`rust/servo/guard/servo.rs`). Pinned by tests/robot/test_conditions.py.
+The doctor, `softmap servo read` and denied requests take the value, the limit and the remedy from
+here, so that they agree. The limits are those of the guard (`rust/servo/guard/servo.rs`). Pinned by
+tests/robot/test_conditions.py.
 """
 
 from __future__ import annotations
@@ -15,8 +13,8 @@ from collections.abc import Sequence
 from softmap_edge.robot.servo.known_state import Asked, ServoState, Values, usual
 from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport, ServoLimits
 
-JOG_TRAVEL = 300.0  # ticks that one jog may turn
-PER_VOLT = 10  # register units of the supply voltage
+JOG_TRAVEL = 300.0  # largest turn of one jog, ticks
+PER_VOLT = 10  # register units of the supply voltage per V
 COOL_DOWN = (
     "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
 )
@@ -29,10 +27,10 @@ def unfit(found: ServoState, values: Values, asked: Asked | None, homed: bool) -
     Each has the finding and, after "; ", the remedy.
 
     Args:
-        found: the servo.
-        values: its registers.
-        asked: the requirements of the rig; None for the usual ones.
-        homed: whether it is homed; without it a position is compared with no window.
+        found: the servo
+        values: its registers
+        asked: the requirements of the rig; None for the usual ones
+        homed: whether the servo is homed; otherwise its position is not checked
     """
     if found.model is None:
         return []
@@ -68,7 +66,7 @@ def outside(id: int, position: float, window: tuple[float, float]) -> str:
     low, high = window
     if low <= position <= high:
         return ""
-    # a jog may end some ticks short
+    # a jog may end some ticks short of its goal
     inside = min(max(position, low + JOG_TRAVEL / 10), high - JOG_TRAVEL / 10)
     return (
         f"stands at {position:.0f} ticks, outside its window of {low:.0f} to {high:.0f}; turn it "
@@ -80,9 +78,9 @@ def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
     """Return the command that turns a servo, and how often to run it.
 
     Args:
-        id: of the servo.
-        ticks: how far, signed.
-        most: ticks that one jog may turn.
+        id: id of the servo
+        ticks: signed turn
+        most: largest turn of one jog, ticks
     """
     times = max(1, math.ceil(abs(ticks) / min(most, JOG_TRAVEL)))
     step = round(ticks / times)
@@ -94,9 +92,9 @@ def denied_for(cause: str, report: LoopReport, limits: LoopLimits | None) -> str
     """Return servo, value, limit and remedy of servos with the `cause`; "" if there is none.
 
     Args:
-        cause: `hot`, `voltage` or `outside`.
-        report: the newest of the loop.
-        limits: the table that the guard keeps.
+        cause: `hot`, `voltage` or `outside`
+        report: newest report of the loop
+        limits: table of the guard
     """
     servos = [] if limits is None else limits["servos"]
     ids = report.get("ids") or list(range(1, len(servos) + 1))

@@ -4,9 +4,9 @@
     gpio = {chip = "/dev/gpiochip0", line = 17, active_low = false}
     udp = {port = 5006, key_file = "stop.key", timeout = 0.2}
 
-The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or
-does not beat, is pressed. docs/reference/safety.md explains how to wire and use them. Pinned by
-tests/robot/test_emergency.py.
+The control loop checks them in each period (`rust/control/emergency.rs`). A stop that cannot be
+read, or sends no heartbeat, counts as pressed. docs/reference/safety.md explains how to wire and
+use them. Pinned by tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from softmap_edge.errors import ServoError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import TomlTable, quoted
 
-TIMEOUT = 0.2  # s: some beats of the usual fifty a second may be lost
-SHORTEST, LONGEST = 0.02, 2.0  # s
-LINES = 511  # the highest line of a chip
+TIMEOUT = 0.2  # s: allows for some lost heartbeats of the usual fifty per second
+SHORTEST, LONGEST = 0.02, 2.0  # s: range of `timeout`
+LINES = 511  # highest line number of a chip
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a GPIO chip with its pull-up.
+    """A line of a GPIO chip with its pull-up enabled.
 
-    A contact that opens when pressed reads high then, as does a broken wire; `active_low` is for
-    one that closes to ground.
+    A contact that opens when pressed then reads high, and so does a broken wire. `active_low` is
+    for a contact that closes to ground.
     """
 
     chip: str
@@ -40,7 +40,7 @@ class Line:
 class Beats:
     """A heartbeat on UDP `host`:`port`, signed with the key in `key_file`.
 
-    One is expected at least each `timeout` s.
+    At least one is expected every `timeout` s.
     """
 
     port: int
@@ -51,7 +51,7 @@ class Beats:
 
 @dataclass(frozen=True)
 class Emergency:
-    """The stops that a rig has; none by default."""
+    """The emergency stops of a rig; none by default."""
 
     gpio: Line | None = None
     udp: Beats | None = None
@@ -65,7 +65,7 @@ class Emergency:
         return ", or ".join(message) or "none"
 
     def setup(self) -> Document:
-        """Return the settings for the loop's process; never the key itself."""
+        """Return the settings for the process of the loop, without the key itself."""
         gpio, udp = self.gpio, self.udp
         return {
             "gpio": None if gpio is None else [gpio.chip, gpio.line, gpio.active_low],
@@ -73,7 +73,7 @@ class Emergency:
         }
 
     def to_toml(self) -> list[str]:
-        """Return the lines of its table, none where there is no stop."""
+        """Return the lines of its table; none if there is no stop."""
         lines = []
         if self.gpio is not None:
             low = "true" if self.gpio.active_low else "false"
@@ -90,11 +90,11 @@ class Emergency:
 
 
 def read_emergency(table: TomlTable, folder: Path) -> Emergency:
-    """Read the stops of a rig; a key file is looked for from `folder`.
+    """Read the stops of a rig; a relative key file is in `folder`.
 
     Raises:
-        RunError: an unknown name, or a value out of range. ServoError: what a stop needs is
-            missing.
+        RunError: a name is unknown, or a value is out of range.
+        ServoError: a stop lacks a required entry.
     """
     gpio = udp = None
     if "gpio" in table.values:

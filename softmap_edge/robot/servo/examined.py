@@ -1,9 +1,8 @@
 """Examine the servos of a rig one by one.
 
-Identity, faults that block a start, and registers that a start rewrites.
-
-Homing, the doctor and each start (`loop.py`) use this module, so their findings agree. Pinned by
-tests/robot/test_known_state.py and tests/robot/test_presence.py.
+This covers identity, faults that block a start, and registers that a start rewrites. Homing, the
+doctor and each start (`control/loop_process.py`) use this module, so their findings agree. Pinned
+by tests/robot/test_known_state.py and tests/robot/test_presence.py.
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ class ExaminedServo:
     """The servo that answers in an expected place (None: none), and its faults.
 
     Each fault is a sentence: the finding and, after "; ", the remedy. `passing` are registers that
-    a start writes again, `unfit` faults of its present readings: they keep a robot from being
-    driven, but not from being homed.
+    a start rewrites. `unfit` are faults of present readings: they block driving, but not homing.
     """
 
     id: int
@@ -64,7 +62,7 @@ class ExaminedServo:
 
 
 def members(rig: Rig) -> list[Member]:
-    """Return the servos of a rig with the requirements for each."""
+    """Return the servos of a rig, each with its requirements."""
     from softmap_edge.robot.servo.limits import of_bench
 
     found = []
@@ -124,9 +122,9 @@ def members_of(
 
 
 def _window(home: int, low: float | None, high: float | None) -> tuple[float, float] | None:
-    """Return the window (ticks) that a rig gives a servo.
+    """Return the window (ticks) of a servo in its rig; None if there is none.
 
-    A side that it leaves open is endless; None without any window.
+    An open side is infinite.
     """
     if low is None and high is None:
         return None
@@ -139,11 +137,13 @@ def examined(
     """Read identity and registers of the servos expected at `port`.
 
     Args:
-        port, baud: of the bus. asked: the servos. release: switch the torque of all of them off
-            first.
+        port: device of the bus
+        baud: rate of the bus
+        asked: expected servos
+        release: switch the torque of all of them off first
 
     Raises:
-        ServoError: the port cannot be opened, another program has it, or it fails.
+        ServoError: the port cannot be opened, another program uses it, or it fails.
     """
     with opened(port, baud) as bus:
         for _ in range(3 if release else 0):
@@ -177,7 +177,7 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
     """Check the servos before a start, and restore their volatile registers.
 
     Returns:
-        A line for each register that was written again.
+        A line for each register that was rewritten.
 
     Raises:
         ServoError: a servo does not meet its requirements or does not answer; the message names the

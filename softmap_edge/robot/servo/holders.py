@@ -1,6 +1,6 @@
-"""Find other programs with a serial port open: without a lock, they would mix up answers.
+"""Find other programs that have a serial port open: without a lock, answers would be mixed up.
 
-Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program
+Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). A program
 that emulates servos has the other end of its pseudo-terminal open and does not count. Pinned by
 tests/robot/test_holders.py.
 """
@@ -31,10 +31,11 @@ class Holder:
 
 
 def holders(port: str, proc: Path = PROC) -> list[Holder]:
-    """Return the other programs that have the device `port` open, as far as this user may see them.
+    """Return the other programs that have `port` open, as far as this user may see them.
 
     Args:
-        port: path of the device. proc: the folder of the process list.
+        port: path of the device
+        proc: folder of the process list
     """
     try:
         device = os.stat(port)
@@ -60,7 +61,7 @@ def check_alone(port: str) -> None:
 
 
 def _others(proc: Path) -> list[int]:
-    """Return all processes but this one."""
+    """Return the ids of all other processes."""
     try:
         return sorted({int(name) for name in os.listdir(proc) if name.isdigit()} - {os.getpid()})
     except OSError:
@@ -68,7 +69,7 @@ def _others(proc: Path) -> list[int]:
 
 
 def _terminals(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Yield each open character device of a process, and its number; nothing without permission."""
+    """Yield the open character devices of a process, with numbers; none without permission."""
     try:
         names = os.listdir(folder)
     except OSError:

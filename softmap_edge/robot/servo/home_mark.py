@@ -1,13 +1,14 @@
-"""A mark in each servo: it was homed since power came on, and its home is this tick.
+"""A mark in each servo: it was homed at this tick since power-up.
 
-In modes 4 and 5 a servo counts turns and loses them without power, and none of its registers shows
-that. So homing leaves a mark in memory that power-up and reboot clear and that nothing here uses
-otherwise: the first eight indirect addresses (registers 168 to 183, RAM on every X-series servo;
-while indirect data are not read they do nothing). It is made of id and home, so that the mark of
-another servo or of another home counts for nothing. Its values are addresses that may be mapped on
-every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
-configuration, register 60) is refused: its mark would show nothing. Pinned by
-tests/robot/test_home.py.
+In modes 4 and 5 a servo counts turns and loses them without power, and no register shows that. So
+homing writes a mark into memory that power-up and reboot clear and that is otherwise unused: the
+first eight indirect addresses (registers 168 to 183, RAM on every X-series servo). They have no
+effect while indirect data are not read.
+
+The mark is computed from id and home, so the mark of another servo or of another home is not valid.
+Its values are addresses that every model can map (120 to 135, four bits each). A servo that
+restores its RAM at power-up (startup configuration, register 60) is rejected, because its mark
+would survive. Pinned by tests/robot/test_home.py.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.servo.bus import heard, opened, patiently
 from softmap_edge.robot.servo.known_state import setup_command
 
-# first register; lowest address that it may hold; registers of four bits
+# first register of the mark; lowest address in it; number of registers, four bits each
 MARK, MAPPABLE, DIGITS = 168, 120, 8
 SIZE = 2 * DIGITS  # bytes
 AGAIN = "home the robot with `softmap servo home --rig FILE`"
@@ -36,10 +37,10 @@ def mark(id: int, home: int) -> bytes:
 
 
 def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
-    """Leave the mark of `home` in a servo and read it back; None takes away what is there.
+    """Write the mark of `home` into a servo and read it back; None clears it.
 
     Raises:
-        ServoError: the servo does not answer or does not keep it.
+        ServoError: the servo does not answer or does not keep the mark.
     """
     digits = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
     patiently(bus.write, id, MARK, digits)
@@ -53,16 +54,16 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
 def forget(port: str, baud: int, ids: Iterable[int]) -> None:
     """Clear the marks of servos, so that they must be homed again.
 
-    A servo that does not answer is left as it is.
+    A servo that does not answer keeps its mark.
     """
-    with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
+    with suppress(ServoError), opened(port, baud, shared=True) as bus:  # the port may be gone
         for id in ids:
             with suppress(ServoError):
                 set_mark(bus, id, None)
 
 
 def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
-    """Return whether servo `id` was homed at `home` since it got power."""
+    """Return whether servo `id` was homed at `home` since power-up."""
     return home is not None and heard(bus, id, MARK, SIZE) == mark(id, home)
 
 
@@ -73,10 +74,10 @@ def no_home(ids: Sequence[int]) -> str:
 
 
 def check_confirmed(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
-    """Reject servos (id, home) without a known home, or not homed since they got power.
+    """Raise ServoError for servos (id, home) without a home, or not homed since power-up.
 
     Raises:
-        ServoError: so, or one does not answer.
+        ServoError: there is one, or one does not answer.
     """
     for id, home in servos:
         if home is None:
@@ -96,6 +97,6 @@ def check_confirmed(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]
 
 
 def restores(bus: _core.ServoBus, id: int) -> bool:
-    """Return whether a servo brings its memory back at power-up."""
+    """Return whether a servo restores its RAM at power-up."""
     address, size, _ = _core.servo_registers()["startup_configuration"]
     return any(heard(bus, id, address, size))

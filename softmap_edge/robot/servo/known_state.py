@@ -1,12 +1,13 @@
-"""The register values that a servo needs, differences and remedies: one list for all checks.
+"""The register values that a servo needs, their differences and remedies: one list for all checks.
 
 `softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again,
-since another program may have changed them. A start rewrites volatile registers (profile, gains).
-Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only.
-On old firmware a homing offset makes a watchdog dangerous in these modes. A return delay costs bus
-time. A reversed drive mode inverts goal and position alike, so that no other check detects it. The
-default gains of a mode depend on the firmware: set-up lets the servo choose them again, and the rig
-keeps them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
+because another program may have changed them. A start rewrites volatile registers (profile, gains).
+
+Sources: the X-series control tables and their known traps. A servo counts turns in modes 4 and 5
+only. On old firmware, a homing offset makes a watchdog dangerous in these modes. A return delay
+costs bus time. A reversed drive mode inverts goal and position alike, so no other check detects it.
+The default gains of a mode depend on the firmware: set-up lets the servo choose them, and the rig
+file stores them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from softmap_edge import _core
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.servo.models import ServoModel, numbered
 
-# firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
+# with older firmware, a tripped watchdog lets the motor run on in mode 4 with a homing offset
 CLEAR = 42
-OLD = 38  # firmware below which there is no bus watchdog
-NO_SHADOW, HIGHEST_ID = 255, 252
+OLD = 38  # older firmware has no bus watchdog
+NO_SHADOW, HIGHEST_ID = 255, 252  # secondary id for none; highest id on a bus
 ALWAYS = 2  # status return level: every request is answered
 MODES = {
     0: "current",
@@ -50,8 +51,8 @@ GAINS = (
     "feedforward_1st_gain",
     "feedforward_2nd_gain",
 )
-MOST_GAIN = 16_383
-SET_UP = "set_up"  # in [made] of a rig: the gains of each servo, in the order of GAINS
+MOST_GAIN = 16_383  # register units
+SET_UP = "set_up"  # key in [made] of a rig: the gains of each servo, in the order of GAINS
 Values = dict[str, int]
 
 
@@ -79,11 +80,11 @@ class ServoState:
 class Asked:
     """A rig's requirements for a servo.
 
-    The largest current of its cap (mA), its fastest turn (ticks/s), and its gains at set-up (in the
-    order of GAINS; empty if the rig does not hold them).
+    The current of its cap (mA), its fastest turn (ticks/s), and its gains at set-up (in the order
+    of GAINS; empty if the rig has none).
 
-    `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed;
-    None if they are not known. `home` (ticks) is that of the window.
+    `hot` (°C), `voltage` (V) and `window` (ticks) bound the readings at a start; None if unknown.
+    `home` (ticks) is the origin of the window.
     """
 
     current_mA: float
@@ -99,7 +100,7 @@ class Asked:
 class Need:
     """A required register value: `value`, or at least `least`.
 
-    A start writes `passing` registers by itself.
+    A start rewrites `passing` registers itself.
     """
 
     register: str
@@ -138,7 +139,8 @@ def needs(model: ServoModel, asked: Asked | None = None) -> list[Need]:
     """Return the required register values of a servo, in the order in which they are written.
 
     Args:
-        model: the entry of its model. asked: the requirements of the rig; None for the usual ones.
+        model: entry of its model
+        asked: requirements of the rig; None for the usual ones
     """
     asked = usual(model) if asked is None else asked
     found = [
@@ -191,7 +193,7 @@ def complaints(found: ServoState, values: Values, asked: Asked | None = None) ->
 
 
 def passing(found: ServoState, values: Values, asked: Asked | None = None) -> list[Need]:
-    """Return the needs that are not met and that a start writes by itself."""
+    """Return the needs that are not met and that a start rewrites itself."""
     model = found.model
     return (
         [] if model is None else [need for need in differing(model, values, asked) if need.passing]
@@ -216,7 +218,7 @@ def differs(found: ServoState, need: Need, value: int, asked: Asked | None = Non
 
 
 def holds(found: ServoState, register: str, value: int) -> str:
-    """Return the value of a register as text, with the danger if there is one."""
+    """Return the value of a register as text, with the hazard if there is one."""
     note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
     if register == "homing_offset" and found.firmware < CLEAR:
         note = (
@@ -253,7 +255,7 @@ def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
 
 
 def _steps(model: ServoModel, slew: float) -> int:
-    """Return the velocity limit for `slew` ticks/s, at most the one as delivered."""
+    """Return the velocity limit for `slew` ticks/s, at most the factory setting."""
     share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
     return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
 

@@ -1,16 +1,17 @@
-"""The limits in force, each with its origin.
+"""The effective limits, each with its origin: servo data, rig ceiling, safety, calibration.
 
-From a servo's data, the rig's ceiling, the finger's safety and calibration.
+The ceiling (`rig.toml`) replaces softmap's own defaults. The finger's `safety.toml`, the
+calibration's window and the servo's data only tighten it.
 
-The ceiling (`rig.toml`) stands in place of softmap's own defaults; the finger's `safety.toml` only
-tightens, and so do the calibration's window and a servo's own data. Limits of commands become
-limits of servos by u = A (ticks − home) + b: a box of ticks all of whose corners lie inside the
-window of commands, and rates that no command exceeds whatever the servos do together. So they are
-first what each servo may do alone, then shrunk alike until all of them may at once. A tension
-becomes a current by the horn's radius and the stall torque of the servo's manual, and IDLE of the
-stall current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a
-pull test is one). A servo that caps no current has its PWM capped by as much, which slows it down
-in proportion. Pinned by tests/robot/test_limits.py.
+Limits of commands become limits of servos by u = A (ticks − home) + b. The result is a box of ticks
+with all corners inside the command window, and rates at which no command exceeds its own, however
+the servos move together. So each servo first gets what it may do alone; then all are scaled by the
+same factor until they may move at once.
+
+A tension becomes a current by the horn's radius and the stall torque of the servo's manual, plus
+IDLE of the stall current for motor and gears. This is a bound on the tension, not a measurement (a
+pull test is one). For a servo without a current cap, the PWM is capped by the same share, which
+also slows it down. Pinned by tests/robot/test_limits.py.
 """
 
 from __future__ import annotations
@@ -44,11 +45,12 @@ from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES, Value
 
 Floats = NDArray[np.float64]
 
-IDLE = 0.05  # of a servo's stall current: what motor and gears take without a load
-# of the window: how far home of the rig may lie from the calibration's, but for full turns
+IDLE = 0.05  # of a servo's stall current: used by motor and gears without a load
+# of the window: largest distance, besides full turns, of the rig's home from the calibration's
 ASTRAY = 0.03
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
-UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
+# None: unit of the commands
+UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}
 _SIMPLE: Final = (
     "stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
     "jog_current", "band", "turns", "burst",
@@ -57,7 +59,7 @@ _SIMPLE: Final = (
 
 @dataclass(frozen=True)
 class Limit:
-    """One limit in force: its value, its unit, who set it, and in words how."""
+    """One effective limit: its value, its unit, who set it, and how, as text."""
 
     name: str
     value: Value
@@ -84,13 +86,14 @@ class Limit:
 
 @dataclass(frozen=True)
 class EffectiveLimits:
-    """The limits in force on a rig: of each servo and of the robot.
+    """The effective limits on a rig: of each servo and of the robot.
 
-    `low` and `high` are in ticks about home.
-
-    calibration: that of the bundle on this rig, its home moved by whole turns and its window that
-    of the limits · safety: what the finger may be asked · derived: the bundle held none, so that it
-    was derived from its model.
+    Attributes:
+        low, high: ticks about home
+        calibration: the bundle's on this rig: home is moved by full turns, and its window is that
+            of the limits
+        safety: limits of the finger
+        derived: the bundle had no limits, so they were derived from its model
     """
 
     rig: Rig
@@ -102,7 +105,7 @@ class EffectiveLimits:
     robot: tuple[Limit, ...]
 
     def table(self) -> LoopLimits:
-        """Return the table that the guard checks and keeps to.
+        """Return the table that the guard checks and enforces.
 
         Raises:
             ServoError: a servo has no home, or a limit is out of the guard's range; the message
@@ -137,7 +140,7 @@ class EffectiveLimits:
 
     @property
     def _robot_shown(self) -> list[Limit]:
-        """The limits of the robot; a jog's current as what each kind of servo makes of it."""
+        """The limits of the robot; the current of a jog as each kind of servo applies it."""
         limits = []
         for limit in self.robot:
             kinds = {
@@ -193,15 +196,16 @@ class EffectiveLimits:
 def effective_limits(
     rig: Rig, model: Model, calibration: Calibration | None = None, rate: float = RATE
 ) -> EffectiveLimits:
-    """Return the limits in force on the rig `rig`, for the finger of `model`.
+    """Return the effective limits on the rig `rig`, for the finger of `model`.
 
     Args:
-        calibration: ticks and commands, by default the model's. rate: periods of the loop a second.
+        calibration: between ticks and commands, by default the model's
+        rate: periods of the loop per second
 
     Raises:
-        ServoError: the bundle has no calibration or another number of servos, what acts at home
-            lies outside the window, or home of the rig is not the calibration's. BundleError:
-            safety.toml allows a tension far beyond what the model was simulated with.
+        ServoError: the bundle has no calibration or another number of servos, the effective command
+            at home is outside the window, or the rig's home is not the calibration's.
+        BundleError: safety.toml allows a tension far beyond those of the simulation.
     """
     found = calibration or calibration_of(model)
     if len(found.b) != len(rig.servos):
@@ -284,9 +288,10 @@ def _box(calibration: Calibration, safety: Safety) -> Floats:
 
 
 def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
-    """Return the calibration with its home moved by as many full turns as the rig's is away.
+    """Return the calibration with its home moved by the full turns between it and the rig's home.
 
-    A servo that lost its turns and was homed again is full turns away; the remainder must be small.
+    A servo that lost its turns and was homed again is off by full turns; the remainder must be
+    small.
     """
     homes = [
         calibration.home[k] if servo.home is None else servo.home
@@ -306,10 +311,7 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
 
 
 def _alike(slope: Floats) -> Floats:
-    """Return per servo the ticks that a unit of command is worth at most.
-
-    All servos at once then exceed none.
-    """
+    """Return, per servo, the most ticks per unit of command if all servos move at once."""
     alone = 1.0 / np.maximum(np.abs(slope).max(axis=0), 1e-300)
     return np.asarray(alone / max(1.0, float((np.abs(slope) @ alone).max())))
 
@@ -387,12 +389,12 @@ def _servo(
 
 
 def by_pwm(entry: ServoModel) -> bool:
-    """Return whether a servo caps no current, so that its PWM is capped by as much."""
+    """Return whether a servo has no current cap, so that its PWM is capped by the same share."""
     return bool(entry["capped_by"] == "goal_pwm")
 
 
 def shown(limit: Limit, entry: ServoModel) -> Limit:
-    """Return a limit as it is in force: of a servo that caps no current the share of its PWM."""
+    """Return a limit as applied: for a servo without a current cap, the share of its PWM."""
     if limit.name not in ("current", "jog_current") or not by_pwm(entry):
         return limit
     stall = entry["stall_current_mA"]
@@ -455,10 +457,8 @@ def of_bench(
 ) -> Callable[[str], tuple[float, str, str] | None]:
     """Return a look-up of the strictest value that the rig sets: value, who, how.
 
-    It covers what the rig sets for all its servos and for this one.
-
-    A ceiling of `hot` that leaves `warm` unsaid is one of `warm` too, as far below as in the
-    servo's data.
+    It covers what the rig sets for all servos and for this one. A ceiling of `hot` without `warm`
+    also lowers `warm`, by the distance in the servo's data.
     """
 
     def look(name: str) -> tuple[float, str, str] | None:

@@ -1,10 +1,7 @@
-"""The limits of a robot's servos: one table, in ticks and seconds.
+"""The limits of a robot's servos: one table in ticks and seconds, enforced by the compiled guard.
 
-The compiled guard checks it and keeps to it.
-
-docs/reference/safety.md explains each limit. Ticks are absolute; the window lies about `home`.
-Pinned by tests/robot/test_controller.py and, for what the guard makes of it, by the tests of
-rust/servo/guard.
+docs/reference/safety.md explains each limit. Ticks are absolute; the window is about `home`. Pinned
+by tests/robot/test_controller.py and, for the guard's use of it, by the tests of rust/servo/guard.
 """
 
 from __future__ import annotations
@@ -19,26 +16,27 @@ from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import ServoModel, servo_model
 
-RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
+RATE = 100.0  # periods per second: one adapter at 1 Mbaud carries this with room to spare
 SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
-# s by which a servo may be late: half as much again as the trunk's were (its recording)
+# s of servo delay that is allowed: 1.5 times that of the trunk (its recording)
 BEHIND = 1.5 * 0.24
-NEAR = 400.0  # ticks that it may be behind in any case, however slow
+NEAR = 400.0  # ticks of following error that are always allowed
 CURRENT = 0.35  # of a servo's own limit
-FASTER = 1.5  # than a servo's own fastest turn is no position to believe
-BAND = 0.02  # mm that a goal comes back before its servo turns
-JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
-# °C below its own limit at which a servo's current is cut back, and at which tension is released
+FASTER = 1.5  # times the fastest turn of a servo: a faster reading is rejected
+BAND = 0.02  # mm that a goal must reverse before its servo turns
+JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: limits of a jog
+# °C below its own limit at which a servo's current is reduced, and tension is released
 COOL = (15.0, 5.0)
 
 
 def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLimits:
-    """Return the limits of one servo by its model's data.
+    """Return the limits of one servo from its model's data.
 
     Args:
-        model: its name, as in `servo_model`. home: ticks. window: ticks about home, LOW < 0 <
-            HIGH.
+        model: its name, as in `servo_model`
+        home: ticks
+        window: ticks about home, LOW < 0 < HIGH
 
     Raises:
         ServoError: no such model.
@@ -63,7 +61,7 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLim
 def strongest(entry: ServoModel) -> float:
     """Return the current (mA) at which a servo has its highest allowed torque.
 
-    It is its limit, or its stall current if it has none.
+    It is its current limit, or its stall current if it has no limit.
     """
     return float(entry["current_limit_mA"] or entry["stall_current_mA"])
 
@@ -79,11 +77,11 @@ def slowed(entry: ServoModel, current: float) -> float:
 
 
 def following(slew: float) -> float:
-    """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
+    """Return the allowed following error (ticks) of a goal that moves at up to `slew` (ticks/s).
 
-    Real servos are behind by their delay at each speed: a limit below that drops the torque of a
-    healthy finger, and it must be homed again. A really blocked servo pulls for some tenths of a
-    second more, within its current cap.
+    A real servo lags by its delay at each speed. A lower limit would drop the torque of a healthy
+    finger, which must then be homed again. A blocked servo pulls for some tenths of a second
+    longer, within its current cap.
     """
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 
@@ -92,7 +90,7 @@ def loop_limits(servos: Sequence[ServoLimits], rate: float = RATE, **changes: ob
     """Return the checked limits of a robot of `servos` (`servo_limits`), loop at `rate` (1/s).
 
     Raises:
-        ServoError: a limit is out of range, or `changes` names none.
+        ServoError: a limit is out of range, or `changes` names no limit.
     """
     if not 10.0 <= rate <= 2000.0:
         raise ServoError(f"a rate of {rate:g} a second; allowed is 10 to 2000")

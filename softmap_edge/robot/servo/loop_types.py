@@ -1,8 +1,6 @@
-"""What goes into the control loop and comes out of it: limits, and reports (`softmap.loop/1`).
+"""Types of the control loop's limits and reports (`softmap.loop/1`).
 
-`rust/control/report.rs` writes the reports. Nothing here needs numpy, which the loop starts
-without.
-
+`rust/control/report.rs` writes the reports. Nothing here needs numpy, which the loop does not load.
 Pinned by tests/robot/test_controller.py.
 """
 
@@ -20,9 +18,9 @@ class ServoLimits(TypedDict):
     slew: float  # ticks/s
     acceleration: float  # ticks/s²
     current: float  # mA
-    fastest: float  # ticks/s: a faster reading is no position
-    following: float  # ticks that it may be behind its goal
-    warm: float  # °C from which its current is cut back
+    fastest: float  # ticks/s: a faster reading is rejected
+    following: float  # largest following error, ticks
+    warm: float  # °C from which its current is reduced
     hot: float  # °C from which tension is released
     voltage: tuple[float, float]  # V
 
@@ -34,17 +32,17 @@ class LoopLimits(TypedDict):
     period: float
     stale: float  # age of a target from which the guard holds
     hold: float  # time in hold, after which tension is released
-    slacken: float  # time of releasing tension
+    slacken: float  # duration of releasing tension
     late: float  # a period that begins later is a fault
     silent: float  # a servo that does not answer for longer is a fault
     grace: float
     ramp: float
-    jump: tuple[float, float]  # ticks: a farther target is slowed down, or refused
+    jump: tuple[float, float]  # ticks: a target farther away is slowed down, or rejected
     jog_travel: float  # ticks
     jog_slew: float  # ticks/s
     jog_current: float  # mA
-    band: float  # mm that a goal comes back before its servo turns
-    turns: float  # reversals a second
+    band: float  # mm that a goal must reverse before its servo turns
+    turns: float  # reversals per second
     burst: float
 
 
@@ -68,7 +66,7 @@ def bus_counts(report: LoopReport) -> BusCounts:
 
 
 class LoopReport(TypedDict, total=False):
-    """A report of the loop; of each servo's values None is one that was not heard."""
+    """A report of the loop; None stands for a value of a servo that was not read."""
 
     schema: str
     t: float  # s, by the clock of the loop
@@ -78,8 +76,8 @@ class LoopReport(TypedDict, total=False):
     id: int | None  # its id
     ids: list[int]
     torque: bool
-    refused: bool  # whether a target was refused
-    denied: str | None  # why a request changed nothing
+    refused: bool  # whether a target was rejected
+    denied: str | None  # why a request was denied
     emergency: bool  # whether an emergency stop is pressed
     bus: str | None  # how the bus failed
     jumped: bool  # whether a target was so far away that it is slowed down
@@ -92,7 +90,7 @@ class LoopReport(TypedDict, total=False):
     voltage_V: list[float | None]
     hardware: list[int | None]  # bits of each servo's hardware errors
     overruns: int  # periods that began late
-    asked: int  # answers asked for so far
+    asked: int  # requested answers so far
     lost: int
     damaged: int
     unasked: int
@@ -102,10 +100,10 @@ class LoopReport(TypedDict, total=False):
     unrecorded: str  # why the recording ended before the loop
     rescued: str  # what was done for servos whose loop died
     kept: str  # which of them kept their torque
-    gone: str  # why no report comes any more
+    gone: str  # why no more reports come
     ended: str  # why the loop ended
     ticks: int  # periods of the loop
     kept_torque: list[int]  # ids of servos that have not confirmed that torque is off
-    late_us: dict[str, float]  # quantiles of how late periods began
+    late_us: dict[str, float]  # quantiles of the delay of periods, µs
     late_bins: list[int]
     command_age_us: dict[str, float] | None

@@ -1,7 +1,7 @@
 """Data of a servo's model: its entry in the compiled table, by name or by reported number.
 
-An entry has `name`, `number`, `baud_rates`, `operating_mode`, what the servo can do and what it
-draws; a model without a current sensor has None for its currents. Pinned by
+An entry has `name`, `number`, `baud_rates`, `operating_mode`, the servo's capabilities and its
+currents; a model without a current sensor has None for its currents. Pinned by
 tests/robot/test_rig_file.py.
 """
 
@@ -14,7 +14,7 @@ from softmap_edge.errors import ServoError
 
 
 class ServoModel(TypedDict):
-    """What is known of a model; None for currents of a model without a sensor."""
+    """Data of a servo model; currents are None for a model without a sensor."""
 
     name: str
     number: int
@@ -34,7 +34,7 @@ class ServoModel(TypedDict):
 
 
 def servo_model(name: str) -> ServoModel:
-    """Return what is known of the model of this name.
+    """Return the data of the model with this name.
 
     Raises:
         ServoError: no such model.
@@ -46,5 +46,5 @@ def servo_model(name: str) -> ServoModel:
 
 
 def numbered(number: int) -> ServoModel | None:
-    """Return the entry of the model with this number, None of an unknown one."""
+    """Return the entry of the model with this number; None if it is unknown."""
     return next((model for model in _core.servo_models() if model["number"] == number), None)

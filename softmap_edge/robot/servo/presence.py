@@ -1,4 +1,4 @@
-"""Find the servos on a bus, and why one is silent: baud rate, id, shared id, pings only.
+"""Find the servos on a bus, and why one does not answer: baud rate, id, shared id, pings only.
 
 Nothing is written to the bus. Pinned by tests/robot/test_presence.py.
 """
@@ -15,9 +15,9 @@ from softmap_edge.errors import NoAnswer, NoSuchRate
 from softmap_edge.robot.servo.bus import opened, patiently, pinged, pings_only, rates
 from softmap_edge.robot.servo.known_state import ServoState, setup_command
 
-LOOKS = 3  # repetitions of the finding: one glitch is no second servo
-PINGS = 2  # at each other rate
-SETTLES = 0.01  # s within which a second servo has answered too
+LOOKS = 3  # times that the finding must repeat: one glitch is no second servo
+PINGS = 2  # pings at each other rate
+SETTLES = 0.01  # s after which a second servo has answered too
 ALONE = "connect one servo at a time and give each an id of its own"
 
 
@@ -57,10 +57,13 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
     """Return why servo `id` does not answer at `port`: the finding and, after "; ", the remedy.
 
     Args:
-        port, baud, id: of the expected servo. listed: the ids in the rig.
+        port: device of the bus
+        baud: rate of the expected servo
+        id: id of the expected servo
+        listed: ids in the rig
 
     Raises:
-        ServoError: the port cannot be opened, or another program has it.
+        ServoError: the port cannot be opened, or another program uses it.
     """
     for rate in rates():
         if rate != baud and _answers_at(port, rate, id):
@@ -89,7 +92,7 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
 
 
 def muted(bus: _core.ServoBus, id: int) -> str:
-    """Return why a servo on an open bus has not answered a read of its registers."""
+    """Return why a servo on an open bus did not answer a read of its registers."""
     if shared(bus, id):
         return shares(bus, id)
     if _silent_reads(bus, id):

@@ -1,6 +1,6 @@
-"""One rig: where its servos are and where home is, on the machine that drives them (`rig.toml`).
+"""One rig: its servos and their home, on the machine that drives them (`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a rig never travels with it. Pinned by
+A bundle may come from another person; data of a rig stay out of it. Pinned by
 tests/robot/test_rig_file.py.
 """
 
@@ -23,17 +23,16 @@ from softmap_edge.robot.servo.rig_ceiling import RANGES, Ceiling, read_ceiling
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
 FARTHEST = int(_core.limit_ranges()["home"][1])  # ticks: 256 turns
-# of a servo, where it is known
+# entries of a servo that are written if known
 KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")
 
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and its home.
+    """A servo: its id on the bus, its model's name, its home, and its ceiling.
 
-    Home is the tick at which the finger is straight (None: never homed).
-
-    Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
+    Home is the tick at which the finger is straight (None: never homed). The ceiling (None: not
+    measured) is mA at the stroke, ticks about home, ticks/s, ticks/s².
     """
 
     id: int
@@ -50,12 +49,13 @@ class RigServo:
 class Rig:
     """A port, its baud rate, and the servos in the order of the commands.
 
-    `ceiling` is what all of them are allowed at most, `emergency` the stops that the loop asks,
-    `made` is how each thing was found. `time` is that of the servos, `file` the one that it was
-    read from; no file holds them.
+    `ceiling` limits all servos, `emergency` holds the stops that the loop checks, and `made` states
+    how each value was found. `time` is the clock of the servos and `file` the file that the rig was
+    read from; neither is stored.
 
     Raises:
-        ServoError: two servos of one id, an unknown model, none or too many servos.
+        ServoError: two servos have one id, a model is unknown, or there are none or too many
+            servos.
     """
 
     port: str
@@ -119,14 +119,13 @@ class Rig:
         write_atomically(path, self.to_toml())
 
     def note(self, path: str | Path) -> None:
-        """Write the servos' data, and how it was found, into this rig's `rig.toml`.
+        """Write the servos' data, and how it was found, into the rig's own `rig.toml`.
 
-        It is the file that the rig was read from.
-
-        What its user wrote there stays, comments too.
+        The user's own entries and comments stay.
 
         Raises:
-            ServoError: it is no rig any more. OSError: it cannot be read or written.
+            ServoError: the file is no rig any more.
+            OSError: it cannot be read or written.
         """
         from softmap_edge.robot.servo.rig_edit import edited  # only an edit needs tomlkit
 
@@ -140,8 +139,8 @@ def read_rig(path: str | Path) -> Rig:
     """Read a `rig.toml`.
 
     Raises:
-        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or
-            a key is unknown: a mistyped stop or limit would be none.
+        ServoError: the file is missing, is no TOML, has another schema or a bad entry, or a key is
+            unknown: a mistyped stop or limit would have no effect.
     """
     file = Path(path)
     try:
@@ -186,7 +185,7 @@ def read_rig(path: str | Path) -> Rig:
         raise
     except SoftmapError as fault:
         raise ServoError(str(fault)) from None
-    except (ValueError, RecursionError) as fault:  # what is no TOML or no text is a ValueError
+    except (ValueError, RecursionError) as fault:  # invalid TOML or text raises ValueError
         raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
 
 
@@ -195,7 +194,7 @@ def _whole(bounds: tuple[float, float]) -> tuple[int, int]:
 
 
 def _found(table: TomlTable) -> Document:
-    """Return how something was found: texts, numbers and lists of them."""
+    """Return how a value was found: texts, numbers and lists of them."""
     for key, value in table.values.items():
         each = value if isinstance(value, list) else [value]
         if not all(isinstance(one, str | int | float) for one in each):

@@ -1,9 +1,8 @@
-"""What a rig allows all of its servos at most: `[ceiling]` of its `rig.toml`.
+"""The limits of a rig for all of its servos: `[ceiling]` of its `rig.toml`.
 
-A servo's own stands behind its id.
-
-It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it
-(`limits.py`). Pinned by tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
+Limits of a single servo stand in its `[[servo]]` table. The ceiling replaces softmap's own cautious
+defaults; a bundle's `safety.toml` can only tighten it (`limits.py`). Pinned by
+tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ if TYPE_CHECKING:
 
 Value = float | tuple[float, float]
 
-# What a rig does not set: its rate, what was counted or homed, and a servo's own data.
+# Limits that a rig cannot set: its rate, counted or homed values, and a servo's own data.
 OTHERS = ("servos", "period", "home", "fastest", "voltage")
-AT_LEAST = ("low", "ramp", "band")  # of these the larger is the stricter
-# Name: lowest and highest value, as the compiled guard has them; it checks them again, together.
+AT_LEAST = ("low", "ramp", "band")  # of these the larger value is the stricter one
+# Name: lowest and highest value, from the compiled guard, which checks them again together.
 RANGES: Mapping[str, tuple[float, float]] = {
     "current_mA" if name == "current" else name: (low, high)
     for name, (low, high, _) in _core.limit_ranges().items()
     if name not in OTHERS
 }
-# of each servo
+# limits of a single servo
 OF_EACH = ("low", "high", "slew", "acceleration", "current_mA", "following", "warm", "hot")
 
 
@@ -43,7 +42,7 @@ class Ceiling:
     values: tuple[tuple[str, Value], ...] = ()
 
     def get(self, name: str) -> Value | None:
-        """Return a limit, None where the rig sets none."""
+        """Return a limit; None if the rig does not set it."""
         return dict(self.values).get(name)
 
     def number(self, name: str) -> float | None:
@@ -52,7 +51,7 @@ class Ceiling:
         return None if isinstance(value, tuple) else value
 
     def to_toml(self) -> list[str]:
-        """Return the lines of its table, none where it is empty."""
+        """Return the lines of its table; none if it is empty."""
         lines = [f"{name} = {list(v) if isinstance(v, tuple) else v!r}" for name, v in self.values]
         return ["", "[ceiling]", *lines] if lines else []
 
@@ -61,8 +60,8 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     """Read the limits of a rig.
 
     Raises:
-        RunError: an unknown name, or a value out of range. ServoError: a pair that is none, or warm
-            above hot.
+        RunError: a name is unknown, or a value is out of range.
+        ServoError: a pair is invalid, or `warm` is above `hot`.
     """
     found: list[tuple[str, Value]] = []
     for name, (low, high) in RANGES.items():
@@ -86,11 +85,10 @@ def read_ceiling(table: TomlTable) -> Ceiling:
 
 
 def check_bench(rig: Rig, limits: LoopLimits) -> None:
-    """Refuse limits of a robot that its rig does not allow.
+    """Reject limits of a robot that its rig does not allow.
 
     Raises:
-        ServoError: a servo's home differs from the homed one of the rig, or a limit lies above the
-            ceiling.
+        ServoError: a servo's home differs from the rig's, or a limit is above the ceiling.
     """
     for k, servo in enumerate(rig.servos):
         home = limits["servos"][k]["home"]
@@ -109,7 +107,7 @@ def check_bench(rig: Rig, limits: LoopLimits) -> None:
 
 
 def _both(rig: Rig, limits: Document) -> Iterator[tuple[str, str, float | None, float]]:
-    """Give each limit that the rig sets: of which servo, its name, its value and the ceiling."""
+    """Yield each limit that the rig sets: its servo, its name, its value and the ceiling."""
     for name in RANGES:
         most = rig.ceiling.get(name)
         if name not in OF_EACH:

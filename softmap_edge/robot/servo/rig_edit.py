@@ -1,7 +1,7 @@
 """Write findings into a `rig.toml` that its user has edited: comments, order and layout stay.
 
-tomlkit keeps all that does not change. The outcome is parsed again and must hold the expected
-values; a file for which that fails is written in our own form, without its comments. Pinned by
+tomlkit keeps everything that does not change. The result is parsed again and must hold the expected
+values; otherwise the file is written in our own form, without its comments. Pinned by
 tests/robot/test_rig_file.py.
 """
 
@@ -25,14 +25,14 @@ SERVO, MADE = "servo", "made"
 
 
 def edited(old: str, new: str, kept: Sequence[str]) -> str:
-    """Return the text of a rig with port, servos and provenance of another; all else as it was.
+    """Return the text of a rig with port, servos and provenance replaced; all else stays.
 
-    The tables `ceiling` and `emergency` are the user's own.
+    The tables `ceiling` and `emergency` belong to the user.
 
     Args:
         old: text of the rig as its user left it, valid TOML
         new: text of the rig with the findings
-        kept: keys of a servo that its findings replace or remove; other keys of a servo stay
+        kept: keys of a servo that its findings replace or remove; its other keys stay
     """
     before, after = parsed(old), parsed(new)
     servos = [_merged(a, b, kept) for a, b in zip(before[SERVO], after[SERVO])]
@@ -72,7 +72,7 @@ def _change(document: tomlkit.TOMLDocument, target: Document) -> None:
 
 
 def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
-    """Return a table of its own, with a blank line behind it, or one in a line."""
+    """Return a table with a blank line after it, or an inline table."""
     if inline:
         table: Table | InlineTable = tomlkit.inline_table()
         _set(table, values)
@@ -84,9 +84,9 @@ def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
 
 
 def _set(table: Tables, values: Mapping[str, object], remove: bool = False) -> None:
-    """Give a table these values; what is equal stays as it is written.
+    """Set the values of a table; equal ones keep their form.
 
-    `remove` takes the other keys out.
+    `remove` removes the other keys.
     """
     for key in [key for key in table if remove and key not in values]:
         del table[key]

@@ -1,6 +1,6 @@
-"""Words for the guard's states, their causes, and the requests that it denies.
+"""Text for the guard's states, their causes, and the requests that it denies.
 
-All commands and pages take them from here. Pinned by tests/robot/test_servo_words.py.
+All commands and pages use it. Pinned by tests/robot/test_servo_words.py.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
-MANY_LOST = 0.01  # share of lost answers that is reported
-REMEDIES = {  # of causes; what is left out needs none
+MANY_LOST = 0.01  # share of lost answers from which they are reported
+REMEDIES = {  # remedies of causes; a cause without one needs none
     "late": "check the cables of the bus, and close what else loads this computer",
     "overload": (
         "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it "
@@ -91,9 +91,9 @@ REMEDIES = {  # of causes; what is left out needs none
     "tripped": "close other programs that use the port, and check the cables",
 }
 SENSED = ("hot", "voltage")  # causes whose value and limit a report shows
-# causes, under torque
+# causes that invalidate the home if they occur under torque
 LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")
-QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
+QUIET = ("engaged", "ready")  # states in which the cause is that of the previous state
 
 
 def level(report: LoopReport) -> Level:
@@ -137,7 +137,7 @@ def errors(report: LoopReport) -> str:
 
 
 def bus(counts: BusCounts) -> str:
-    """Return a sentence on answers that were lost or not asked for; "" if there are none."""
+    """Return a sentence on lost or unrequested answers; "" if there are none."""
     asked, lost, damaged, unasked = (
         counts["asked"],
         counts["lost"],
@@ -167,17 +167,17 @@ def onward(report: LoopReport, *, terminal: bool = False, bench: bool = True) ->
     """Return what to do in a state that follows no commands.
 
     Args:
-        report: the newest of the loop.
-        terminal: whether its reader typed a command; else they wrote a program, and the methods are
-            named.
-        bench: whether the robot has a rig file; one that a command emulates is homed again by each
-            start.
+        report: newest report of the loop
+        terminal: whether the reader typed a command; otherwise the reader wrote a program, and
+            methods are named
+        bench: whether the robot has a rig file; a robot emulated by a command is homed by each
+            start
     """
     return _typed(report, bench) if terminal else _called(report)
 
 
 def _typed(report: LoopReport, bench: bool) -> str:
-    """Return what to do at the command line, where the same command is run again."""
+    """Return what to do at the command line before the same command is run again."""
     home = (
         "home the robot again (`softmap servo home --rig FILE`)"
         if bench and _unhomed(report)
@@ -188,7 +188,7 @@ def _typed(report: LoopReport, bench: bool) -> str:
 
 
 def _called(report: LoopReport) -> str:
-    """Return what a program does: the remedy, and the methods of a Controller that lead on."""
+    """Return what a program does: the remedy, and the methods of Controller to call next."""
     state, why = report.get("state", "off"), report.get("cause")
     if state == "fault" and why == "loop":
         return "start another Controller"
@@ -210,7 +210,7 @@ def _called(report: LoopReport) -> str:
 
 
 def _remedy(report: LoopReport) -> str:
-    """Return what removes the cause, "" if nothing has to."""
+    """Return what removes the cause; "" if nothing needs to."""
     why = str(report.get("cause"))
     return restarts(report) if why == "hardware" else REMEDIES.get(why, "")
 
@@ -234,7 +234,7 @@ def restarts(report: LoopReport) -> str:
 def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
     """Return why a request was denied, from the loop's report.
 
-    It gives `from(ready)`, `trouble(late)`, `torque`, …
+    The reason is `from(ready)`, `trouble(late)`, `torque`, …
     """
     kind, _, of = message.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):
@@ -258,7 +258,7 @@ def sentence(report: LoopReport) -> str:
 
 
 def limits(report: LoopReport) -> list[str]:
-    """Return what the guard keeps the targets from."""
+    """Return the limit that the guard applies to the targets."""
     flags = {
         "outside": "at the edge of the window",
         "slowed": "as fast as allowed",
@@ -269,7 +269,7 @@ def limits(report: LoopReport) -> list[str]:
 
 
 def lost(report: LoopReport, why: str) -> str:
-    """Return why driving ended, where the guard's report lacks it, and the remedy."""
+    """Return why driving ended if the guard's report lacks the reason, and the remedy."""
     state = str(report.get("state", "off"))
     again = "release the key and press it again"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):

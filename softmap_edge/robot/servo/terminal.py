@@ -1,9 +1,9 @@
-"""The keys of a terminal: what is typed, by name, and a held key, which a terminal does not report.
+"""Keys of a terminal: typed keys by name, and a held key, which a terminal does not report.
 
-A terminal reports no key-up. It repeats a held key: the first time after `FIRST` s at most, then
-each `REPEAT` s at most. So a key that was pressed once may be held or not, and only its first
-repetition shows it: what must not run on after a tap (`robot/commissioning/keys.py`) begins with
-that. Pinned by tests/robot/test_clutch.py, tests/robot/test_move.py and
+A terminal reports no key-up. It repeats a held key: first after at most `FIRST` s, then at least
+every `REPEAT` s. So a key pressed once may or may not be held; only a repetition shows that it is.
+Motion that must not continue after a tap (`robot/commissioning/keys.py`) starts at the first
+repetition. Pinned by tests/robot/test_clutch.py, tests/robot/test_move.py and
 tests/robot/test_emergency_key.py.
 """
 
@@ -20,46 +20,43 @@ from contextlib import contextmanager, suppress
 from types import TracebackType
 from typing import Self
 
-# s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
+# s until the first repetition of a key (keyboards: 0.25 to 0.66), and between two (0.03 to 0.1)
 FIRST, REPEAT = 0.7, 0.2
-EMERGENCY = "e"  # wherever a terminal drives: torque off at once
+EMERGENCY = "e"  # key of the emergency stop in every command that drives: torque off at once
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 ESC = "\x1b"
-MOST = 4096  # bytes that are read at a time: more was pasted, not typed
+MOST = 4096  # bytes read at a time; more were pasted, not typed
 
 
 class RepeatedKey:
-    """A terminal's key, which only reports repetitions: without one in time it is released."""
+    """A terminal's key, which only reports repetitions: it is released if none comes in time."""
 
     def __init__(self) -> None:
         self._last, self._again = float("-inf"), False
 
     def press(self, now: float) -> None:
-        """Record that the key, or a repetition of it, came at `now` s."""
+        """Record a press or repetition of the key at `now` s."""
         self._again = self.held(now)
         self._last = now
 
     def let_go(self) -> None:
-        """Count it as let go, whatever comes."""
+        """Count it as released until the next press."""
         self._last, self._again = float("-inf"), False
 
     def held(self, now: float) -> bool:
-        """Return whether it may be held at `now` s: it repeats, or was pressed and may yet."""
+        """Return whether it may be held at `now` s: it repeats, or a repetition may still come."""
         return now - self._last <= (REPEAT if self._again else FIRST)
 
     def repeats(self, now: float) -> bool:
-        """Return whether it is surely held at `now` s: it has repeated, and lately."""
+        """Return whether it is certainly held at `now` s: it has repeated recently."""
         return self._again and self.held(now)
 
 
 def terminal() -> int | None:
-    """Return the descriptor of a terminal at standard input whose keys are ours to read.
-
-    Else None.
-    """
+    """Return the descriptor of standard input if it is a terminal to read from, else None."""
     try:
         file = sys.stdin.fileno()
-    # closed, or replaced by something that is no file
+    # standard input is closed, or replaced by an object that is no file
     except (AttributeError, OSError, ValueError):
         return None
     return file if os.isatty(file) and _foreground(file) else None
@@ -74,9 +71,9 @@ def _foreground(file: int) -> bool:
 
 
 class Typed:
-    """The keys typed at the terminal `file`, unechoed, from entering to leaving.
+    """The keys typed at the terminal `file`, without echo, from entering to leaving.
 
-    Ctrl-C stays an interrupt.
+    Ctrl-C remains an interrupt.
     """
 
     def __init__(self, file: int) -> None:
@@ -95,13 +92,13 @@ class Typed:
         fault: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # a terminal that is gone; what still repeats is not for the shell
+        # the terminal may be gone; discard repetitions, which are not meant for the shell
         with suppress(termios.error):
             termios.tcsetattr(self._file, termios.TCSAFLUSH, self._before)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Leave the terminal as it was for a while, so that a line can be read from it."""
+        """Restore the terminal for a while, so that a line can be read from it."""
         termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
         try:
             yield
@@ -109,9 +106,9 @@ class Typed:
             tty.setcbreak(self._file)
 
     def read(self) -> list[str]:
-        """Return the names of the keys that came since, without waiting.
+        """Return the names of the keys typed since the last call, without waiting.
 
-        A terminal that is gone counts as escape.
+        A closed terminal counts as escape.
         """
         read = b""
         while not self.gone and len(read) < MOST and select.select([self._file], [], [], 0.0)[0]:
@@ -133,7 +130,7 @@ def _read(file: int) -> bytes:
 def wait_for_release(file: int) -> None:
     """Wait until no key of the terminal `file` has come for `REPEAT` s.
 
-    One that is held would be part of an answer.
+    A key that is still held would become part of an answer.
     """
     with Typed(file) as typed:
         since = time.monotonic()
@@ -144,10 +141,10 @@ def wait_for_release(file: int) -> None:
 
 
 def named(read: bytes) -> list[str]:
-    """Return the names of the keys in what a terminal sent.
+    """Return the names of the keys in the text of a terminal.
 
-    They are characters, in small letters, `up`, `down`, `left`, `right`, `escape`; a sequence that
-    is not known is no key.
+    They are characters in lower case, `up`, `down`, `left`, `right`, `escape`; unknown sequences
+    are ignored.
     """
     keys, rest = [], read.decode("ascii", "ignore")
     while rest:

@@ -1,1 +1,1 @@
-"""Drive by hand: pictures, landmarks of a hand, keys, the enable key, and the page in a browser."""
+"""Teleoperation: camera frames, hand landmarks, keys, the enable key, and the browser page."""

@@ -11,17 +11,18 @@ from collections.abc import Callable
 
 from softmap_edge.robot.servo.clock import BUSY, Clock
 
-# s between two rounds, several times what one takes: the computer had no time for this program
+# s between two rounds from which the program counts as held up: several times a usual round
 LATE = 0.05
-LONG, AGAIN = 0.2, 5.0  # s of standstill before a report, and between two reports
-SHOWN = 1.0  # s for which a page shows it
+LONG, AGAIN = 0.2, 5.0  # s: standstill that is reported; least time between two reports
+SHOWN = 1.0  # s for which the page shows a report
 
 
 class Busy:
-    """Counts how long the computer was too busy for a simulated robot in the time of `clock`.
+    """Count how long a busy computer held up a simulated robot.
 
     Args:
-        clock: of the robot. say: called with a line after a standstill.
+        clock: clock of the robot
+        say: called with one line after a standstill
     """
 
     def __init__(self, clock: Clock, say: Callable[[str], None]) -> None:
@@ -43,13 +44,13 @@ class Busy:
             self._say(f"{BUSY}: the simulated robot stood still for {stood:.1f} s, and goes on")
 
     def line(self, now: float) -> str:
-        """Return the line of the page at `now` s on a recent standstill; "" if there was none."""
+        """Return the page's line on a recent standstill at `now` s; "" if there was none."""
         return BUSY if now - self._stood_at < SHOWN else ""
 
     def age(self, t: float, now: float) -> float:
-        """Return the age (s) of data seen at `t`, without time when this program could not run."""
+        """Return the age (s) of data seen at `t`, less the time when the program was held up."""
         return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
 
     def end(self) -> None:
-        """Let the robot go on independently of this program."""
+        """Let the robot run on without this program."""
         self.seconds = max(self.seconds, self._clock.there(driving=False))

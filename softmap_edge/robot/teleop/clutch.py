@@ -1,11 +1,11 @@
-"""When an operator drives the finger: only from a fresh press of the key, never by itself.
+"""The clutch: the operator drives only after a fresh press of the enable key.
 
     released → waiting → driving → lost → released
 
-A press waits up to PATIENCE for all that driving needs; if a part is lost, the press ends, and the
-key must be let go and pressed again. Motion is relative: the hand's pose at the press stands for
-where the finger is (u = 0 after slackening, the paper's), so that nothing jumps. Pinned by
-tests/robot/test_clutch.py.
+A press waits up to PATIENCE for everything that driving needs. If a part is lost, the press ends;
+the operator must release the key and press it again. Motion is relative, so that nothing jumps: the
+hand's pose at the press corresponds to the current position of the finger. After slackening that is
+u = 0, as in the paper. Pinned by tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PATIENCE = 1.0  # s for which a press waits for a hand, a gesture, or the guard
 
 @dataclass(frozen=True)
 class Clutch:
-    """A stage, who holds the key, since when (s) it waits, and why it was lost."""
+    """Stage of the clutch, holder of the key, start of the wait (s), and why driving was lost."""
 
     stage: Stage = "released"
     who: str = ""
@@ -28,11 +28,11 @@ class Clutch:
     why: str = ""
 
     def step(self, now: float, who: str, lacking: str) -> Clutch:
-        """Return what follows at `now` s.
+        """Return the next stage at `now` s.
 
         Args:
-            who: whose key is held, empty without one. lacking: what driving lacks, empty
-                where nothing does.
+            who: holder of the key; empty if it is not held
+            lacking: what driving lacks; empty if nothing
         """
         if not who:
             return Clutch()
@@ -49,7 +49,7 @@ class Clutch:
         return Clutch("waiting", who, self.since, lacking)
 
     def lose(self, why: str) -> Clutch:
-        """Return the stage after something went, or was asked for, that ends driving."""
+        """Return the stage after a loss, or a request, that ends driving."""
         return (
             self
             if self.stage in ("released", "lost")

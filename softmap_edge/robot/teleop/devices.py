@@ -1,9 +1,7 @@
-"""The cameras of this computer, by number, lasting name, and path.
+"""The cameras of this computer, by number, persistent name, and path.
 
-A path is `/dev/videoN` or a link to one.
-
-Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path`
-stay. Pinned by tests/robot/test_frames.py.
+A path is `/dev/videoN` or a link to one. Numbers can change when a camera is reconnected; the names
+under `v4l/by-id` and `v4l/by-path` do not. Pinned by tests/robot/test_frames.py.
 """
 
 from __future__ import annotations
@@ -19,12 +17,12 @@ from softmap_edge.files.printable import listed
 DEVICES = Path("/dev")
 LASTING = ("v4l/by-id", "v4l/by-path")
 NODE = re.compile(r"video([0-9]{1,4})")
-MOST = 8  # cameras that a message lists
+MOST = 8  # cameras that a message lists at most
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: its number, its file, and the names that stay, the clearest first."""
+    """A camera: its number, its file, and its persistent names, the clearest first."""
 
     number: int
     file: Path
@@ -35,7 +33,7 @@ class Camera:
 
 
 def cameras(devices: Path = DEVICES) -> list[Camera]:
-    """Return the cameras that are there, in the order of their numbers."""
+    """Return the connected cameras, ordered by number."""
     links = [link for folder in LASTING for link in sorted((devices / folder).glob("*"))]
     found = []
     for file in devices.glob("video*"):
@@ -54,10 +52,10 @@ def there(devices: Path = DEVICES) -> str:
 
 
 def camera_number(text: str, devices: Path = DEVICES) -> int | None:
-    """Return the number of the camera at a path; None if the path is not that of a device.
+    """Return the number of the camera at a path; None if the path is no device.
 
     Raises:
-        TeleopError: the path is that of a device, but of no connected camera.
+        TeleopError: the path is a device, but not a connected camera.
     """
     try:
         path = Path(os.path.abspath(text))
@@ -86,7 +84,7 @@ def camera_number(text: str, devices: Path = DEVICES) -> int | None:
 
 
 def _number(path: Path, devices: Path) -> int | None:
-    """Return N of the videoN that a path is, or links to."""
+    """Return N of the videoN that a path is or links to."""
     file = path.resolve()
     node = NODE.fullmatch(file.name)
     return int(node[1]) if node and file.parent == devices.resolve() else None

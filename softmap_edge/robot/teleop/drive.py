@@ -1,8 +1,8 @@
-"""A hand or knob drives a robot: newest observation, filter, clutch, point, command, loop.
+"""Drive a robot by hand or knob: observation, filter, clutch, target point, command.
 
-One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one
-target; nothing is queued. Vision alone never drives: it takes a key that is held (`keys`), and a
-hand that goes, or a gesture, only ends it (`clutch`). Without a held key the guard takes over: it
+One thread polls the inputs, takes the newest observation and sends one target, at least SENT times
+a second. Nothing is queued. A hand in view never starts motion: the operator must hold the enable
+key (`keys`). A lost hand or a gesture only ends it (`clutch`). When the key is released, the guard
 holds, then releases tension (docs/reference/safety.md). Pinned by tests/robot/test_teleop_drive.py
 through the real loop on emulated servos.
 """
@@ -36,31 +36,31 @@ from softmap_edge.robot.teleop.own_hand import ANOTHER, OwnHand
 
 Floats = NDArray[np.float64]
 
-SENT = 100.0  # targets a second, at least, while driving
-DRIVABLE = ("engaged", "hold")
-BEGINS = ("ready", *DRIVABLE)
-GONE = ("gone", "error", "rescued")  # of a report: the control loop is no more
-MOST_KEPT = 200_000  # latencies: an hour and a half at 30 pictures a second
+SENT = 100.0  # least number of targets per second while driving
+DRIVABLE = ("engaged", "hold")  # guard states that follow targets, or return to it
+BEGINS = ("ready", *DRIVABLE)  # guard states in which a press may start driving
+GONE = ("gone", "error", "rescued")  # keys of a report after which the control loop has ended
+MOST_KEPT = 200_000  # latencies that are kept: an hour and a half at 30 frames/s
 
 
 @dataclass
 class DriveSummary:
-    """What a session was: pictures taken, with a hand, and driven from; times; its end.
+    """Summary of a session: frames taken, with a hand, and used to drive; times; how it ended.
 
-    Seconds in each state, and why driving ended.
+    Includes the seconds in each state, and why driving ended.
     """
 
-    states: dict[str, float] = field(default_factory=dict)  # s
+    states: dict[str, float] = field(default_factory=dict)  # s in each state
     engaged_s: float = 0.0
-    busy_s: float = 0.0  # for which a simulated robot stood, because the computer was too busy
+    busy_s: float = 0.0  # s for which a busy computer held up a simulated robot
     presses: int = 0
     lost: Counter[str] = field(default_factory=Counter)
-    latency: list[float] = field(default_factory=list)  # s from a picture to the target sent for it
+    latency: list[float] = field(default_factory=list)  # s from a frame to the target sent for it
     ended: str = ""
     failed: bool = False
 
     def to_dict(self) -> Document:
-        """Return it as the document's entries."""
+        """Return it as entries of the document."""
         ms = 1e3 * np.array(self.latency or [np.nan])
         several = len(self.latency) > 0
         return {
@@ -83,11 +83,11 @@ def _round(number: SupportsFloat) -> float:
 
 @dataclass(frozen=True, eq=False)
 class DriveState:
-    """What is shown.
+    """What the page and the terminal show.
 
-    The guard's report, the clutch, what drives, the newest observation, (c_f, c_r) as filtered, the
-    knob, where the finger is and is led to in the plane (mm), and how old (s) the observation that
-    drives is.
+    The report of the guard, the clutch, the active input, the newest observation, the filtered
+    (c_f, c_r), the knob, the actual and target position in the plane (mm), and the age (s) of the
+    observation in use.
     """
 
     t: float
@@ -100,19 +100,25 @@ class DriveState:
     led: Floats | None
     age: float | None
     lacking: str
-    busy: str = ""  # the computer is too busy for a simulated robot
+    busy: str = ""  # line on a busy computer that holds up a simulated robot; else empty
 
 
 class Drive:
-    """Drives an entered `robot` until something ends it.
+    """Drive an entered `robot` until something ends it.
 
     Args:
-        robot: as entered. kinematics: of the model that the robot's commands are meant for. aim:
-            the plane. eyes: entered. inputs: whose keys count, the first that is held. reach: as
-            `HandMap`. flip: axes of the hand that change their sign. rule: the gesture next to the
-            key. stays: go on without the camera once it is gone, for the knob to drive. sent:
-            called with the time of each picture that is driven from, and its command. show: called
-            with each moment, and must not wait. say: called with each new line.
+        robot: entered robot
+        kinematics: of the model that the robot's commands are meant for
+        aim: mapping to the plane
+        eyes: entered source of observations
+        inputs: inputs with an enable key; the first held key counts
+        reach: as in `HandMap`
+        flip: axes of the hand that change their sign
+        rule: gesture required in addition to the key
+        stays: after the camera is lost, go on with the knob
+        sent: called with the time of each frame used to drive, and its command
+        show: called with each `DriveState`; must not block
+        say: called with each new line
     """
 
     def __init__(
@@ -138,10 +144,10 @@ class Drive:
         self._stays, self._sent, self._show, self._say = stays, sent, show, say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1
-        self._own = OwnHand()  # that of the press, while it drives
-        self._hand: Hand | None = None  # that counts in the newest sight
-        self._held_by: Hand | None = None  # the one that the filter heard last
-        # where hand or knob, and the finger, were at the press
+        self._own = OwnHand()  # the hand followed since the press
+        self._hand: Hand | None = None  # driving hand in the newest observation
+        self._held_by: Hand | None = None  # hand that the filter was last updated with
+        # hand or knob, and finger, at the press
         self._start = (np.zeros(2), np.zeros(2))
         self._source, self._led, self._driven = "", np.zeros(2), -np.inf
         self._line = ""
@@ -149,10 +155,7 @@ class Drive:
         self.account = DriveSummary()
 
     def run(self, seconds: float | None = None) -> DriveSummary:
-        """Drive for some seconds, or until the file, the loop or an input ends it.
-
-        The finger is then released.
-        """
+        """Drive until `seconds`, the file, the loop or an input ends it; then release tension."""
         begun = before = time.monotonic()
         try:
             while not self.account.ended:
@@ -182,7 +185,7 @@ class Drive:
         who, controls = self._holding(now)
         lacking = self._lacking(now, state, controls, bool(who))
         before = self._clutch
-        if controls.source != self._source:  # another way to drive is no reason to go on
+        if controls.source != self._source:  # another input must not take over a motion in progress
             self._clutch = self._clutch.lose(f"the {controls.source} was chosen")
             self._source = controls.source
         self._clutch = self._clutch.step(now, who, lacking)
@@ -218,7 +221,7 @@ class Drive:
             )
 
     def _take(self) -> HandObservation | None:
-        """Take the newest sight, once, into the filter."""
+        """Filter the newest observation, once."""
         sight = self._eyes.newest()
         if sight is None or sight.number == self._last_sight:
             return sight
@@ -232,7 +235,7 @@ class Drive:
         return sight
 
     def _holding(self, now: float) -> tuple[str, Controls]:
-        """Return who holds the key, and the valid input: theirs, or the first one."""
+        """Return the holder of the key, and the input in use: the holder's, or the first one."""
         said = [(one.name, one.controls(now)) for one in self._inputs]
         for name, controls in said:
             if controls.held:
@@ -240,7 +243,7 @@ class Drive:
         return "", said[0][1] if said else Controls()
 
     def _lacking(self, now: float, state: str, controls: Controls, key: bool) -> str:
-        """Return in words what driving lacks, empty where nothing does."""
+        """Return what driving lacks, as text; empty if nothing."""
         sight = self._eyes.newest()
         shown = None if sight is None or self._old(sight.t, now) else sight
         gesture = self._gesture.held(key, None if shown is None else self._hand, now)
@@ -266,7 +269,7 @@ class Drive:
         return self._busy.age(t, now) > SEEN
 
     def _press(self, state: str, report: LoopReport, controls: Controls) -> None:
-        """Begin: what is seen now stands for where the finger is."""
+        """Begin: the current observation corresponds to the current position of the finger."""
         self.account.presses += 1
         self._own.begin(self._held_by, -np.inf if self._smooth is None else self._smooth.t)
         at = np.zeros(2) if state == "ready" else self._here(report)
@@ -277,7 +280,7 @@ class Drive:
     def _pointed(self, controls: Controls) -> Floats:
         if controls.source == "knob":
             return np.array(controls.knob)
-        assert self._smooth is not None  # `_lacking` has seen to it
+        assert self._smooth is not None  # `_lacking` has checked it
         return self._smooth.x
 
     def _target(self, controls: Controls) -> None:
@@ -324,7 +327,7 @@ class Drive:
     def _acknowledge(self, state: str) -> None:
         try:
             if state == "fault":
-                # the stop pressed here; a stop by a line or heartbeat of the rig stays
+                # only the stop pressed here; a stop by a line or heartbeat of the rig stays
                 self._robot.emergency(False)
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":
@@ -333,12 +336,12 @@ class Drive:
             self._line = ""
             self._note(str(fault))
 
-    # --- what it looks like -------------------------------------------------------------
+    # --- what is shown -------------------------------------------------------------------
 
     def _here(self, report: LoopReport) -> Floats:
-        """Return the finger's place in the plane, by the last goals or the servos.
+        """Return the position of the finger in the plane.
 
-        The goals count if they were sent, else the positions.
+        It follows from the last goals if they were sent, else from the servo positions.
         """
         ticks: list[int] = []
         for values in (report.get("position"), report.get("goal")):

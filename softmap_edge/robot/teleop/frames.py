@@ -1,8 +1,8 @@
-"""Pictures of a camera, newest first, or of a video file at its own rate (`[teleop]` extra).
+"""Camera frames, newest first, or a video file at its own rate (`[teleop]` extra).
 
-A camera is read by a thread of its own into one slot, since its driver keeps pictures in a queue:
-a reader gets the newest, never an old one. Times are those of the steady clock
-(`time.monotonic`). Pinned by tests/robot/test_frames.py.
+A thread reads the camera into a single slot, because camera drivers queue frames: a reader always
+gets the newest one. Times are those of the steady clock (`time.monotonic`). Pinned by
+tests/robot/test_frames.py.
 """
 
 from __future__ import annotations
@@ -26,20 +26,17 @@ from softmap_edge.errors import TeleopError
 from softmap_edge.robot.teleop import devices
 from softmap_edge.robot.teleop.requirements import INSTALL
 
-# what a camera is asked for, as in the paper; it may give something else
+# requested of a camera, as in the paper; the camera may deliver something else
 WIDTH, HEIGHT, RATE = 640, 480, 30.0
-SILENCE = 2.0  # s without a picture, after which a camera is gone
-FASTEST = 1000.0  # pictures a second that a file may claim
-# share of the pictures that a file claims and may lack: some count more than they hold
+SILENCE = 2.0  # s without a frame after which a camera counts as lost
+FASTEST = 1000.0  # highest frame rate that a file may state
+# share of the stated frames that a file may lack: some files state more than they hold
 MISSING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture (H, W, 3) uint8 of blue, green, red, its time and its number from 0.
-
-    The time is when it was taken (s, steady clock).
-    """
+    """A frame (H, W, 3) uint8 in BGR, its time (s, steady clock), and its number from 0."""
 
     picture: NDArray[np.uint8]
     t: float
@@ -48,19 +45,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class UdpAddress:
-    """Where landmarks come in: `udp://HOST:PORT`, an empty host for every network here."""
+    """Address to receive landmarks at: `udp://HOST:PORT`; an empty host is every network."""
 
     host: str
     port: int
 
 
 def source(text: str) -> int | Path | UdpAddress:
-    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names.
+    """Return the source that `--camera N | /dev/… | FILE | udp://HOST:PORT` names.
 
-    It is a camera, a video file, or an address for landmarks.
-
-    A path of a device is a camera, by the number of what it links to; any other path is a video
-    file.
+    It is a camera, a video file, or an address for landmarks. A device path is a camera, numbered
+    by the device that it links to. Any other path is a video file.
 
     Raises:
         TeleopError: it names none of these, or a device that is no camera.
@@ -94,14 +89,14 @@ def source(text: str) -> int | Path | UdpAddress:
 
 
 class FileFrames:
-    """The pictures of a video file, in a loop `for frame in …`; a context manager, to be closed.
+    """The frames of a video file, as an iterator; a context manager.
 
-    As `live` they come at the file's own rate, and those that are due before anybody asks are left
-    out, as a camera's would be; else every picture comes as soon as it is asked for. Each loop
-    begins with the first, and `t` counts from there.
+    With `live`, frames arrive at the rate of the file, and overdue frames are skipped, as by a
+    camera. Otherwise each frame is returned as soon as it is requested. Each iteration starts at
+    the first frame, and `t` counts from there.
 
     Raises:
-        TeleopError: OpenCV is absent, or there is no such video.
+        TeleopError: OpenCV is missing, or there is no such video.
     """
 
     def __init__(self, path: str | Path, *, live: bool = True) -> None:
@@ -123,7 +118,11 @@ class FileFrames:
         self._again = cv2.CAP_PROP_POS_FRAMES
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the pictures; raises TeleopError where the file ends early."""
+        """Yield the frames.
+
+        Raises:
+            TeleopError: the file ends early.
+        """
         self._video.set(self._again, 0)
         start, number = time.monotonic(), 0
         while self._video.grab():
@@ -131,7 +130,7 @@ class FileFrames:
             late = time.monotonic() - due
             number += 1
             if self.live and late > 1.0 / self.rate:
-                continue  # a newer one is due already
+                continue  # a newer frame is due
             got, picture = self._video.retrieve()
             if not got:
                 raise TeleopError(
@@ -169,13 +168,13 @@ class _Device(Protocol):
 
 
 class CameraFrames:
-    """The newest pictures of a camera, in a loop `for frame in …`; a context manager, to be closed.
+    """The newest frames of a camera, as an iterator; a context manager.
 
-    `index` is the N of /dev/videoN. `device` stands for what OpenCV would open (`read() -> (bool,
-    picture)`, `release()`). `.dropped` counts the pictures that were not asked for in time.
+    `index` is the N of /dev/videoN. `device` replaces the OpenCV capture (`read() -> (bool,
+    picture)`, `release()`). `.dropped` counts the frames that were not requested in time.
 
     Raises:
-        TeleopError: OpenCV is absent, there is no such camera, or it cannot be opened.
+        TeleopError: OpenCV is missing, there is no such camera, or it cannot be opened.
     """
 
     def __init__(
@@ -190,10 +189,10 @@ class CameraFrames:
         self._thread.start()
 
     def newest(self) -> Frame:
-        """Return the newest picture that was not returned yet; wait for it.
+        """Return the newest frame not returned before; wait for it if necessary.
 
         Raises:
-            TeleopError: the camera is gone, gives nothing, or is closed.
+            TeleopError: the camera is lost, delivers nothing, or is closed.
         """
         with self._new:
             came = self._new.wait_for(
@@ -212,12 +211,12 @@ class CameraFrames:
         )
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the newest picture again and again, until the camera is gone (TeleopError)."""
+        """Yield the newest frame repeatedly until the camera is lost (TeleopError)."""
         while True:
             yield self.newest()
 
     def close(self) -> None:
-        """Stop reading and give the camera back; may be called again."""
+        """Stop reading and release the camera; may be called again."""
         with self._new:
             self._closed = True
             self._new.notify_all()
@@ -235,13 +234,13 @@ class CameraFrames:
         self.close()
 
     def _read(self) -> None:
-        """Put each new picture into the slot; the reading thread releases the device."""
+        """Put each new frame into the slot; the reading thread releases the device."""
         number = 0
         try:
             while not self._closed:
                 try:
                     got, picture = self._device.read()
-                except Exception:  # OpenCV's own, of a driver that was taken away
+                except Exception:  # OpenCV raises its own errors when a camera is unplugged
                     break
                 if not got:
                     break

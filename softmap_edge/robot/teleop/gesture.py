@@ -1,12 +1,10 @@
-"""A gesture in addition to the enable key.
+"""A gesture in addition to the enable key: it can release or be required, never replace the key.
 
-It can release, or be required as well, and never replaces the key.
-
-`openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index
-finger leaves alone: 0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and
-OPEN whatever was there before stays, so that a hand near one threshold does not flicker. A palm
-that leans towards the camera looks shorter everywhere, which the scale takes out; fingers that
-point at the camera look folded, which lets go. Pinned by tests/robot/test_gesture.py.
+`openness` is the mean c_f (hand.py) of the middle, ring and little finger, which are free while the
+index finger drives. It is 0.65 to 1 for an open palm, and about 0 or below for a fist. Between
+CLOSED and OPEN the previous state remains, so that a hand near a threshold does not flicker. A palm
+tilted towards the camera looks shorter everywhere; the scale compensates that. Fingers that point
+at the camera look folded, which releases. Pinned by tests/robot/test_gesture.py.
 """
 
 from __future__ import annotations
@@ -19,9 +17,10 @@ from softmap_edge.errors import TeleopError
 from softmap_edge.robot.teleop.hand import Hand, projection
 
 OTHER_FINGERS = ((9, 12), (13, 16), (17, 20))  # knuckle and tip of middle, ring and little finger
-OPEN, CLOSED = 0.5, 0.25  # openness above which a palm is open, and below which a hand is a fist
-DWELL = 0.2  # s for which an asked gesture must last before it counts; letting go is at once
-GAP = 0.5  # s without a picture, after which a gesture must be shown again
+# openness above which the palm is open, and below which the hand is a fist
+OPEN, CLOSED = 0.5, 0.25
+DWELL = 0.2  # s for which a required gesture must last before it counts; its end counts at once
+GAP = 0.5  # s without a frame after which a gesture must be shown again
 
 Rule = Literal["key", "fist releases", "open palm", "fist"]
 
@@ -37,11 +36,10 @@ def openness(hand: Hand) -> float | None:
 
 
 class Deadman:
-    """Whether the operator holds on: the key always, and by `rule` what the hand shows.
+    """The enable condition: always the key, and by `rule` also a gesture.
 
-    `key`: the key alone. `fist releases`: as the key, but a fist lets go until the key is let go
-    and pressed again. `open palm`, `fist`: the key, and this gesture for as long as it is held;
-    without a hand nothing is held.
+    `key`: the key alone. `fist releases`: a fist releases, until the key is released and pressed
+    again. `open palm`, `fist`: this gesture must be shown as well, so that a lost hand releases.
 
     Raises:
         TeleopError: no such rule.
@@ -53,13 +51,13 @@ class Deadman:
                 f"enable key: no rule {rule!r:.40}; there are {', '.join(get_args(Rule))}"
             )
         self.rule = rule
-        self._fist: bool | None = None  # None: not known yet
-        self._since: float | None = None  # s, since when the asked gesture is shown
-        self._last: float | None = None  # s, of the newest call
+        self._fist: bool | None = None  # None: unknown
+        self._since: float | None = None  # s since which the required gesture is shown
+        self._last: float | None = None  # s of the last call
         self._released = False
 
     def held(self, key: bool, hand: Hand | None, t: float) -> bool:
-        """Return whether the operator holds at `t` s, a steady clock; call once per picture."""
+        """Return whether driving is enabled at `t` s (steady clock); call once per frame."""
         if self._last is None or not 0.0 <= t - self._last <= GAP:
             self._fist, self._since = None, None
         self._last = t
@@ -79,7 +77,7 @@ class Deadman:
         straight = None if hand is None else openness(hand)
         if straight is None:
             self._fist = None
-        elif self._fist is None:  # between the thresholds nothing is taken for granted
+        elif self._fist is None:  # nothing is assumed between the thresholds
             self._fist = False if straight > OPEN else True if straight < CLOSED else None
         else:
             self._fist = straight < (OPEN if self._fist else CLOSED)

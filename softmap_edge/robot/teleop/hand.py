@@ -1,15 +1,15 @@
-"""The index finger as two numbers that the hand's place, turn and distance do not change.
+"""The index finger as two numbers, independent of the hand's position, rotation and distance.
 
     f = (p_mid − p_wrist) / |p_mid − p_wrist|     r = (f_y, −f_x)     d = p_tip − p_mcp
         s = |p_mid − p_wrist|
     c_f = d·f / s                                 c_r = d·r / s
 
-The hand frame of the SoftMap paper ("Human Motion Capture"): wrist (landmark 0), index knuckle (5)
-and tip (8), middle knuckle (9), all in the plane of the picture; c_f is 0.8 to 1 for a straight
-finger and about 0 for a curled one. Where we differ: landmarks are taken to pixels of the picture's
-true aspect first (normalised per axis they are off by up to 0.15 in c), y points up in the formula,
-so that r is to the right of f as one sees it, and where the paper adds ε to s a hand too small to
-have a direction is no hand. Pinned by tests/robot/test_hand.py.
+This is the hand frame of the SoftMap paper ("Human Motion Capture"), in the image plane: wrist
+(landmark 0), index knuckle (5) and tip (8), middle knuckle (9). c_f is 0.8 to 1 for a straight
+finger and about 0 for a curled one. Three points differ from the paper. Landmarks are first
+converted to pixels of the true aspect ratio; normalised per axis, c is wrong by up to 0.15. In the
+formula y points up, so that r is to the right of f in the image. Where the paper adds ε to s, a
+hand too small to have a direction is rejected. Pinned by tests/robot/test_hand.py.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from softmap_edge.errors import TeleopError
 Floats = NDArray[np.float64]
 Side = Literal["left", "right"]
 
-LANDMARKS = 21
+LANDMARKS = 21  # landmarks of a hand
 WRIST, INDEX_KNUCKLE, INDEX_TIP, MIDDLE_KNUCKLE = 0, 5, 8, 9
-# px from wrist to middle knuckle: landmarks scatter by 1 to 2 px, 10° of the frame's direction
+# least px from wrist to middle knuckle: landmark noise of 1 to 2 px turns the frame by 10°
 SMALLEST = 12.0
-FARTHEST = 3.0  # hand scales: no finger is longer, so that one which seems to be was not seen
-MOST_PIXELS = 1e5  # px from the corner: beyond any picture
+FARTHEST = 3.0  # hand scales: no finger is longer, so a longer one is a detection error
+MOST_PIXELS = 1e5  # px from the corner: beyond any image
 
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """One hand in one picture.
+    """One hand in one image.
 
-    `points` (21, 2) px from the picture's upper left corner, y down, square pixels; `side` as one
-    sees it in a picture that is not mirrored; `score` how sure of that, 0 to 1.
+    `points` (21, 2) px are measured from the upper left corner, y down, square pixels. `side` is
+    the hand as it appears in an unmirrored image, and `score` (0 to 1) the confidence in it.
 
     Raises:
-        TeleopError: points of another shape, not finite, or beyond any picture.
+        TeleopError: points of another shape, not finite, or beyond any image.
     """
 
     points: Floats
@@ -68,12 +68,12 @@ class Hand:
 
 
 def in_pixels(normalised: ArrayLike, width: int, height: int) -> Floats:
-    """Return landmarks (21, 2) px of (21, 2 or 3) shares of `width` and `height` px."""
+    """Convert landmarks (21, 2 or 3), as shares of `width` and `height` px, to (21, 2) px."""
     return np.asarray(normalised, dtype=np.float64)[:, :2] * (width, height)
 
 
 def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP)) -> Floats | None:
-    """Return (c_f, c_r) of a finger by its knuckle and tip; None if they are not of a hand."""
+    """Return (c_f, c_r) of a finger from its knuckle and tip; None if they are not of a hand."""
     points = hand.points * (1.0, -1.0)  # y up
     forward = points[MIDDLE_KNUCKLE] - points[WRIST]
     scale = float(np.hypot(*forward))
@@ -86,7 +86,7 @@ def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP))
 
 
 def surest(hands: list[Hand]) -> Hand | None:
-    """Return the hand of the highest score; None of none."""
+    """Return the hand with the highest score; None if there is none."""
     return max(hands, key=lambda hand: hand.score, default=None)
 
 
@@ -94,9 +94,9 @@ def surest(hands: list[Hand]) -> Hand | None:
 class View:
     """How the camera sees the operator.
 
-    `hand` the one that drives, `any` for whichever is seen; `mirrored` whether the pictures are
-    mirror images, as those of many laptop cameras: then left is right, and c_r changes its sign, so
-    that both mean what they are.
+    `hand` is the hand that drives; `any` accepts either. `mirrored` states that the images are
+    mirrored, as by many laptop cameras: then left and right are swapped back and c_r changes its
+    sign.
 
     Raises:
         TeleopError: no such hand.
@@ -120,35 +120,34 @@ class View:
         return [hand for hand in hands if self.hand in ("any", self.side(hand))]
 
     def driving(self, hands: list[Hand]) -> Hand | None:
-        """Return the surest of the hands that may drive, or None."""
+        """Return the hand with the highest score that may drive, or None."""
         return surest(self.allowed(hands))
 
     def projection(self, hand: Hand | None) -> Floats | None:
         """Return (c_f, c_r) of the index finger.
 
-        c_r is positive to the right of a picture that is not mirrored.
+        c_r is positive towards the right of an unmirrored image.
         """
         seen = None if hand is None else projection(hand)
         return None if seen is None else seen * (1.0, -1.0 if self.mirrored else 1.0)
 
 
-SIGNS = np.array([-1.0, 1.0])  # of lateral and vertical: what a picture's x and curling lead to
+SIGNS = np.array([-1.0, 1.0])  # signs of the lateral and vertical command for +c_r and for curling
 
 
 @dataclass(frozen=True, eq=False)
 class HandMap:
-    """From (c_f, c_r) to the commands (u_lat, u_vert) of a model.
+    """Map (c_f, c_r) to the commands (u_lat, u_vert) of a model.
 
-    The model is at rest in the pose it was engaged in.
-
-    `command_range` (2, 2) the lowest and highest of each command, in the model's unit, 0 among them
-    (`Model. command_range`); `reach` (lateral, forward) by how much c must change for the end of
-    the range, in hand scales; `flip` which of the two commands changes its sign. Unflipped, a
-    finger that points to its owner's right leads to the right: pictures are as a camera sees them,
-    where that is to the left (`SIGNS`).
+    The model is at rest in the pose at which the operator engaged. `command_range` (2, 2) is the
+    lowest and highest value of each command (`Model.command_range`), and contains 0. `reach`
+    (lateral, forward) is the change of c, in hand scales, that leads to the end of the range.
+    `flip` selects the commands that change their sign. Without `flip`, pointing to the operator's
+    right leads to the right. The camera faces the operator, so this is the left of its image
+    (`SIGNS`).
 
     Raises:
-        TeleopError: not two commands, a range without 0, a reach that is not above 0.
+        TeleopError: not two commands, a range without 0, or a reach that is not above 0.
     """
 
     command_range: Floats
@@ -174,12 +173,12 @@ class HandMap:
         object.__setattr__(self, "command_range", span)
 
     def command(self, seen: ArrayLike, neutral: ArrayLike) -> Floats:
-        """Return the commands (2,) for `seen` (c_f, c_r).
+        """Return the commands (2,) for the observed `seen` (c_f, c_r).
 
-        `neutral` is what was seen when the operator engaged.
+        `neutral` is (c_f, c_r) when the operator engaged.
 
         Raises:
-            TeleopError: either is not two finite numbers; what sees no hand has no command.
+            TeleopError: either is not two finite numbers, as when no hand is seen.
         """
         both = np.array([np.asarray(seen, dtype=np.float64), np.asarray(neutral, dtype=np.float64)])
         if both.shape != (2, 2) or not np.isfinite(both).all():

@@ -1,7 +1,7 @@
-"""Hand observations, newest first: a thread finds landmarks in pictures, or UDP brings them.
+"""Hand observations, newest first, from camera frames or UDP messages.
 
-A sight replaces the one before; a reader slower than the camera misses some, and none waits. Its
-end (camera gone, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
+Each observation replaces the one before. A slow reader misses some; the camera never waits. The end
+(camera lost, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from softmap_edge.robot.teleop.keys import Controls, HeldKey
 from softmap_edge.robot.teleop.landmarker import Landmarker
 from softmap_edge.robot.teleop.landmarks import Receiver
 
-LOOK = 0.005  # s between two looks at what came over UDP
-# s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
+LOOK = 0.005  # s between two checks for UDP messages
+# s without detection after which a hand counts as lost: four frames, so one miss does not count
 SEEN = 0.15
-FRESH = 0.5  # s for which an old message is still news: beyond, the sender was away
+FRESH = 0.5  # s: older messages are ignored, because the sender was interrupted
 
 
 @dataclass(frozen=True, eq=False)
 class HandObservation:
-    """An observation of hands in a picture.
+    """The hands detected in one frame.
 
-    The surest hand that may drive, if any, when the picture was taken (s, steady clock), its number
-    from 0, the picture (None where landmarks came alone), and all hands in it that may drive.
+    `hand` is the hand with the highest score that may drive, if any. `t` is when the frame was
+    taken (s, steady clock), `number` counts from 0, `picture` is None if only landmarks were
+    received, and `hands` are all hands that may drive.
     """
 
     t: float
@@ -47,32 +48,32 @@ class HandObservation:
 
 
 class Pictures(Protocol):
-    """A camera or file (`frames`)."""
+    """A camera or video file (`frames`)."""
 
     def __iter__(self) -> Iterator[Frame]: ...
 
     def close(self) -> None:
-        """Give it back."""
+        """Release it."""
         ...
 
 
 class Finder(Protocol):
-    """What finds hands in pictures (`landmarker`)."""
+    """A detector of hands in images (`landmarker`)."""
 
     def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
-        """Return the hands in a picture taken at `t` s."""
+        """Return the hands in an image taken at `t` s."""
         ...
 
     def close(self) -> None:
-        """Give it back."""
+        """Release it."""
         ...
 
 
 class HandSource(ABC):
-    """The slot that a thread of its own fills; a context manager.
+    """The slot for the newest observation, filled by a thread; a context manager.
 
-    `gone` is a line on why nothing comes any more, `over` the end of a file. `.taken` and `.hands`
-    count pictures and those with the driving hand.
+    `gone` is a line on why no more observations arrive, and `over` marks the end of a file.
+    `.taken` and `.hands` count the frames, and those that show the driving hand.
     """
 
     def __init__(self, name: str, view: View) -> None:
@@ -99,11 +100,11 @@ class HandSource(ABC):
         self._thread.join(5.0)
 
     def newest(self) -> HandObservation | None:
-        """Return the newest sight; None before the first."""
+        """Return the newest observation; None before the first."""
         return self._sight
 
     def wait(self, number: int, seconds: float) -> None:
-        """Wait until a sight other than `number` is there, at most some seconds."""
+        """Wait at most some seconds for an observation other than `number`."""
         with self._news:
             self._news.wait_for(
                 lambda: self._sight is not None and self._sight.number != number, seconds
@@ -122,20 +123,20 @@ class HandSource(ABC):
             self.over = not self._done.is_set()
         except TeleopError as fault:
             self.gone = str(fault)
-        # a driver's or mediapipe's own: the hand is gone, the loop goes on
+        # an error of the driver or of mediapipe: the hand is lost, the loop goes on
         except Exception as fault:
             self.gone = f"{self.name}: failed ({type(fault).__name__}: {brief(fault)}); begin again"
 
     @abstractmethod
     def _watch(self) -> None:
-        """Fill the slot until there is nothing more to see."""
+        """Fill the slot until the source ends."""
 
     def _close(self) -> None:  # noqa: B027
-        """End what the thread may wait for."""
+        """End what the thread may be waiting for."""
 
 
 class NullHandSource(HandSource):
-    """Nothing is seen: keys and knob drive."""
+    """No observations: keys and knob drive."""
 
     def __init__(self) -> None:
         super().__init__("none", View())
@@ -145,7 +146,7 @@ class NullHandSource(HandSource):
 
 
 class CameraHandSource(HandSource):
-    """Hands in pictures."""
+    """Hands in camera frames."""
 
     def __init__(self, name: str, pictures: Pictures, finder: Finder, view: View) -> None:
         super().__init__(name, view)
@@ -170,13 +171,13 @@ class CameraHandSource(HandSource):
             self._pictures.close()
 
     def _close(self) -> None:
-        # a thread that waits for its next picture ends at once
+        # ends a thread that waits for the next frame
         if isinstance(self._pictures, CameraFrames):
             self._pictures.close()
 
 
 class RemoteHandSource(HandSource):
-    """Landmarks and key of another computer (`landmarks_udp`); an input as well (`keys.Input`)."""
+    """Landmarks and key from another computer (`landmarks`); also an input (`keys.Input`)."""
 
     def __init__(self, receiver: Receiver, view: View) -> None:
         super().__init__("the other computer", view)
@@ -198,24 +199,24 @@ class RemoteHandSource(HandSource):
         self._receiver.close()
 
     def controls(self, now: float) -> Controls:
-        """Return whether the key is held over there."""
+        """Return whether the key is held on the other computer."""
         return Controls(self._key.held(now), source="hand")
 
     def asked(self) -> str | None:
-        """Ask for nothing."""
+        """Return no request."""
         return None
 
     def rest(self, knob: tuple[float, float]) -> None:
-        """Hear nothing: there is no knob."""
+        """Do nothing: there is no knob."""
 
     @property
     def refused(self) -> dict[str, int]:
-        """How many datagrams were not taken, by why (`landmarks_udp.Receiver`)."""
+        """Numbers of rejected datagrams by reason (`landmarks.Receiver`)."""
         return dict(self._receiver.refused)
 
 
 def camera_hand_source(what: int | Path, model: str | Path | None, view: View) -> CameraHandSource:
-    """Open a camera by its number, or a video file played at its own rate, with mediapipe's hands.
+    """Open a camera by number, or a video file at its own rate, with hand detection by mediapipe.
 
     Raises:
         TeleopError: as `Landmarker`, `CameraFrames`, `FileFrames`.

@@ -1,10 +1,8 @@
-"""The repeated signal of the enable key, what an operator does, and who asks for what.
+"""The enable key as a repeated signal, the operator's controls, and requests from several inputs.
 
-Several inputs may ask.
-
-What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed
-again: a page or a computer that comes back after a silence with its key down does not go on by
-itself. Pinned by tests/robot/test_clutch.py.
+A key that is not reported for LAPSE counts as released. The operator must then release and press
+it: a page that returns from an interruption with its key down does not resume driving. Pinned by
+tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations
@@ -17,20 +15,21 @@ from softmap_edge.model.safety import STALE
 
 Source = Literal["hand", "knob"]
 
-# s without a word, after which a key counts as let go: the guard's own limit for commands
+# s without a report after which a key counts as released: the guard's own limit for commands
 LAPSE = STALE
 
 
 class HeldKey:
-    """A key whose state is reported repeatedly (`say`), by another thread perhaps."""
+    """A key whose state is reported repeatedly (`say`), possibly from another thread."""
 
     def __init__(self) -> None:
         self._last, self._down = float("-inf"), False
-        self._must_let_go = True  # who comes with the key down has not pressed it for us
+        # a key that is down at the first report was not pressed for this program
+        self._must_let_go = True
         self._lock = threading.Lock()
 
     def say(self, down: bool, now: float) -> None:
-        """Record whether it is down at `now` s, a steady clock."""
+        """Record whether the key is down at `now` s (steady clock)."""
         with self._lock:
             silent = now - self._last > LAPSE
             self._must_let_go = down and (self._must_let_go or silent)
@@ -44,10 +43,10 @@ class HeldKey:
 
 @dataclass(frozen=True)
 class Controls:
-    """What an operator does.
+    """The operator's controls.
 
-    Whether the key is held, where the knob is (right, up; -1 to 1 of the range), and which of hand
-    and knob drives.
+    Whether the key is held, the position of the knob (right, up; −1 to 1 of the range), and whether
+    hand or knob drives.
     """
 
     held: bool = False
@@ -56,41 +55,41 @@ class Controls:
 
 
 class Input(Protocol):
-    """Somewhere an operator's controls come from: a page, a terminal, another computer."""
+    """A source of controls: a page, a terminal, or another computer."""
 
     name: str
 
     def controls(self, now: float) -> Controls:
-        """Return what the operator does at `now` s; it is asked often, and must not wait."""
+        """Return the controls at `now` s; called often, so it must not block."""
         ...
 
     def asked(self) -> str | None:
-        """Return the last request since: `stop`, `emergency`, `acknowledge` or `end`."""
+        """Return the last request: `stop`, `emergency`, `acknowledge` or `end`."""
         ...
 
     def rest(self, knob: tuple[float, float]) -> None:
-        """Hear where the finger is while nothing is driven, so that the knob begins there."""
+        """Set the knob to the position of the finger while nothing drives."""
         ...
 
 
-GRAVEST = ("emergency", "stop", "end", "acknowledge")
+PRIORITY = ("emergency", "stop", "end", "acknowledge")  # requests, highest priority first
 
 
 class Wish:
-    """A slot for what was asked for: of several the gravest stays, none is queued."""
+    """A slot for the pending request; of several, the one with the highest priority remains."""
 
     def __init__(self) -> None:
         self._wish: str | None = None
         self._lock = threading.Lock()
 
     def ask(self, wish: str) -> None:
-        """Ask for one of GRAVEST."""
+        """Add one of PRIORITY."""
         with self._lock:
-            if self._wish is None or GRAVEST.index(wish) < GRAVEST.index(self._wish):
+            if self._wish is None or PRIORITY.index(wish) < PRIORITY.index(self._wish):
                 self._wish = wish
 
     def take(self) -> str | None:
-        """Return what was asked for, and forget it."""
+        """Return the pending request and clear it."""
         with self._lock:
             wish, self._wish = self._wish, None
         return wish

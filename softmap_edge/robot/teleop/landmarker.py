@@ -1,8 +1,8 @@
-"""Landmarks of hands in pictures, by MediaPipe Hands (`[teleop]` extra, `fetch_model`).
+"""Hand landmarks in images, by MediaPipe Hands (`[teleop]` extra, `fetch_model`).
 
-mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor
-that it was not compiled for it aborts the process. So the first task of a process is made in
-a child, whose death is an error here; on ARM the processor is asked before that. Pinned by
+mediapipe loads its native library when a task is created, not on import. On a processor that it was
+not compiled for, the library aborts the process. So a child process creates the first task, and its
+death is reported as an error; on ARM the processor is checked first. Pinned by
 tests/robot/test_landmarker.py.
 """
 
@@ -26,8 +26,8 @@ from softmap_edge.robot.teleop.hand import Hand, in_pixels
 from softmap_edge.robot.teleop.model_file import HandModel, check_model, default_path
 from softmap_edge.robot.teleop.requirements import INSTALL, UDP, processor
 
-TRY_SECONDS = 60.0  # for a child to make one task; 1.3 s on a workstation
-NEEDS_LSE = 1  # the first major version of mediapipe that cannot do without
+TRY_SECONDS = 60.0  # s for a child process to create a task; 1.3 s on a workstation
+NEEDS_LSE = 1  # first major version of mediapipe that requires LSE atomics
 _TRY = """
 import sys
 from mediapipe.tasks import python
@@ -35,17 +35,17 @@ from mediapipe.tasks.python import vision
 options = vision.HandLandmarkerOptions(base_options=python.BaseOptions(model_asset_path=sys.argv[1]))
 vision.HandLandmarker.create_from_options(options).close()
 """
-_tried: set[str] = set()  # models that a child of this process has made a task of
+_tried: set[str] = set()  # models with which a child process has created a task
 
 
 class Landmarker:
-    """Finds hands in one picture after another; a context manager, to be closed.
+    """Detect hands in successive images; a context manager.
 
-    `model` is the task file (`default_path()` without), `hands` how many are looked for,
-    `confidence` from which on a hand counts, 0 to 1. `.model` is the file and its checksum.
+    `model` is the task file (default: `default_path()`), `hands` the most hands to detect, and
+    `confidence` (0 to 1) the least score of a hand. `.model` is the file and its checksum.
 
     Raises:
-        TeleopError: mediapipe is absent or cannot run here, or the model is not usable.
+        TeleopError: mediapipe is missing or cannot run here, or the model is not usable.
     """
 
     def __init__(
@@ -72,13 +72,13 @@ class Landmarker:
         self._ms = -1
 
     def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
-        """Return the hands in a picture (H, W, 3) of blue, green, red at `t` s, if any.
+        """Return the hands in an image (H, W, 3) in BGR taken at `t` s.
 
-        Times limit how far a hand may have moved since the picture before. One that is not later
-        counts as 1 ms later.
+        The time bounds how far a hand may have moved since the previous image. A time that does not
+        increase counts as 1 ms later.
 
         Raises:
-            TeleopError: it is no picture, mediapipe failed, or this landmarker is closed.
+            TeleopError: it is no image, mediapipe failed, or this landmarker is closed.
         """
         if self._task is None:
             raise TeleopError("landmarker: is closed; make another")
@@ -93,7 +93,7 @@ class Landmarker:
             )
         if not 0.0 <= t <= 1e12:
             raise TeleopError(f"landmarker: t = {t} s, expected 0 to 1e12")
-        # mediapipe refuses a time that does not rise
+        # mediapipe rejects times that do not increase
         self._ms = max(self._ms + 1, round(t * 1000.0))
         colours = np.ascontiguousarray(picture[:, :, ::-1])
         image = self._mediapipe.Image(image_format=self._mediapipe.ImageFormat.SRGB, data=colours)
@@ -111,7 +111,7 @@ class Landmarker:
         ]
 
     def close(self) -> None:
-        """Give back what mediapipe holds; may be called again."""
+        """Release mediapipe; may be called again."""
         task, self._task = self._task, None
         if task is not None:
             task.close()
@@ -143,9 +143,9 @@ class _Side(Protocol):
 
 
 def _hand(points: Iterable[_Point], side: _Side, width: int, height: int) -> Hand | None:
-    """What mediapipe saw as a hand, None where its numbers are none.
+    """Return a detection of mediapipe as a hand; None if its numbers are not finite.
 
-    Its sides are those of unmirrored pictures.
+    mediapipe reports the sides of unmirrored images.
     """
     normalised = np.array([[point.x, point.y] for point in points])
     try:
@@ -160,10 +160,10 @@ def _hand(points: Iterable[_Point], side: _Side, width: int, height: int) -> Han
 
 
 def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECONDS) -> None:
-    """Make one task of the model in a child process, once per process; else do nothing.
+    """Create one task of the model in a child process, once per process and model.
 
     Raises:
-        TeleopError: mediapipe is absent, or dies, hangs or fails here.
+        TeleopError: mediapipe is missing, or dies, hangs or fails here.
     """
     if str(model) in _tried:
         return

@@ -1,12 +1,12 @@
-"""Landmarks of a hand over UDP, for boards that cannot run MediaPipe; also a heartbeat.
+"""Hand landmarks over UDP, for boards that cannot run MediaPipe; also a heartbeat of the key.
 
-A datagram is DATAGRAM bytes, little-endian, of one layout: mark `SMH1`, flags (1: a hand, 2: a
-right hand, 4: the key is held), session (16 bytes), sequence number, the sender's clock (s), score,
-21 points (x, y) in px, and HMAC-SHA256 of all that under a shared key. A sender without the key can
-neither write nor change one; they are not encrypted.
+Each datagram has DATAGRAM bytes, little-endian: mark `SMH1`, flags (1: a hand, 2: a right hand, 4:
+the key is held), session (16 bytes), sequence number, the sender's clock (s), score, 21 points (x,
+y) in px, and HMAC-SHA256 of all that under a shared key. Without the key, a datagram can be neither
+created nor changed. Datagrams are not encrypted.
 
-It is sent and listened for in sessions (`signed_udp`). `age` of what is newest counts from its
-arrival, and adds by how much later it arrived than the quickest did: what stood in a queue is old.
+Datagrams belong to sessions (`link/session.py`). `age` of the newest message is the time since its
+arrival plus its extra delay relative to the fastest message, so queued messages count as old.
 Pinned by tests/robot/test_landmarks_udp.py.
 """
 
@@ -28,14 +28,14 @@ MARK, OFFER_MARK = b"SMH1", b"SMO1"
 _BODY = struct.Struct(f"<4sB16sQdf{2 * LANDMARKS}f")
 DATAGRAM = _BODY.size + TAG
 OFFER = len(OFFER_MARK) + SESSION + TAG
-HAND, RIGHT, HELD = 1, 2, 4
-MOST_AT_ONCE = 256  # datagrams that one call reads: a flood cannot hold it up
-DRIFT = 1e-4  # s a second by which two clocks may part: what counts as the quickest forgets as fast
+HAND, RIGHT, HELD = 1, 2, 4  # flags: a hand, a right hand, the key is held
+MOST_AT_ONCE = 256  # datagrams that one call reads at most: a flood cannot block it
+DRIFT = 1e-4  # s/s by which two clocks may drift apart; the fastest delay is forgotten at this rate
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """A message of a sender: the hand that it sees, if any, and whether the key is held."""
+    """A message of a sender: the detected hand, if any, and whether the key is held."""
 
     hand: Hand | None = None
     held: bool = False
@@ -43,7 +43,7 @@ class Message:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """The newest message, its sequence number, and its `age` in s when it was asked for."""
+    """The newest message, its sequence number, and its `age` in s at the time of the call."""
 
     message: Message
     sequence: int
@@ -53,7 +53,7 @@ class Received:
 def packed(
     message: Message, session: bytes, sequence: int, clock: float, key: bytes | None
 ) -> bytes:
-    """Return a message as a signed datagram."""
+    """Return the message as a signed datagram."""
     hand = message.hand
     flags = (HELD if message.held else 0) | (
         0 if hand is None else HAND | (RIGHT if hand.side == "right" else 0)
@@ -64,10 +64,7 @@ def packed(
 
 
 def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, float] | str:
-    """Return (message, session, sequence, sender's clock) of a datagram, or what is wrong.
-
-    The latter is a word for why it is rejected.
-    """
+    """Return (message, session, sequence, sender's clock) of a datagram, or why it is rejected."""
     body = body_of(key, datagram, _BODY.size)
     if isinstance(body, str):
         return body
@@ -86,7 +83,7 @@ def unpacked(datagram: bytes, key: bytes | None) -> tuple[Message, bytes, int, f
 
 
 class Sender(signed_udp.Sender):
-    """Sends messages to `host`:`port`; a context manager, to be closed.
+    """Send messages to `host`:`port`; a context manager.
 
     Raises:
         LinkError: no such host or port, or the key is too short.
@@ -96,28 +93,29 @@ class Sender(signed_udp.Sender):
         super().__init__(host, port, key, OFFER_MARK)
 
     def send(self, message: Message) -> bool:
-        """Send one message; False where it could not be sent now (no network, no listener)."""
+        """Send one message; return False if it cannot be sent now (no network, no listener)."""
         return self._put(packed(message, *self._next(), time.monotonic(), self._key))
 
 
 class Receiver(Listener):
-    """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager.
+    """Receive messages at `host`:`port` (0: any free port, see `.port`); a context manager.
 
-    `newest()` is to be asked at least as often as pictures come. `.refused` counts what was not
-    taken, by why: length, signature, content, and those of a `Listener`.
+    Call `newest()` at least once per camera frame. `.refused` counts rejected datagrams by reason:
+    length, signature, content, and those of a `Listener`.
 
     Raises:
-        LinkError: the address is not ours or in use, or the key is too short.
+        LinkError: the address is not local or in use, or the key is too short.
     """
 
     def __init__(self, host: str, port: int, key: bytes) -> None:
         super().__init__(host, port, key, OFFER_MARK)
-        self._last: tuple[Message, float] | None = None  # and its lateness
-        self._taken = b""  # the session of that
-        self._quickest = (math.inf, 0.0)  # smallest of arrival − sender's clock, and when that was
+        self._last: tuple[Message, float] | None = None  # newest message and its extra delay, s
+        self._taken = b""  # session of that message
+        # smallest (arrival − sender's clock), s, and when it occurred
+        self._quickest = (math.inf, 0.0)
 
     def newest(self) -> Received | None:
-        """Return the newest message of all that arrived, with its age; None before the first."""
+        """Return the newest message received, with its age; None before the first."""
         for _ in range(MOST_AT_ONCE):
             try:
                 datagram, address = self._socket.recvfrom(DATAGRAM + 1)
@@ -144,7 +142,7 @@ class Receiver(Listener):
         self._last = (message, self._lateness(now, clock))
 
     def _lateness(self, now: float, clock: float) -> float:
-        """By how much later than the quickest a datagram came, in s."""
+        """Return the delay (s) of a datagram beyond that of the fastest."""
         quickest, when = self._quickest
         least = min(quickest + DRIFT * (now - when), now - clock)
         self._quickest = (least, now)

@@ -1,10 +1,8 @@
-"""Where a hand or knob leads: a point of a plane.
+"""Map a hand or knob to a point of a plane: the two commands, or the tip's lateral position.
 
-The plane is the two commands themselves, or the sideways place of the tip.
-
-The paper's direct map takes the commands (u_lat, u_vert) for that plane; `TipMapping` takes the
-tip's (x, y) from where it is at u = 0 and finds the commands by inverse kinematics, for any number
-of tendons. Pinned by tests/robot/test_aim.py.
+The direct map of the paper uses the commands (u_lat, u_vert) as the plane. `TipMapping` uses the
+tip's (x, y) relative to u = 0 and finds the commands by inverse kinematics, for any number of
+tendons. Pinned by tests/robot/test_aim.py.
 """
 
 from __future__ import annotations
@@ -20,11 +18,12 @@ from softmap_edge.robot.motion.kinematics import Kinematics
 
 Floats = NDArray[np.float64]
 
-MOST_GRID = 5  # tendons up to which the tip's range is looked for in all corners of the commands
+# tendons up to which the tip's range is searched over all corners of the command range
+MOST_GRID = 5
 
 
 class HandMapping(Protocol):
-    """A plane that is led: `box` (2, 2) its range, LOW < 0 < HIGH, in mm; `names` of its axes."""
+    """A plane to drive in: `box` (2, 2) mm is its range, LOW < 0 < HIGH; `names` its axes."""
 
     box: Floats
     names: tuple[str, str]
@@ -34,7 +33,7 @@ class HandMapping(Protocol):
         ...
 
     def point(self, acting: ArrayLike) -> Floats:
-        """Return the point (2,) of the plane where `acting` (C,) mm acts."""
+        """Return the point (2,) of the plane for the effective command `acting` (C,) mm."""
         ...
 
 
@@ -42,7 +41,7 @@ class DirectMapping:
     """The two commands of a model, as in the paper.
 
     Raises:
-        TeleopError: the model takes another number of commands.
+        TeleopError: the model has another number of commands.
     """
 
     names = ("u0", "u1")
@@ -59,12 +58,12 @@ class DirectMapping:
         return np.asarray(np.clip(np.asarray(point, float), *self.box.T))
 
     def point(self, acting: ArrayLike) -> Floats:
-        """Return what acts itself."""
+        """Return the effective command itself."""
         return np.asarray(acting, float)
 
 
 class TipMapping:
-    """The tip's x and y from its place at u = 0; out of reach, its nearest point is the target."""
+    """The tip's x and y relative to u = 0; an unreachable point is replaced by the nearest one."""
 
     names = ("x", "y")
 
@@ -86,13 +85,13 @@ class TipMapping:
         self._last = rest
 
     def command(self, point: ArrayLike) -> Floats:
-        """Return what must act; the search begins where the last one ended."""
+        """Return the command that should act; the search starts at the previous solution."""
         place = self._rest + (*np.asarray(point, float), 0.0)
         self._last = self._kinematics.solve(place[None], self._last).acting[0]
         return self._last
 
     def point(self, acting: ArrayLike) -> Floats:
-        """Return where the tip is."""
+        """Return the position of the tip."""
         tip = np.asarray(self._kinematics.tip.evaluate(np.asarray(acting, float)[None]))[0]
         return np.asarray((tip - self._rest)[:2])
 

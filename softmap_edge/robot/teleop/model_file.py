@@ -1,12 +1,11 @@
 """The file `hand_landmarker.task`, which mediapipe needs and does not ship.
 
-It is built from an older wheel of it, or copied.
-
-A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of
-mediapipe (Apache 2.0) holds them; the landmarks are those of the published task file. The given
-file is not trusted: sizes are bounded before anything is read, nothing is unpacked to a disk, and
-only what has the right form is written. The checksum is kept next to the file, in the form of
-`sha256sum`, and asked each time. Pinned by tests/robot/test_model_file.py.
+It is built from an older mediapipe wheel, or copied. A task file is an uncompressed zip of two
+TFLite networks. Google's mediapipe wheel 0.10.18 (Apache 2.0) contains them; the landmarks equal
+those of the published task file. The source file is not trusted: sizes are bounded before anything
+is read, nothing is unpacked to disk, and only valid networks are written. The checksum is stored
+next to the file in `sha256sum` format and verified at each use. Pinned by
+tests/robot/test_model_file.py.
 """
 
 from __future__ import annotations
@@ -29,16 +28,16 @@ WHEEL = (
     "pip download mediapipe==0.10.18 --no-deps --python-version 3.11 "
     "--platform manylinux2014_x86_64 --only-binary :all:"
 )
-# The task file that is built from the wheel 0.10.18, byte for byte.
+# SHA-256 of the task file built from wheel 0.10.18
 KNOWN = {"ef3f184fa8d5e6905ea4770282627d6937975119af763054312d05985c059bda": "mediapipe 0.10.18"}
-LARGEST_SOURCE = 256 << 20  # bytes; wheels of mediapipe have some 40 MB
-LARGEST_NETWORK = 32 << 20  # bytes; the larger of the two has 5.5 MB
-MOST_MEMBERS = 20_000  # of a wheel, which has some 700
+LARGEST_SOURCE = 256 << 20  # bytes; mediapipe wheels have about 40 MB
+LARGEST_NETWORK = 32 << 20  # bytes; the larger network has 5.5 MB
+MOST_MEMBERS = 20_000  # files of a wheel, which has about 700
 
 
 @dataclass(frozen=True)
 class HandModel:
-    """A complete task file: where it is, its SHA-256, and its known name (empty if unknown)."""
+    """A complete task file: its path, its SHA-256, and its known name (empty if unknown)."""
 
     path: Path
     sha256: str
@@ -51,7 +50,7 @@ class HandModel:
 
 
 def default_path() -> Path:
-    """Return where the model is looked for unless a path is given: in the user's data folder."""
+    """Return the default path of the model, in the user's data folder."""
     home = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share"
     return Path(home) / "softmap" / "hand_landmarker.task"
 
@@ -64,12 +63,12 @@ def fetch_model(
     Write its checksum next to it.
 
     Args:
-        source: the wheel or task file; distinguished by their contents, not by their names.
-        to: the file to write, `default_path()` without; its folder is made.
-        force: replace a file that is there.
+        source: wheel or task file, distinguished by content, not by name
+        to: file to write, by default `default_path()`; its folder is created
+        force: replace an existing file
 
     Raises:
-        TeleopError: the source is neither, too large, damaged, or `to` is there already.
+        TeleopError: the source is neither, is too large or damaged, or `to` exists.
     """
     target = default_path() if to is None else Path(to)
     networks, is_task = _networks(Path(source))
@@ -83,10 +82,11 @@ def fetch_model(
             else:
                 with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as task:
                     for name, network in networks.items():
-                        # without a date: the same bytes each time
+                        # without a date, so that the bytes are the same each time
                         task.writestr(zipfile.ZipInfo(name), network)
             sha256 = hashlib.sha256(partial.read_bytes()).hexdigest()
-            _record(target).unlink(missing_ok=True)  # never the old checksum next to the new file
+            # so that the old checksum never stands next to the new file
+            _record(target).unlink(missing_ok=True)
         write_atomically(_record(target), f"{sha256}  {target.name}\n")
     except OSError as cause:
         raise TeleopError(
@@ -96,10 +96,10 @@ def fetch_model(
 
 
 def check_model(path: str | Path) -> HandModel:
-    """Return the task file at `path` if it is complete and matches the checksum next to it.
+    """Return the task file at `path` if it is complete and matches its checksum.
 
     Raises:
-        TeleopError: it is absent, no task file, or not the file that its checksum was written for.
+        TeleopError: it is missing, is no task file, or does not match its checksum.
     """
     file = Path(path)
     if not file.exists():
@@ -127,10 +127,7 @@ def _record(file: Path) -> Path:
 
 
 def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
-    """Return the two networks in a wheel or task file by their names in a task file.
-
-    Also whether it is a task file.
-    """
+    """Return the two networks of a wheel or task file by name, and whether it is a task file."""
     if not file.is_file():
         raise TeleopError(
             f"{file}: no such file; give a wheel of mediapipe 0.10.18, or a hand_landmarker.task"
@@ -165,7 +162,8 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
             return networks, places is not IN_WHEEL
     except TeleopError:
         raise
-    except Exception as fault:  # zipfile, zlib, struct, codecs: whatever a damaged archive meets
+    # zipfile, zlib, struct and codecs raise different errors on a damaged archive
+    except Exception as fault:
         raise TeleopError(
             f"{file}: is no zip archive, or a damaged one ({type(fault).__name__}: "
             f"{fault!s:.60}); get it again"
@@ -174,7 +172,7 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
 
 def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
     with archive.open(place) as stream:
-        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever size the entry declares
+        content = stream.read(LARGEST_NETWORK + 1)  # bounded, whatever size the entry declares
     if len(content) > LARGEST_NETWORK:
         raise TeleopError(
             f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does"

@@ -1,13 +1,12 @@
-"""The one-euro filter: a low pass that opens with speed.
+"""The one-euro filter: a low-pass whose cutoff rises with speed.
 
-It is still when the hand is still, and without lag when it moves.
+It suppresses jitter at rest and has little lag in motion.
 
     cutoff = min_cutoff + beta |dx/dt|  x̂ ← x̂ + a (x − x̂)  a = 1 / (1 + 1 / (2π cutoff dt))
 
-G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, component by component. The speed is
-low-passed at SPEED_CUTOFF itself. After a gap it starts again from what is seen, and so it does
-where the clock went back by more than one; a sample that is late by less changes nothing. Pinned by
-tests/robot/test_one_euro.py.
+G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, per component. The speed is itself
+low-passed at SPEED_CUTOFF. The filter restarts after a gap, and when the clock goes back by more
+than a gap. A sample that is late by less is ignored. Pinned by tests/robot/test_one_euro.py.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ SPEED_CUTOFF = 1.0  # Hz, as published
 
 @dataclass(frozen=True, eq=False)
 class OneEuroState:
-    """What the filter remembers: time s, estimate (n,), its speed (n,) a second."""
+    """State of the filter: time s, estimate (n,), its speed (n,) per s."""
 
     t: float
     x: Floats
@@ -35,10 +34,10 @@ class OneEuroState:
 
 @dataclass(frozen=True)
 class OneEuro:
-    """`min_cutoff` Hz at rest, `beta` Hz per unit a second, `gap` s after which it starts again.
+    """Filter with `min_cutoff` Hz at rest, `beta` Hz per unit/s; it restarts after `gap` s.
 
     Raises:
-        TeleopError: a number that is not finite, a cutoff or gap not above 0, beta below 0.
+        TeleopError: a number is not finite, a cutoff or gap is not above 0, or beta is below 0.
     """
 
     min_cutoff: float = 1.5
@@ -55,10 +54,10 @@ class OneEuro:
             )
 
     def step(self, state: OneEuroState | None, t: float, x: ArrayLike) -> OneEuroState:
-        """Return the state after `x` (n,) was seen at `t` s; its `x` is the estimate. None starts.
+        """Return the state after sample `x` (n,) at `t` s; its `x` is the estimate. None starts.
 
         Raises:
-            TeleopError: a number that is not finite, or x of another size than before.
+            TeleopError: a number is not finite, or x has another size than before.
         """
         seen = np.atleast_1d(np.asarray(x, dtype=np.float64))
         if not (math.isfinite(t) and np.isfinite(seen).all()):
@@ -82,5 +81,5 @@ class OneEuro:
 
 
 def _share(cutoff: float | Floats, dt: float) -> Floats:
-    """How much of what is new a low pass takes in `dt` s."""
+    """Return the weight of a new sample in a low-pass after `dt` s."""
     return np.asarray(1.0 / (1.0 + 1.0 / (2.0 * math.pi * np.asarray(cutoff) * dt)))

@@ -1,17 +1,17 @@
-// The page of `softmap teleop`: receives the state of the program (page_drawing.js draws it), and repeats whether the key
-// is held.
+// The page of `softmap teleop`: receives the state of the program, which page_drawing.js draws, and reports repeatedly
+// whether the key is held.
 "use strict";
 
-const SPEED = 0.9;       // of the range a second, by an arrow held
-const SAY = 50;          // ms between two messages; the program lets go after 250 without one
+const SPEED = 0.9;       // of the range per second, while an arrow is held
+const SAY = 50;          // ms between two messages; the program releases the key after 250 ms without one
 const $ = id => document.getElementById(id);
 const ARROWS = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
   KeyD: [1, 0], KeyA: [-1, 0], KeyW: [0, 1], KeyS: [0, -1] };
 
 let hello = null, state = null, points = null, picture = null, socket = null, opened = false, refused = "";
 let source = null, knob = [0, 0], shown = 0, lastSaid = 0, cameFrom = null;
-const holders = new Set();           // what holds: "space", "button", "pad"
-const down = new Set();              // arrows
+const holders = new Set();           // what holds the enable key: "space", "button", "pad"
+const down = new Set();              // arrows that are pressed
 
 // --- the connection ---------------------------------------------------------------------
 
@@ -66,7 +66,7 @@ function begin(told) {
 
 function say(wish) {
   if (!opened || socket.readyState !== WebSocket.OPEN) return;
-  if (socket.bufferedAmount > 4096) return;   // nothing is queued; the program lets go by itself
+  if (socket.bufferedAmount > 4096) return;   // nothing is queued; the program releases the key by itself
   lastSaid = performance.now();
   socket.send(JSON.stringify({ t: lastSaid / 1000, held: holders.size > 0, source: source || "knob", knob, shown, ...(wish && { do: wish }) }));
 }

@@ -1,13 +1,16 @@
-"""The page on localhost: picture, hand, finger and guard; keyboard, mouse and enable key.
+"""The browser page: camera image, hand, finger and guard state; keyboard, mouse and enable key.
 
-Served from this package alone by `websockets` (BSD; its threaded server needs no event loop next to
-the loop that drives). The link gives access: its random token is in the part behind `#`, which no
-browser sends to anybody, and is asked of every connection. Host must be an address or localhost (a
-name that was bent to this computer, DNS rebinding, is refused) and Origin this very page. One page
-drives at a time, others watch; its key lapses by `keys.HeldKey`. Nothing is queued: a page is sent
-the newest state when it has taken the last. By the numbers of states that come back it is known how
-old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may
-be older than LATE holds no key. Pinned by tests/robot/test_teleop_page.py.
+The page is served from this package by `websockets` (BSD), whose threaded server needs no event
+loop next to the driving loop. Anyone with the link can drive. The link carries a random token in
+its fragment (`#`), which browsers never send to a server; every connection must present it. The
+Host header must be an address or localhost, so DNS-rebinding requests are rejected. The Origin
+header must be this page. One page drives at a time, others watch; its key lapses as in
+`keys.HeldKey`.
+
+Nothing is queued: a page receives the newest state after it has drawn the previous one. The page
+echoes the number of each state, so the server knows the maximum age of a message, even if the
+network delays all of them equally (`_Link`). A message that may be older than MAX_AGE does not hold
+the enable key. Pinned by tests/robot/test_teleop_page.py.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.files.atomic import Document
-from softmap_edge.robot.teleop.keys import GRAVEST, Controls, HeldKey, Source, Wish
+from softmap_edge.robot.teleop.keys import PRIORITY, Controls, HeldKey, Source, Wish
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response
@@ -45,14 +48,14 @@ Floats = NDArray[np.float64]
 View = Callable[[], tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]]
 
 PORT = 8765
-OFTEN = 1 / 30  # s between two states that a page is sent
-MOST_PAGES = 8
-LONGEST = 2048  # bytes of a page's message
-MOST_OPENING = 16  # connections that have not brought their token yet; more are closed unheard
-OPENING = 5.0  # s for that
-LATE = 0.25  # s: a message that may be older does not describe the present
-REMEMBERED = 64  # states that came back, by which a page's clock is read
-JPEG = 70  # quality, of 100: 25 kB a picture
+STATE_INTERVAL = 1 / 30  # s between two states sent to a page
+MOST_PAGES = 8  # pages connected at a time
+LONGEST = 2048  # bytes of a message from a page
+MOST_UNAUTHENTICATED = 16  # connections without a token at a time; more are closed at once
+TOKEN_WITHIN = 5.0  # s within which a connection must present its token
+MAX_AGE = 0.25  # s: an older message does not hold the key
+ECHOES = 64  # echoed states from which the offset of a page's clock is estimated
+JPEG = 70  # JPEG quality, of 100: 25 kB per frame
 SERVED = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
@@ -71,13 +74,17 @@ PICTURE, POINTS = 1, 2  # kinds of binary messages: kind, number, then a JPEG or
 
 
 class Page:
-    """A server of the page, an input (`keys.Input`); a context manager. `url` is the link to open.
+    """A server of the page, and an input (`keys.Input`); a context manager.
+
+    `url` is the link to open.
 
     Args:
-        port: 0 for any free one. host: address to listen at. source: what drives at first.
+        port: 0 for any free port
+        host: address to listen at
+        source: input that drives at first
 
     Raises:
-        TeleopError: websockets is absent, or the address cannot be listened at.
+        TeleopError: websockets is missing, or the address is not available.
     """
 
     name = "the page"
@@ -99,9 +106,9 @@ class Page:
         self._hello: Document = {}
         self._view: View | None = None
         self._encoded: tuple[int, bytes] = (-1, b"")
-        self._opening = threading.BoundedSemaphore(MOST_OPENING)
+        self._opening = threading.BoundedSemaphore(MOST_UNAUTHENTICATED)
         quiet = logging.getLogger("softmap_edge.robot.teleop.page")
-        quiet.setLevel(logging.CRITICAL)  # a page that goes is no news
+        quiet.setLevel(logging.CRITICAL)  # a disconnected page is not worth a log entry
         try:
             self._server = server.serve(
                 self._serve,
@@ -109,7 +116,7 @@ class Page:
                 port,
                 process_request=self._request,
                 create_connection=_door(server.ServerConnection, self._opening),
-                open_timeout=OPENING,
+                open_timeout=TOKEN_WITHIN,
                 max_size=LONGEST,
                 max_queue=4,
                 compression=None,
@@ -141,31 +148,31 @@ class Page:
         self._server.shutdown()
         self._thread.join(3.0)
 
-    # --- what the driving thread reads and sends -----------------------------------------
+    # --- called by the driving thread ------------------------------------------------------
 
     def shows(self, hello: Document, view: View) -> None:
-        """Set what a page receives on arrival, and the source of each state.
+        """Set what a page receives on connection, and the source of later states.
 
-        For each state it gives the state, points and a picture.
+        The source returns the state, the points and a picture.
         """
         self._hello, self._view = hello, view
 
     def controls(self, now: float) -> Controls:
-        """Return the newest message of the driving page."""
+        """Return the controls in the newest message of the driving page."""
         return Controls(self._key.held(now), self._knob, self._source)
 
     def asked(self) -> str | None:
-        """Return what a page asked for."""
+        """Return the request of a page."""
         return self._wish.take()
 
     def rest(self, knob: tuple[float, float]) -> None:
-        """Hear where the finger is; pages receive it."""
+        """Take the position of the finger; pages receive it."""
         self._rest = knob
 
     # --- requests -----------------------------------------------------------------------
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Serve a file, refuse, or (None) go on to the connection that drives."""
+        """Serve a file, reject the request, or return None to accept a connection."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or not _ours(host[0], self.port):
             return _answer(
@@ -193,9 +200,9 @@ class Page:
         return None
 
     def _serve(self, connection: ServerConnection) -> None:
-        """Read the messages of a page; another thread sends to it."""
+        """Process the messages of a page; another thread sends to it."""
         with self._lock:
-            room = len(self._pages) < MOST_PAGES  # several may have been let in at once
+            room = len(self._pages) < MOST_PAGES  # several may have connected at once
             if room:
                 self._pages.add(connection)
         if not room:
@@ -212,7 +219,7 @@ class Page:
                 if said is None or not link.heard(said["shown"], said["t"], now):
                     connection.close(1008, "not understood")
                     break
-                # those anybody may ask for
+                # requests that any page may make
                 if self._driver is connection or said.get("do") in ("stop", "emergency"):
                     self._hear(said, now, link.age)
                 elif said.get("do") == "take":
@@ -222,15 +229,17 @@ class Page:
 
     def _hear(self, said: Document, now: float, age: float) -> None:
         wish = said.get("do")
-        if wish in GRAVEST:
+        if wish in PRIORITY:
             self._wish.ask(wish)
-        if wish in ("stop", "emergency") or age > LATE:  # an old message is out of date
+        if (
+            wish in ("stop", "emergency") or age > MAX_AGE
+        ):  # requests in an old message do not count
             return
         self._source, self._knob = said["source"], said["knob"]
         self._key.say(said["held"], now - age)
 
     def _sit(self, connection: ServerConnection) -> None:
-        """Give it the driver's seat, if that is free."""
+        """Make this connection the driver if there is none."""
         with self._lock:
             if self._driver is None:
                 self._driver, self._key = connection, HeldKey()
@@ -241,7 +250,7 @@ class Page:
             if self._driver is connection:
                 self._driver, self._key = None, HeldKey()
 
-    # --- what pages are sent ------------------------------------------------------------
+    # --- sending to pages -------------------------------------------------------------------
 
     def _write(self, connection: ServerConnection, link: _Link) -> None:
         closed = importlib.import_module("websockets.exceptions").ConnectionClosed
@@ -250,7 +259,7 @@ class Page:
             number, drawn = -1, None
             while connection in self._pages:
                 begin = time.monotonic()
-                # it has drawn what it was sent
+                # the page has drawn the previous state
                 if self._view is not None and link.shown >= link.sent:
                     state, points, picture = self._view()
                     sent = link.sent + 1
@@ -267,7 +276,9 @@ class Page:
                         "knob": self._rest,
                         "pages": len(self._pages),
                     }
-                    state["slow_ms"] = round(1e3 * link.age) if LATE < link.age < math.inf else None
+                    state["slow_ms"] = (
+                        round(1e3 * link.age) if MAX_AGE < link.age < math.inf else None
+                    )
                     if points is not None and points is not drawn:
                         drawn = points
                         connection.send(
@@ -278,10 +289,10 @@ class Page:
                         connection.send(struct.pack("<II", PICTURE, sent) + self._jpeg(*picture))
                     link.sends(time.monotonic())
                     connection.send(json.dumps(state, allow_nan=False))
-                time.sleep(max(0.002, begin + OFTEN - time.monotonic()))
+                time.sleep(max(0.002, begin + STATE_INTERVAL - time.monotonic()))
 
     def _jpeg(self, number: int, picture: NDArray[np.uint8]) -> bytes:
-        """Return a picture as a JPEG, made once for all pages."""
+        """Return a picture as JPEG, encoded once for all pages."""
         with self._lock:
             if self._encoded[0] != number:
                 cv2 = importlib.import_module("cv2")
@@ -291,29 +302,27 @@ class Page:
 
 
 class _Link:
-    """The greatest possible age of a page's messages, whatever the delay.
+    """The greatest possible age of a page's messages, however long the delay.
 
-    The number of a state comes back after it was sent.
-
-    The page's clock is ahead of ours by no more than its time at the first word with a number, less
-    when that state was sent. So a word that is always 3 s late is known to be old, which no
-    difference between words shows.
+    The page echoes the number of each state, and the echo comes after the state was sent. That
+    bounds the offset between the page's clock and ours. So a constant delay of 3 s is detected as
+    well, which differences between messages cannot show.
     """
 
     def __init__(self) -> None:
-        self.sent, self.shown = 0, 0  # numbers of states
-        self.age = math.inf  # s of the last word, at most
+        self.sent, self.shown = 0, 0  # numbers of states: last sent, last echoed
+        self.age = math.inf  # s: greatest possible age of the last message
         self._when = 0.0
-        # s, our clock against the page's, at least
-        self._behind: deque[float] = deque(maxlen=REMEMBERED)
+        # s: least offset of our clock from the page's
+        self._behind: deque[float] = deque(maxlen=ECHOES)
 
     def sends(self, now: float) -> None:
-        """Note that the next state goes off; it is the only one on its way."""
+        """Note that the next state is sent; only one is in transit."""
         self._when = now
         self.sent += 1
 
     def heard(self, shown: int, t: float, now: float) -> bool:
-        """Note a message of `t` s of the page's clock; False for a state it never received."""
+        """Note a message at `t` s of the page's clock; False if it echoes a state never sent."""
         if shown > self.sent:
             return False
         if shown > self.shown:
@@ -324,10 +333,7 @@ class _Link:
 
 
 def _door(connection: Any, opening: threading.BoundedSemaphore) -> Callable[..., object]:
-    """Return the class by which websockets makes connections.
-
-    Those that have brought no token yet are counted, and few.
-    """
+    """Return the connection class for websockets, which limits connections without a token."""
 
     class Door(connection):  # type: ignore[misc]
         def handshake(self, *how: object, **named: object) -> None:
@@ -350,7 +356,7 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Callable[...,
 
 
 def _ours(host: str, port: int) -> bool:
-    """Whether a Host header names this server by an address or localhost: no rebinding."""
+    """Return whether a Host header is an address or localhost (no DNS rebinding)."""
     name, _, said = host.rpartition(":")
     if said != str(port):
         return False
@@ -386,7 +392,7 @@ def _answer(
 
 
 def _read(message: str | bytes) -> Document | None:
-    """Return a page's message if it is one: `{t, held, source, knob, shown, do?}`."""
+    """Return a valid message of a page: `{t, held, source, knob, shown, do?}`; else None."""
     try:
         if not isinstance(message, str):
             return None

@@ -1,7 +1,7 @@
-// The page of `softmap teleop`: draws the state in page.js and the inputs of its operator; it changes neither.
+// The page of `softmap teleop`: draws the state in page.js and the operator's inputs, and changes neither.
 "use strict";
 
-const TRAIL = 60;        // places of the tip that are drawn
+const TRAIL = 60;        // past positions of the tip that are drawn
 const LINKS = [[0, 1, 2, 3, 4], [0, 5, 6, 7, 8], [5, 9, 10, 11, 12], [9, 13, 14, 15, 16], [13, 17, 18, 19, 20], [0, 17]];
 const trail = [];
 

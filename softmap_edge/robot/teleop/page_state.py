@@ -1,4 +1,4 @@
-"""What a page receives: who and what drives, what the guard does, the hand, the finger.
+"""The state that a page receives: driver, input, guard, hand, finger.
 
 Pinned by tests/robot/test_teleop_page.py.
 """
@@ -21,16 +21,19 @@ from softmap_edge.robot.teleop.sketch import ShapePreview
 
 Floats = NDArray[np.float64]
 
-SEEN = 0.02  # mm: less is not drawn again
-AVERAGED = 60  # ages of sights over whose median the latency is
+SEEN = 0.02  # mm: smaller changes are not redrawn
+AVERAGED = 60  # ages of observations whose median is the shown latency
 
 
 class PageState:
-    """Turns the newest moment into what a page is sent; asked by the threads of pages.
+    """Convert the newest `DriveState` to what a page receives; called by the threads of pages.
 
     Args:
-        model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page
-            receives once.
+        model: model to draw
+        aim: mapping that drives
+        eyes: source of observations that drives
+        sketch: preview of the finger
+        about: what else a page receives once
     """
 
     def __init__(
@@ -63,14 +66,14 @@ class PageState:
         }
 
     def take(self, moment: DriveState) -> None:
-        """Take the newest moment."""
+        """Take the newest state."""
         self._moment = moment
         if moment.sight is not None and moment.sight.t != self._last:
             self._last = moment.sight.t
             self._ages.append(moment.t - moment.sight.t)
 
     def view(self) -> tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]:
-        """Return the state, the finger's points and the newest picture."""
+        """Return the state, the points of the finger and the newest picture."""
         moment = self._moment
         if moment is None:
             return {"t": 0.0, "level": "off", "said": "Starting"}, None, None
@@ -117,7 +120,7 @@ class PageState:
         return state, self._points, picture
 
     def _farthest(self, model: Model) -> Floats:
-        """How far aside points come, in mm."""
+        """Return the largest lateral distance of points, mm."""
         low, high = np.asarray(model.command_range, float).T
         return np.array(
             [

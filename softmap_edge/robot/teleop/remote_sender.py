@@ -1,4 +1,4 @@
-"""The other computer's side of `--camera udp://`: sends landmarks, and whether its key is held.
+"""The sender for `--camera udp://`: sends landmarks and the state of the enable key.
 
 Pinned by tests/robot/test_teleop_verb.py.
 """
@@ -18,19 +18,19 @@ UNHEARD = (
     "no answer from there yet: `softmap teleop --camera udp://:PORT` must run there, with the "
     "same key"
 )
-EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
+EVERY = 0.05  # s between two messages at most, also without new frames: the heartbeat of the key
 
 
 @dataclass
 class Sent:
-    """How many messages were sent, and why it ended."""
+    """Number of messages sent, and why sending ended."""
 
     sent: int = 0
     ended: str = ""
     failed: bool = False
 
     def to_dict(self) -> Document:
-        """Return it as the document's entries."""
+        """Return it as entries of the document."""
         return asdict(self)
 
 
@@ -41,9 +41,9 @@ def send(
     seconds: float | None,
     say: Callable[[str], None],
 ) -> Sent:
-    """Send what entered `eyes` see until they, some seconds or the `key` end it.
+    """Send what the entered `eyes` see until they, a time limit (s) or the `key` ends it.
 
-    Without a key none is held here.
+    Without a `key`, no key is held here.
     """
     done, number, begun, line = Sent(), -1, time.monotonic(), ""
     try:
@@ -69,6 +69,6 @@ def send(
                 done.ended = "ended at the terminal"
     except KeyboardInterrupt:
         done.ended = "interrupted"
-    for _ in range(3):  # let go, in so many words
+    for _ in range(3):  # report the release three times, since datagrams can be lost
         sender.send(Message())
     return done

@@ -1,10 +1,9 @@
-"""What teleoperation needs of this computer, and how to mend what is missing.
+"""Check what teleoperation needs on this computer, and how to install what is missing.
 
-mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the
-folder `cv2/`: pip installs the one over the other, and uninstalling either deletes it. Nothing here
-imports either of them. An absent package is a warning, because a robot may be driven without a hand
-before its own camera; a clash or a damaged package is a fault. Pinned by
-tests/robot/test_teleop_installed.py.
+mediapipe requires opencv-contrib-python, and this package opencv-python-headless. Both own the
+folder `cv2/`: pip installs one over the other, and uninstalling either deletes it. Nothing here
+imports either. A missing package is a warning, because driving without a local camera is possible.
+A conflict or a damaged package is a fault. Pinned by tests/robot/test_teleop_installed.py.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ INSTALL = (
     "uv pip install --override <(echo \"opencv-contrib-python; sys_platform == 'never'\") "
     "'softmap-edge[teleop]'"
 )
-# mediapipe's library is linked with them, and so never loads without
+# libraries that mediapipe's own is linked with, so it never loads without them
 LIBRARIES = ("libEGL.so.1", "libGLESv2.so.2")
 UDP = "send landmarks from another computer instead (docs/do/teleop.md, --camera udp://)"
-# the last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
+# last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
 LAST_SILENT = (0, 10, 21)
 CPU = Path("/proc/cpuinfo")
 
 
 def findings(model: str | Path | None = None) -> list[Line]:
-    """Return the findings on OpenCV, mediapipe, its libraries, this processor, the hand model."""
+    """Return the findings on OpenCV, mediapipe, its libraries, the processor and the hand model."""
     here = list(distributions())
     return [opencv(here), mediapipe(here), libraries(), processor(), hand_model(model)]
 
 
 def opencv(installed: Iterable[Distribution]) -> Line:
-    """Find the distributions that own `cv2/`; exactly one may, and its files must be there."""
+    """Find the distributions that own `cv2/`; exactly one may, and its files must exist."""
     owners: dict[str, Distribution] = {}
     for distribution in installed:
         name = distribution.metadata["Name"] or ""
@@ -83,7 +82,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def libraries(names: Iterable[str] = LIBRARIES) -> Line:
-    """Try to load what mediapipe's own library is linked with."""
+    """Try to load the libraries that mediapipe is linked with."""
     absent = []
     for name in names:
         try:
@@ -97,10 +96,7 @@ def libraries(names: Iterable[str] = LIBRARIES) -> Line:
 
 
 def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
-    """Find whether this processor has what mediapipe 1.0 and later need.
-
-    On ARM these are the LSE atomics.
-    """
+    """Check that this processor can run mediapipe 1.0 and later: on ARM they need LSE atomics."""
     machine = platform.machine() if machine is None else machine
     if machine not in ("aarch64", "arm64"):
         return Line("processor", OK, machine)
@@ -108,7 +104,7 @@ def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
         text = cpu.read_text(encoding="ascii", errors="replace")
     except OSError:
         return Line("processor", OK, f"{machine}, {cpu} cannot be read")
-    # Every core must have them: boards mix cores.
+    # Boards mix cores, so every core must have them.
     lines = [
         line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith("Features")
     ]
@@ -128,7 +124,7 @@ def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
 
 
 def hand_model(path: str | Path | None = None) -> Line:
-    """Find the model of hands."""
+    """Find the hand model."""
     file = default_path() if path is None else Path(path)
     try:
         return Line("hand model", OK, str(check_model(file)))

@@ -1,4 +1,4 @@
-"""The finger as the model predicts it from where the servos are, for a page to draw.
+"""A preview of the finger, predicted by the model from the servo positions.
 
 Pinned by tests/robot/test_aim.py.
 """
@@ -13,14 +13,15 @@ from softmap_edge.model.servo_calibration import Calibration
 
 Floats = NDArray[np.float64]
 
-LONGEST = 0.5  # s between two looks: after more the effects begin again, at rest
+LONGEST = 0.5  # s between two calls; after a longer gap the effects restart at rest
 
 
 class ShapePreview:
-    """The points of a model's finger, through its effects, as servos turn.
+    """The points of a model's finger, with its effects, as servos turn.
 
     Args:
-        model: with its effects, hanging as it does, unloaded. calibration: ticks to commands.
+        model: with its effects, in its usual orientation, without load
+        calibration: from ticks to commands
     """
 
     def __init__(self, model: Model, calibration: Calibration) -> None:
@@ -31,7 +32,7 @@ class ShapePreview:
         self._last = 0.0
 
     def points(self, position: Floats, now: float) -> Floats:
-        """Return the points (N, 3) mm with servos at `position` (C,) ticks at `now` s (steady)."""
+        """Return the points (N, 3) mm for servos at `position` (C,) ticks at `now` s (steady)."""
         u = self._map.commands(position[None])[0]
         model, dt = self._model, now - self._last
         self._last = now
@@ -45,6 +46,6 @@ class ShapePreview:
         return self.at(acting)
 
     def at(self, acting: Floats) -> Floats:
-        """Return the points (N, 3) mm where `acting` (C,) mm acts, within the model's range."""
+        """Return the points (N, 3) mm for the command `acting` (C,) mm, limited to the range."""
         inside = np.clip(acting, self._low, self._high)
         return np.asarray(self._shape.evaluate(inside[None])).reshape(-1, 3)

@@ -1,7 +1,8 @@
-"""The terminal's keys: hold Space or an arrow to drive, Esc releases tension, e stops, q ends.
+"""Terminal keys: Space or an arrow (held) drives, Esc releases tension, e stops, q ends.
 
-A terminal reports no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go
-is noticed 0.2 s later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
+A terminal reports no key-up, so a key counts as held while it repeats (`servo/terminal.py`). A
+release is detected 0.2 s later, or 0.7 s after a short tap. Pinned by
+tests/robot/test_teleop_terminal.py.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Self
 from softmap_edge.robot.servo.terminal import EMERGENCY, RepeatedKey, Typed
 from softmap_edge.robot.teleop.keys import Controls, Source, Wish
 
-STEP = 0.04  # of the range, a repetition of an arrow
+STEP = 0.04  # of the range, per repetition of an arrow
 ARROWS = {
     "right": (1, 0), "left": (-1, 0), "up": (0, 1), "down": (0, -1),
     "d": (1, 0), "a": (-1, 0), "w": (0, 1), "s": (0, -1),
@@ -25,9 +26,9 @@ HELP = (
 
 
 class Terminal:
-    """The keys of a terminal, as an input; a context manager that leaves it as it was.
+    """The keys of a terminal, as an input; a context manager that restores the terminal.
 
-    `source`: what drives.
+    `source`: the input that drives.
     """
 
     name = "the terminal"
@@ -50,17 +51,17 @@ class Terminal:
         self._typed.__exit__(kind, fault, at)
 
     def controls(self, now: float) -> Controls:
-        """Read what was typed."""
+        """Read the typed keys."""
         for key in self._typed.read():
             self._press(key, now)
         return Controls(self._key.held(now), self._knob, self._source)
 
     def asked(self) -> str | None:
-        """Return what was asked for by a key."""
+        """Return the request of a key."""
         return self._wish.take()
 
     def rest(self, knob: tuple[float, float]) -> None:
-        """Begin where the finger is."""
+        """Set the knob to the position of the finger."""
         self._knob = knob
 
     def _press(self, key: str, now: float) -> None:
