@@ -50,7 +50,7 @@ def falls_on(
 
 
 def stands_out(loss: Floats, body: FeatureBody, laws: bool) -> bool:
-    """Whether a loss (folds,) exceeds the noise; the form error of found `laws` may add to it."""
+    """Whether a loss (folds,) exceeds the noise; the form of found `laws` may add to it."""
     return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
 
