@@ -4,10 +4,10 @@ The peer of the factor of five is `scipy.optimize.least_squares(method="lm")`, M
 Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by differences:
 the usual code without the core. SciPy on the core's own passes and exact slopes is not a peer but a
 part of ours; that row separates the cost of the search from that of the passes. There the ratio is
-limited: a waypoint costs only passes, three or four with slopes (from the 0.1 mm between waypoints
-of this network, a Newton step leaves 0.006 mm, the next 2e-5), and SciPy uses passes of the same
-core. SciPy stays mm away at a few waypoints in a hundred, in folds that ours leaves by other
-starts. Pinned by tests/benches/test_benches.py.
+limited: a waypoint costs only passes, three or four with slopes (from the 0.1 mm error at a
+waypoint of this network, a Newton step leaves 0.006 mm, the next 2e-5), and SciPy uses passes of
+the same core. SciPy stays mm away at a few waypoints in a hundred, in folds that ours leaves by
+other starts. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations

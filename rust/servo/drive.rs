@@ -77,8 +77,8 @@ impl<P: Port> Drive<P> {
         &self.heard
     }
 
-    /// Whether to check the servos' health now: one requested it, torque has just come on, or a
-    /// write was missing.
+    /// Whether to check the servos' health now: an answer had its alert bit set, torque has just
+    /// come on, or a written value was missing.
     pub fn alert(&self) -> bool {
         self.alert
     }

@@ -50,7 +50,7 @@ FIELD_STEPS = 11  # nodes per channel for smooth fields,
 COARSE_FIELD_STEPS = 7  # and for three channels, or for a slow imported mesh
 # the same for second derivatives, a tenth to a third of the load fields:
 SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5
-SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes, and lower stored precision
+SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes; stored precision as a part of their size
 FORM_COMMANDS = 24
 MESHED_COMMANDS = 8
 REFINED_COMMANDS = 3  # factorising the refined mesh takes seconds, not milliseconds
@@ -58,7 +58,7 @@ USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands per channel of a sweep: 1681 for
 EVEN_STEPS = 21  # steps of a sweep from which the spacing is uniform
 GRADED = 1.7  # power of the spacing of fewer steps, denser about home
 FORM_SEED = 20
-# gravity across the reference for the error under a lean, g: 35 degrees
+# gravity across the reference, g, a lean of 35 degrees: measures the error under other gravity
 SIDEWAYS = 0.7
 
 
@@ -198,7 +198,7 @@ def from_sweep(
 
 
 def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
-    """Return the indices of the handles among the vertices `rest` (N, 3) mm, None for all.
+    """Return the ascending indices of the handles among vertices `rest` (N, 3) mm, None for all.
 
     The first is the farthest from the base, each next one the farthest from all previous ones.
     Raises FingerError if there are fewer vertices.
@@ -210,7 +210,7 @@ def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
             f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 "
             f"to {len(rest)}, or leave [template] out for all"
         )
-    # in the precision of a bundle, so the result is reproducible
+    # in the precision of a bundle
     places = np.asarray(np.float32(rest), float)
     chosen: list[int] = []
     nearest = np.sum(places**2, axis=1)

@@ -145,7 +145,7 @@ class _Found:
         return "ambiguous" if alike or self.weak else "identified"
 
     def _is_as_good(self, other: _Candidate) -> bool:
-        """Whether an alternative is of another family, as simple, or clearly better."""
+        """Whether an alternative is of another family, has as few numbers, or fits better."""
         if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
             return True
         fall = self.fitted.losses - other.losses
