@@ -1,1 +1,1 @@
-"""Speed against peers, side by side in one run: `make bench`."""
+"""Compare speed with peers in one run: `make bench`."""

@@ -1,9 +1,8 @@
-"""Print the speed of the core and of plain NumPy/SciPy, and what a user waits for.
+"""Print the speed of the core and of plain NumPy/SciPy, and the waiting times of a user.
 
-Both do the same work.
+Both compute the same results.
 
-Ratios are medians of alternating runs in this one process; the machine and the versions stand above
-them.
+Ratios are medians of alternating runs in this one process; machine and versions are printed first.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ def main() -> int:
 
 
 def trunk() -> None:
-    """Print how well the rod and general regressors predict a real robot, if its logs exist."""
+    """Print the errors of the rod and general regressors on a real robot, if its logs exist."""
     from benches.data import find
     from benches.trunk import print_table
     from benches.trunk_load import FREE, read
@@ -96,7 +95,7 @@ def trunk() -> None:
 
 
 def machine() -> dict[str, str]:
-    """Say what ran: processor, cores, versions."""
+    """Print processor, cores and versions."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
@@ -137,7 +136,7 @@ def rollouts() -> dict[str, object]:
 def nine_tendons():
     """The robot of examples/tdcr_robot.toml and 1600 commands that move all its tendons.
 
-    They draw them in and pay them out.
+    Commands shorten and pay out the tendons.
     """
     robot = Robot.load(Path(__file__).parents[1] / "examples/tdcr_robot.toml")
     t = np.arange(1600) * 0.5
@@ -158,7 +157,7 @@ def elastic_rod() -> dict[str, object]:
 
 
 def elastic_fit() -> dict[str, object]:
-    """All of `learn` on 1600 frames: 17 numbers, four starts, ten folds, 2 mm of noise."""
+    """The complete `learn` on 1600 frames: 17 parameters, four starts, ten folds, 2 mm of noise."""
     from softmap_edge.rod.learn import learn
 
     robot, t, u = nine_tendons()
@@ -177,7 +176,7 @@ def elastic_fit() -> dict[str, object]:
 
 
 def equilibrium() -> dict[str, object]:
-    """One equilibrium 0.8 mm from the last, of a path."""
+    """One equilibrium of a path, 0.8 mm from the previous one."""
     simulator = Simulator(Finger.builtin())
     path = np.stack([np.arange(1, 21) * 0.8, np.zeros(20)], axis=1)
     start = time.perf_counter()
@@ -218,7 +217,7 @@ def million_rows() -> dict[str, object]:
 
 
 def imports() -> dict[str, object]:
-    """`import softmap_edge` in a fresh interpreter, less the interpreter's own start."""
+    """`import softmap_edge` in a fresh interpreter, minus the interpreter's start."""
 
     def started(code: str) -> float:
         best = []
@@ -235,7 +234,7 @@ def imports() -> dict[str, object]:
 def table_against_simulator() -> dict[str, object]:
     """Mean vertex error of the built-in table at commands off its grid.
 
-    It is against the simulator on the same mesh.
+    The reference is the simulator on the same mesh.
     """
     model, rng = builtin_model(), np.random.default_rng(7)
     low, high = model.command_range.T

@@ -1,20 +1,19 @@
 """Print every number of docs/learn/beam.md.
 
-A silicone beam that nothing commands, under its weight, 52 g and 101 g.
+A passive silicone beam under its weight, 52 g and 101 g.
 
 The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements
 with it. `drop` is the mean of the three tip markers along gravity (mm), `rotation` that of the
-plate that carries them (degrees), both from where a hand held the beam straight. The verdicts are
-`softmap diagnose` with the table of the fitted beam; the hanging load is not declared.
-`Ring` is what the beam does after the hand lets go: its frequency, and the weight at the tip that
-goes with it,
+plate that carries them (degrees), both relative to the beam held straight by hand. The verdicts are
+`softmap diagnose` with the table of the fitted beam; the hanging load is not declared. `Ring` is
+the free oscillation after the release: its frequency, and the corresponding weight at the tip,
 
     m = k/ω² − k₀/ω₀²      k stiffness (N/m) of the tip along its way about the pose with the
                            weight, ω = 2π f
 
-index 0 without the weight.
+index 0: without the weight.
 
-`python -m benches.beam` (seconds); `make data` brings the recordings.
+`python -m benches.beam` (seconds); `make data` downloads the recordings.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ Floats = NDArray[np.float64]
 LOADS_G = {"gravity_V2_a": 0.0, "gravity_V2_b": 0.0, "load52_V2_a": 52.0, "load101_V2_a": 101.0}
 FITTED = "gravity_V2_a"
 NEWTON_PER_G = 9.80665e-3
-PROBE_G = 2.0  # to both sides, over which the stiffness of the tip is taken
-# after the release: three stretches, whose spread is the uncertainty
+PROBE_G = 2.0  # to both sides, for the stiffness of the tip
+# after the release: three intervals, whose spread is the uncertainty
 RINGS_FROM_S = (0.2, 0.4, 0.6)
 
 
@@ -68,18 +67,17 @@ class Row:
 
     @property
     def off(self) -> float:
-        """By which share the predicted drop is off."""
+        """The relative error of the predicted drop."""
         return self.drop_predicted / self.drop - 1.0
 
 
 @dataclass(frozen=True)
 class Ring:
-    """How a recording rings: frequency Hz, tip stiffness N/m, weight g, with their sigma.
+    """The oscillation of a recording: frequency Hz, tip stiffness N/m, weight g, with sigma.
 
-    Stiffness and weight follow from it.
+    Stiffness and weight follow from the frequency.
 
-    `alike_hz` is what a beam would ring at that drops as far because it is softer or heavier all
-    along.
+    `alike_hz` is the frequency of a uniformly softer or heavier beam with the same drop.
     """
 
     run: str
@@ -91,7 +89,7 @@ class Ring:
 
 
 def read(folder: Path, whole: bool = False) -> dict[str, Run]:
-    """Return the runs by the example's mapping; or all frames of them, with the ringing."""
+    """Return the runs by the example's mapping, or all their frames, with the oscillation."""
     mapping = read_mapping(ROOT / "examples/beam.toml")
     if whole:
         mapping = replace(mapping, from_s=None, seen_rate_hz=None)
@@ -99,7 +97,7 @@ def read(folder: Path, whole: bool = False) -> dict[str, Run]:
 
 
 def fitted(runs: dict[str, Run]) -> FingerFit:
-    """Return the beam with the modulus that its own weight shows."""
+    """Return the beam with the modulus from its own weight."""
     return fit_finger(Finger.load(ROOT / "examples/beam_finger.toml"), runs[FITTED])
 
 
@@ -121,7 +119,7 @@ def rows(beam: Finger, runs: dict[str, Run]) -> list[Row]:
 def frequency(run: Run, down: Floats) -> tuple[float, float]:
     """Return frequency and standard deviation (Hz) of the decay after the release.
 
-    It is on top of a slow creep.
+    The decay is superposed on a slow creep.
     """
     drop = ((np.asarray(run.markers) - np.asarray(run.marker_rest)) @ down).mean(axis=1)
     t = run.t_seen - run.t_seen[int(np.argmax(drop > 0.5 * drop[-1]))]
@@ -145,9 +143,9 @@ def frequency(run: Run, down: Floats) -> tuple[float, float]:
 
 
 def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[Ring]:
-    """Return the result of each recording's ringing, with the modulus of the beam.
+    """Return the oscillation result of each recording, with the modulus of the beam.
 
-    The beam's own weight shows its modulus.
+    The modulus comes from the beam's own weight.
     """
     solid, down, found = Simulator(fit.finger), np.array(fit.finger.gravity), []
     softer = fit.numbers["young_mpa"].sigma / fit.finger.young_mpa
@@ -159,7 +157,7 @@ def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[R
         low, high = (
             (carry @ solid.path(np.zeros((1, 0)), load=load)[0]).mean(axis=0) for load in loads
         )
-        # mm; a beam that hangs low swings aside as well, which the weight takes part in
+        # mm; a low beam also swings sideways, together with the weight
         way = high - low
         stiffness = 2.0 * PROBE_G * NEWTON_PER_G * float(way @ down) / float(way @ way) * 1000.0
         hertz, spread = frequency(whole[name], down)
@@ -175,7 +173,7 @@ def rings(fit: FingerFit, runs: dict[str, Run], whole: dict[str, Run]) -> list[R
 
 
 def turn(rest: Floats, points: Floats) -> float:
-    """Return by how many degrees points (M, 3) mm turned."""
+    """Return the rotation of points (M, 3) mm, degrees."""
     return float(
         np.degrees(
             np.linalg.norm(rotation_vector(kabsch(rest, points, np.ones(len(rest))).rotation))
@@ -184,7 +182,7 @@ def turn(rest: Floats, points: Floats) -> float:
 
 
 def verdicts(beam: Finger, runs: dict[str, Run]) -> dict[str, Diagnosis]:
-    """Return what a diagnosis says of the loaded runs, which do not declare their load."""
+    """Return the diagnosis of the loaded runs without their declared load."""
     model = build_model(beam)
     return {name: diagnose(model, runs[name]) for name, load in LOADS_G.items() if load}
 

@@ -1,4 +1,4 @@
-"""The folder of public recordings and meshes of some benchmarks and pages (`make data`)."""
+"""Find the public recordings and meshes of some benchmarks and pages (`make data`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def find(name: str) -> Path | None:
 
 
 def find_or_say(name: str) -> Path | None:
-    """Return the folder of one data set, or None after a word that it is absent."""
+    """Return the folder of one data set, or report that it is missing and return None."""
     folder = find(name)
     if folder is None:
         print(f"not run: the data set '{name}' is absent; `make data` brings it")

@@ -1,12 +1,12 @@
-"""Cost of a diagnosis over the complete library on one core, in a fresh process.
+"""Measure the cost of a diagnosis over the complete library on one core, in a fresh process.
 
-Processor time and peak memory.
+The rows are processor time and peak memory.
 
-`python -m benches.diagnosis_time [--profile]` prints the rows of `make bench`, with `--profile`
-what took it. The fingers are solved frame by frame (benches do not diagnose their own model), once
-for each: minutes. The trunk's log is the real one where it lies, else a made one as long: three
-segments of constant curvature, 15 000 rows at 100 Hz, six channels, three markers five times as
-seldom, a load that bends it.
+`python -m benches.diagnosis_time [--profile]` prints the rows of `make bench`, with `--profile` a
+profile. The fingers are solved frame by frame (benches do not diagnose their own model), once for
+each: minutes. The trunk's log is the real one if available, else a synthetic one of the same
+length: three segments of constant curvature, 15 000 rows at 100 Hz, six channels, three markers at
+a fifth of the rate, and a bending load.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ def rows(profile: bool = False) -> Iterator[dict[str, object]]:
 
 
 def row(name: str, found: dict[str, object], wanted: str) -> dict[str, object]:
-    """Return a row: what was found stands in it, for a quick wrong answer is worth nothing."""
+    """Return a row with the result, because a fast wrong answer has no value."""
     named = " + ".join(found["named"]) or found["verdict"]
     name = f"{name}, {found['candidates']} effects, {found['megabytes']:.0f} MB ({named})"
     return {"name": name, "value": found["seconds"], "unit": "s", "wanted": wanted}
 
 
 def alone(bundle: Path, run: Path, profile: bool) -> dict[str, object]:
-    """Diagnose in a process of its own, on one core where the system can tie it to one."""
+    """Diagnose in a separate process, on one core if the system supports it."""
     environment = os.environ | {"RAYON_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     argv = [sys.executable, "-c", CHILD, str(bundle), str(run), "profile" if profile else "plain"]
     done = subprocess.run(
@@ -97,7 +97,7 @@ def _one_core() -> None:
 
 
 def log() -> tuple[Model, Run, str]:
-    """Return a rod learned without a load, a loaded log of 15 000 rows, and where both are from."""
+    """Return a rod learned without a load, a loaded log of 15 000 rows, and their origin."""
     from benches.data import find
     from benches.trunk_load import FREE, LOADED, read, reference
 

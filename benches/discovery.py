@@ -1,9 +1,9 @@
-"""Discovery in two levels on the built-in finger: what is named, open, or silent.
+"""Test two-level discovery on the built-in finger: named, open, or silent.
 
 `python -m benches.discovery [--jobs N] [--out FILE]` prints one table and each wrong answer;
-minutes. Runs are the standard protocol on the model itself, so the model has no error and only the
-laws differ. The laws are those of the bank (no formula of the library), and the library's own
-static effects. Each run is a pure function of its number.
+minutes. Runs are the standard protocol on the model itself, so only the laws differ. The laws are
+those of the bank (no formula of the library), and the library's own static effects. Each run is a
+pure function of its number.
 
     map        48 smooth static maps: static, or within ordinary imperfections, and never identified
     law        each static effect of the library: its name, or the name of one that moves this
@@ -56,7 +56,7 @@ from softmap_edge.synthetic.finger import Camera
 
 Floats = NDArray[np.float64]
 
-# RMS of the points by a hidden law; of a map, by the part that offsets and gains cannot represent.
+# RMS motion of the points by a hidden law; for a map, by the part beyond offsets and gains.
 MOVES_MM = (0.6, 1.8)
 UNKNOWN: tuple[type[Law], ...] = (
     FadingMemory,
@@ -92,10 +92,10 @@ class Hidden:
 
 
 def static_laws() -> tuple[str, ...]:
-    """Return the static effects of the library that the built-in finger can show by its shape."""
+    """Return the static effects of the library that the shape of the built-in finger can show."""
     registry = {e["name"]: e for e in _core.effects()}
     members = {name for family in families() if family.kind == "static" for name in family.members}
-    # need declared cameras or an obstacle, or are another form of the dead zone
+    # these need declared cameras or an obstacle, or are another form of the dead zone
     apart = ("lens", "contact", "slack")
     return tuple(name for name in registry if name in members and name not in apart)
 
@@ -128,7 +128,7 @@ def measured(run: Run, points: Floats, rng: np.random.Generator, noise_mm: float
 
 
 def points_of(run: Run, law: Law, acting: Floats) -> Floats:
-    """Return where a law on the commands moves the points (K, N, 3) mm."""
+    """Return the points (K, N, 3) mm under a law on the commands."""
     record = Record(
         run.t,
         acting,
@@ -138,7 +138,7 @@ def points_of(run: Run, law: Law, acting: Floats) -> Floats:
 
 
 def strong(law: Law, run: Run, target_mm: float) -> Law:
-    """Return a law that moves the points by `target_mm` RMS, or as far as it can."""
+    """Return a law scaled to move the points by `target_mm` RMS, or as far as possible."""
     plain = builtin_model().predict(run)
     for _ in range(6):
         moved = float(
@@ -278,18 +278,18 @@ def _null(number: int, rng: np.random.Generator) -> Hidden:
 
 
 def identified(found: Diagnosis) -> str | None:
-    """Return what is wrong with a name that is reported as certain, where no name is right."""
+    """Return the fault of a name reported as certain if no name is right."""
     return "a name is identified" if found.verdict == "identified" else None
 
 
 def family_of(found: Diagnosis, right: Sequence[str]) -> str | None:
-    """Return what is wrong with the first family."""
+    """Return the fault of the first family, if any."""
     first = found.families[0].name if found.families else "none"
     return None if first in right else f"family {first}"
 
 
 def judged(case: tuple[str, int]) -> dict[str, Any]:
-    """Diagnose one case; return what was hidden, what was found, and what is wrong with it."""
+    """Diagnose one case; return hidden law, result, and fault."""
     one = hidden(*case)
     found = diagnose(builtin_model(), one.run)
     return {

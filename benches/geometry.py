@@ -1,9 +1,9 @@
-"""Nearest points, as-rigid-as-possible steps, registration, and peers: `make bench` rows.
+"""Time nearest points, as-rigid-as-possible steps, registration, and peers (`make bench`).
 
-They are the processor time of a process of its own with one thread, since libraries choose their
-threads as they are loaded. pykdtree (LGPL) and libigl (MPL 2.0, its copyleft parts left out) are
-installed for benchmarks alone, by the Makefile; a row whose peer is absent says so. Both sides are
-compared before they are timed. Pinned by tests/benches/test_benches.py.
+Times are processor time of a separate process with one thread, because libraries choose their
+threads on loading. The Makefile installs pykdtree (LGPL) and libigl (MPL 2.0, without its copyleft
+parts) for benchmarks only; a row without its peer states so. The results of both sides are compared
+before timing. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from softmap_edge.synthetic.depth_camera import HALF
 
 THREADS = ("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 CLOCK = time.process_time
-SHAPES, FEW = 12, 3  # finite-element shapes that are registered, and in a quick run
-FRAMES, DIFFERENT = 1000, 50  # frames registered in parallel, clouds among them that differ
+SHAPES, FEW = 12, 3  # registered finite-element shapes, and those of a quick run
+FRAMES, DIFFERENT = 1000, 50  # frames registered in parallel, and distinct clouds among them
 STEPS = 100  # local and global steps in one call
-HOLD = 1e7  # strength of handles that do not give way
+HOLD = 1e7  # strength of fixed handles
 SETTLED_MM = 1e-3  # as in rust/geometry/paper.rs
 
 
 def rows(quick: bool = False) -> list[dict[str, object]]:
-    """Return the rows; a `quick` run leaves out the thousand frames and takes fewer shapes."""
+    """Return the rows; a `quick` run omits the thousand frames and uses fewer shapes."""
     found = json.loads(alone(1, "--shapes", str(FEW if quick else SHAPES)))
     return found if quick else [*found, frames()]
 
 
 def alone(threads: int, *arguments: str) -> str:
-    """Return what this module prints with `arguments` in a process of so many threads."""
+    """Run this module with `arguments` in a process with some threads; return its output."""
     command = [sys.executable, "-m", "benches.geometry", *arguments]
     root, env = Path(__file__).parents[1], os.environ | dict.fromkeys(THREADS, str(threads))
     return subprocess.run(
@@ -61,7 +61,7 @@ def frames() -> dict[str, object]:
 
 
 def truths(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (K, 2) and shapes (K, N, 3) of a finger other than the model's.
+    """Return commands (K, 2) and shapes (K, N, 3) of another finger than the model's.
 
     It has another mesh, modulus, load and lean.
     """
@@ -74,7 +74,7 @@ def truths(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def half_clouds(shapes: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
-    """Return one cloud (10 000, 3) of each shape, half of it seen from anywhere about it."""
+    """Return one cloud (10 000, 3) of each shape: half of it, from a random direction."""
     rng = np.random.default_rng(1)
     return [
         replace(HALF, views=(rng.uniform(0, 360),)).look(shape, triangles, rng) for shape in shapes
@@ -84,7 +84,7 @@ def half_clouds(shapes: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
 def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
     """Time the Chamfer distance both ways with the gradient, and its peers.
 
-    They are two trees, without a gradient, and torch as in a training loop.
+    Peers are two trees, without a gradient, and torch as in a training loop.
     """
 
     def ours():
@@ -101,7 +101,7 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
             return KDTree(cloud).query(template)[0], KDTree(template).query(cloud)[0]
 
         for distance, side in zip(peer(), ("to_cloud", "to_template")):
-            # as far as single precision distinguishes them
+            # up to single precision
             same(f"{name}, {side}", found[side][0], distance, 2e-4)
         trees = ratio(name, *side_by_side(ours, peer, CLOCK), "pykdtree", "goal ≥ 4.5, aim 6")
     try:
@@ -127,9 +127,9 @@ def chamfer(template: np.ndarray, cloud: np.ndarray) -> list[dict[str, object]]:
 
 
 def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
-    """Time a local and a global step of a surface whose ends are moved.
+    """Time a local and a global step of a surface with moved ends.
 
-    The ends are held; our time includes the factorisation.
+    The ends are constraints; our time includes the factorisation.
     """
     name, height = f"ARAP local-global step, {len(rest)} vertices", rest[:, 2]
     ends = np.flatnonzero((height < height.min() + 1.0) | (height > height.max() - 1.0))
@@ -147,15 +147,15 @@ def arap_step(rest: np.ndarray, triangles: np.ndarray) -> dict[str, object]:
         row = absent(name, ours, "libigl", "goal ≥ 5")
         return row | {"value": row["value"] / STEPS}
     peer = Handles(rest, triangles.astype(np.int64), ends, STEPS)
-    # Of 20 mm: a third of these cotangent weights is below 1e-3, where ours are held and libigl's
-    # go on below zero.
+    # Of 20 mm: a third of these cotangent weights is below 1e-3, where ours are clamped and
+    # libigl's may be negative.
     same(name, ours(), peer.deformed(goals[ends]), 1.0)
     ours_s, peer_s = side_by_side(ours, lambda: peer.deformed(goals[ends]), CLOCK)
     return ratio(name, ours_s / STEPS, peer_s / STEPS, "libigl", "goal ≥ 5")
 
 
 def halved(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a surface whose every triangle is cut into four at the middles of its edges."""
+    """Split every triangle of a surface into four at the midpoints of its edges."""
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)  # (T, 3, 2)
     edges, which = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
     (a, b, c), (ab, bc, ca) = triangles.T, len(vertices) + which.reshape(-1, 3).T
@@ -215,7 +215,7 @@ def absent(name: str, ours, peer: str, wanted: str) -> dict[str, object]:
 
 
 def same(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:
-    """Raise unless both sides have done the same work: else a ratio has no meaning."""
+    """Raise unless both sides have the same result: otherwise a ratio has no meaning."""
     off = float(np.abs(ours - theirs).max())
     if not off <= tolerance:
         raise RuntimeError(
@@ -224,9 +224,9 @@ def same(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> N
 
 
 def main() -> None:
-    """Print the rows as one document, or with `--frames` the time of a registration.
+    """Print the rows as one document, or with `--frames` the time of a registration, s.
 
-    It is in seconds, for so many frames.
+    `--frames` is the number of frames.
     """
     parser = argparse.ArgumentParser(prog="benches.geometry", description=__doc__)
     parser.add_argument("--shapes", type=int, default=SHAPES)

@@ -1,8 +1,8 @@
-"""Time and memory of `softmap import` of a million rows: `python -m benches.import_rows`.
+"""Measure time and memory of `softmap import` of a million rows.
 
 The log has 17 columns at 1 kHz (time, three commands, three encoders read at 250 Hz, three markers
-with dropouts in mm, a label); the command runs in a process of its own, whose peak of resident
-memory is what the system counted.
+with dropouts in mm, a label); the command runs in a separate process, whose peak of resident memory
+is read from the system. Run `python -m benches.import_rows`.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def write_log(folder: Path, rows: int) -> None:
 def measure(folder: Path) -> tuple[float, float, float, int]:
     """Import the log in a new process; return seconds, peak memory in MB, and rows.
 
-    The seconds are by the clock and of work.
+    Seconds are wall-clock time and processor time.
     """
     argv = [
         "import",

@@ -1,13 +1,13 @@
-"""Rows of inverse kinematics on the paper-sized network: letters, against SciPy and the paper.
+"""Time inverse kinematics on the paper-sized network: letters, against SciPy and the paper.
 
-The peer that the promise of five times is about is `scipy.optimize.least_squares(method="lm")`,
-MINPACK's Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by
-differences: the usual code without the core. SciPy on the core's own passes and exact slopes is no
-peer but a part of ours; that row separates the cost of the search from that of the passes.
-There the ratio has an end: a waypoint costs nothing but passes, three or four with slopes (a Newton
-step of the 0.1 mm that one waypoint of this network is off leaves 0.006 mm, the next 2e-5), and
-SciPy's own are passes of the same core. SciPy stays mm away at a few waypoints in a hundred, in
-folds that ours leaves by other starts. Pinned by tests/benches/test_benches.py.
+The peer of the factor of five is `scipy.optimize.least_squares(method="lm")`, MINPACK's
+Levenberg-Marquardt, from the same warm starts, on passes of onnxruntime with slopes by differences:
+the usual code without the core. SciPy on the core's own passes and exact slopes is not a peer but a
+part of ours; that row separates the cost of the search from that of the passes. There the ratio is
+limited: a waypoint costs only passes, three or four with slopes (from the 0.1 mm error at a
+waypoint of this network, a Newton step leaves 0.006 mm, the next 2e-5), and SciPy uses passes of
+the same core. SciPy stays mm away at a few waypoints in a hundred, in folds that ours leaves by
+other starts. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from softmap_edge.robot.motion.kinematics import Kinematics
 Floats = NDArray[np.float64]
 
 LETTERS, AMPLITUDE, WAYPOINTS = "SHOE", 15.0, 150
-STEP_MM = 0.01  # of differences: single precision knows no smaller ones
-CLOSE = 1e-8  # relative, of commands and of squared distances: SciPy's own usual value
+STEP_MM = 0.01  # step of differences: the limit of single precision
+CLOSE = 1e-8  # relative tolerance of commands and squared distances: SciPy's default
 
 
 def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
-    """Return the time of a waypoint, of so many a letter, and SciPy's.
+    """Return the time per waypoint, for some waypoints per letter, and SciPy's.
 
-    Also by how much distances are above those of the paper's way.
+    Also return the excess of the distances over those of the paper's method.
     """
     made = paper_sized()
     kinematics = Kinematics(made.model, axes="xy")

@@ -1,6 +1,6 @@
-"""Benchmark of level 1: normal equations of all families on eight folds, and by NumPy.
+"""Time level 1: normal equations of all families on eight folds, and by NumPy.
 
-NumPy works on explicit columns.
+NumPy uses explicit columns.
 
 The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one
 matrix product per set of frames. The core never forms the columns (rust/families/gram.rs).
@@ -53,7 +53,7 @@ class Made:
         return sum(len(which) for _, which, _ in self.columns.values())
 
     def level(self) -> _core.Level:
-        """Return the core's level with all columns added, not yet closed."""
+        """Return the core's level with all columns, not yet closed."""
         kernel = self.whitener.kernel
         folds = [
             (*fold, train.basis, train.strength, test.basis, test.strength)

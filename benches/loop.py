@@ -1,7 +1,7 @@
-"""Lateness of the control loop on an emulated bus, at 1 kHz and while Python is busy.
+"""Measure the lateness of the control loop on an emulated bus, at 1 kHz and with busy Python.
 
-There is no peer in the same run: a loop's lateness is a number of its own. The emulated servos
-share the machine, so that what is measured is an upper bound.
+There is no peer: lateness is an absolute figure. The emulated servos share the machine, so the
+result is an upper bound.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
 MODEL, NUMBER, HOME = "XM430-W350", 1020, 2048
-FAST, USUAL = (4_000_000, 1000.0), (1_000_000, 100.0)  # baud, periods a second
+FAST, USUAL = (4_000_000, 1000.0), (1_000_000, 100.0)  # baud, periods per second
 
 
 def rows(quick: bool) -> list[dict[str, object]]:
@@ -72,7 +72,7 @@ def _row(name: str, value: float, unit: str, wanted: str) -> dict[str, object]:
 
 @contextmanager
 def _bench(baud: int, rate: float):
-    """Give the rig, the map and the limits of an emulated bus."""
+    """Return the rig, the map and the limits of an emulated bus."""
     servos = [(id, NUMBER, baud, float(HOME)) for id in (1, 2)]
     bus = _core.EmulatedBus(
         servos, [[(1000.0, -400.0), (2048.0, 0.0), (3000.0, 400.0)]] * 2, seed=1

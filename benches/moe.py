@@ -1,12 +1,12 @@
 """Print the table of docs/do/mesh.md: a published mesh as 10-node tetrahedra.
 
-Next to itself refined, and to bricks.
+It is compared with its refinement, and with bricks.
 
-Differences are mm RMS over the vertices of the mesh that are not held (its flange never moves and
-would flatter every figure). `refined` is the same solid with eight times the cells; `bricks` the
-built-in finger, which has the same outer dimensions, modulus and routing but no channels. The tip
-is the mean of what lies in the last tenth of the height. `python -m benches.moe` (two minutes;
-`--quick` leaves out the refined mesh); `make data` brings the mesh.
+Differences are mm RMS over the free vertices of the mesh (its flange never moves and would lower
+every figure). `refined` is the same solid with eight times the cells; `bricks` the built-in finger,
+which has the same outer dimensions, modulus and routing but no channels. The tip is the mean over
+the last tenth of the height. `python -m benches.moe` (two minutes; `--quick` omits the refined
+mesh); `make data` downloads the mesh.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def load(folder: Path) -> Finger:
 
 
 def free(simulator: Simulator) -> NDArray[np.bool_]:
-    """Return which of the template's vertices (N,) are not held."""
+    """Return a mask of the template's free vertices (N,)."""
     return np.asarray(simulator.template.vertices[:, 2] > 0.1)
 
 

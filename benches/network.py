@@ -1,14 +1,13 @@
-"""Rows of the network pass: a paper-sized network by us, onnxruntime and torch.
+"""Time the pass of a paper-sized network by us, onnxruntime and torch.
 
-It is also compared with its weights being read once.
+It is also compared with reading its weights once.
 
     2 → 256-512-1024-512-256 → 1644, BatchNorm folded, ReLU: 1.74 million numbers, 6.9 MB
 
-Its hidden layers are drawn, its last one is fitted to the built-in finger by least squares: a
-network of that size that bends as the finger does, without minutes of training. All sides run on
-one thread, one command at a time, alternating. Reading is a streaming reduction over as many bytes
-as the pass reads (NumPy's or BLAS's, whichever is quicker). Pinned by
-tests/benches/test_benches.py.
+Its hidden layers are random; its last one is fitted to the built-in finger by least squares. So it
+has the finger's shapes without minutes of training. All sides run on one thread, one command at a
+time, alternating. Reading is a streaming reduction over the bytes of the pass (NumPy's or BLAS's,
+whichever is faster). Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from softmap_edge.model.shapes import NetworkArrays, PriorArrays
 
 Floats = NDArray[np.float64]
 
-SOME = 20  # passes that one measurement times
-SAMPLES = 1500  # commands that the last layer is fitted to
+SOME = 20  # passes per measurement
+SAMPLES = 1500  # commands for fitting the last layer
 AGREE_MM = 1e-4
 
 
@@ -167,7 +166,7 @@ def _whole(made: PaperSized) -> list[dict[str, object]]:
 
 
 def torch_jacobian(made: PaperSized, index: NDArray[np.int64]) -> Callable[[Floats], Any]:
-    """Return what gives the slopes (3, C) of the tip by torch, backwards through the network."""
+    """Return a function for the slopes (3, C) of the tip by torch backpropagation."""
     import torch
 
     chosen = torch.as_tensor(np.asarray(index, np.int64))
@@ -181,17 +180,17 @@ def torch_jacobian(made: PaperSized, index: NDArray[np.int64]) -> Callable[[Floa
 
 
 def reading(count: int) -> Callable[[], object]:
-    """Return what reads `count` bytes once, the quicker of two ways here."""
+    """Return a function that reads `count` bytes once, the faster of two."""
     numbers = np.random.default_rng(0).normal(size=count // 4).astype(np.float32)
-    # A number and itself is one stream: BLAS's dot product, on one thread by its own threshold or
-    # by the environment.
+    # The dot product of an array with itself is one stream; BLAS uses one thread by its threshold
+    # or by the environment.
     ways: list[Callable[[], object]] = [lambda: numbers.max(), lambda: np.dot(numbers, numbers)]
     first, second = side_by_side(*(_often(way) for way in ways))
     return ways[0] if first < second else ways[1]
 
 
 def same(what: str, ours: Floats, theirs: Floats, most: float) -> None:
-    """Refuse to time work that is not the same."""
+    """Reject sides with different results."""
     apart = float(np.abs(np.asarray(ours) - np.asarray(theirs)).max())
     if not apart <= most:
         raise RuntimeError(f"{what} differ by {apart:.2g}, allowed is {most:g}")

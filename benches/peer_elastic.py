@@ -11,7 +11,7 @@ import numpy as np
 def markers(numbers, places, ends, u):
     """Return the tip (n, 3) mm of a rod of `numbers` (P,) at `places`.
 
-    It has no rest bending; commands are u (n, tendons).
+    The rod is straight at rest; commands are u (n, tendons).
     """
     slack, angle, radius, drawn, stiffness, length, _, base, tilt = (
         numbers[places[kind]] for kind in places
@@ -35,9 +35,9 @@ def markers(numbers, places, ends, u):
 
 
 def equilibrium(stiffness, reach, drawn, slack):
-    """Return the bending (n, 2S) rad of least energy for tendons drawn by `drawn` mm.
+    """Return the bending (n, 2S) rad of least energy for tendons shortened by `drawn` mm.
 
-    It is (n, tendons).
+    `drawn` is (n, tendons).
     """
 
     def energy(bent, stretch):

@@ -1,6 +1,6 @@
 """As-rigid-as-possible surfaces by libigl (MPL 2.0).
 
-Its solver, and the published registration as a loop around it.
+It has the solver, and the published registration as a loop around it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pykdtree.kdtree import KDTree
 class Handles:
     """A surface at `rest` (N, 3) mm whose `handles` (H,) are moved.
 
-    Spokes, as in rust/geometry/arap.rs.
+    It uses spokes, as in rust/geometry/arap.rs.
     """
 
     def __init__(self, rest, triangles, handles, rounds):
@@ -27,13 +27,13 @@ class Handles:
 
 
 class Published:
-    """Eq. 1 of the paper by libigl: pull every vertex to its nearest point of the cloud.
+    """Eq. 1 of the paper by libigl: pull each vertex to its nearest point of the cloud.
 
-    Each time follows one round of libigl's solver.
+    One round of libigl's solver follows each time.
 
-    libigl has no soft constraints, but its implicit time step is one: mass · |v − (v⁰ +
-    h·velocity)|² / stiffness, with h = 1 and the velocity that leads to the nearest point. Its mass
-    is the area about a vertex: λ on average.
+    libigl has no soft constraints, but its implicit time step acts as one: mass · |v − (v⁰ +
+    h·velocity)|² / stiffness, with h = 1 and the velocity towards the nearest point. The mass is
+    the area of a vertex: λ on average.
     """
 
     def __init__(self, rest, triangles, strength, rounds, settled_mm):
@@ -56,7 +56,7 @@ class Published:
         igl.arap_precomputation(rest, triangles, 3, np.zeros(0, np.int32), data)
 
     def register(self, cloud):
-        """Return the vertices (N, 3) laid onto a cloud (M, 3) from rest."""
+        """Return the vertices (N, 3) registered to a cloud (M, 3) from rest."""
         tree, places, none = KDTree(cloud), self.rest, np.zeros((0, 3))
         for _ in range(self.rounds):
             _, nearest = tree.query(places)

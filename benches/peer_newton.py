@@ -1,10 +1,9 @@
 """A plain NumPy/SciPy Newton step of the same finger: vectorised bricks, one sparse LU.
 
-The peer of the simulator.
+It is the peer of the simulator.
 
 The same energy as rust/fem/element.rs (neo-Hookean with mean dilatation), assembled for all bricks
-at once with einsum and solved with SuperLU in its symmetric mode, which is the fastest that SciPy
-offers here.
+at once with einsum and solved with SuperLU in its symmetric mode, the fastest of SciPy here.
 """
 
 from __future__ import annotations

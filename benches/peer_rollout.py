@@ -1,6 +1,6 @@
 """Plain NumPy rollouts of the same effects: a Python loop over time.
 
-It is vectorised over parameter sets and channels.
+The loop is vectorised over parameter sets and channels.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ EFFECTS = ["backlash", "creep"]
 def numbers(chain, params):
     """Return the numbers of both effects for `backlash_and_creep`, from `params` (B, P).
 
-    They are those of their chain.
+    The numbers are those of their chain.
     """
     groups = np.array(chain.group_labels)
     gap, strength, tau, spread = (
@@ -28,7 +28,7 @@ def backlash_and_creep(gap, strength, tau, spread, u, t):
 
     Creep is `strength` (B, C) times two relaxations' mean.
 
-    Their times `tau · spread` and `tau / spread` (B,) are in s.
+    The time constants `tau · spread` and `tau / spread` (B,) are in s.
     """
     half = gap / 2
     times = np.stack([tau * spread, tau / spread])  # (2, B)
@@ -40,7 +40,7 @@ def backlash_and_creep(gap, strength, tau, spread, u, t):
         before, played = played, np.clip(played, u[k] - half, u[k] + half)
         part = ((t[k] - t[k - 1]) / times)[:, :, None]
         kept = np.exp(-part)
-        # exact for what is linear between samples, as in rust/effects/lag.rs
+        # exact for commands linear between samples, as in rust/effects/lag.rs
         mean = (1 - kept) / part
         crept = kept * crept + (mean - kept) * before + (1 - mean) * played
         out[:, k] = played + 0.5 * strength * (crept[0] + crept[1])

@@ -1,9 +1,10 @@
 """Print the table of docs/do/registration.md.
 
-How far fitted vertices are off, by default and by the published objective.
+It has the errors of fitted vertices, with the default and the published objective.
 
-Twelve finite-element shapes of another finger than the model's (`benches.geometry.truths`), each
-seen as four kinds of clouds; median and worst of the mean distances to the true vertices, mm.
+Twelve finite-element shapes of another finger than the model's (`benches.geometry.truths`) are
+measured as four kinds of clouds each. The columns are median and worst of the mean distances to the
+true vertices, mm.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rows of the benchmarks: medians of alternating runs, ours and a peer's."""
+"""Time the rows of the benchmarks: medians of alternating runs, ours and a peer's."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
 """Print every number of docs/learn/tdcr.md.
 
-A nine-tendon robot seen at its tip, its elastic rod and general regressors.
+It compares an elastic rod and general regressors on a nine-tendon robot with a tracked tip.
 
 Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out complete moves
-(the labels of the log, dealt out to ten folds, frames within 2 s apart left out); `unseen` is
-`val.csv`, moves of all three segments at once, which `train.csv` has none of. The regressors get
-the nine tendon lengths at unit variance, the tip as target and their settings from `trunk.py` but
-for the Gaussian process. The published simulator is quoted, not run. Times are of the processor,
-all cores together. `python -m benches.tdcr` (some minutes); `make data` brings the logs.
+(the labels of the log, dealt to ten folds, without frames within 2 s). `unseen` is `val.csv` with
+moves of all three segments at once, which `train.csv` does not have. The regressors get the nine
+tendon lengths at unit variance, the tip as target, and the settings of `trunk.py` except for the
+Gaussian process. The published simulator is quoted, not run. Times are processor time over all
+cores. `python -m benches.tdcr` (some minutes); `make data` downloads the logs.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ from softmap_edge.run.folds import folds
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]
 
-# On new moves a Matérn kernel of one length errs less than the usual one (8 against 9.6 mm): the
-# stronger alternative counts.
+# On new moves a Matérn kernel with one length has a smaller error than the default (8 against 9.6
+# mm); the better one is used.
 PEERS = USUAL | {"Gaussian process": lambda: Process(Matern(3.0, (0.1, 100.0), nu=2.5))}
 BLOCKS, GAP_S = 5, 2.0
 SIMULATOR_MM = (
-    # on val.csv: the calibrated simulator of ContinuumRoboticsLab/opencr-mujoco, where the logs are
-    # from
+    # on val.csv: the calibrated simulator of ContinuumRoboticsLab/opencr-mujoco, the source of the
+    # logs
     12.1
 )
 
 
 def read(folder: Path) -> tuple[Run, Run]:
-    """Return the run to learn from and the unseen one, by the example's mapping."""
+    """Return the training run and the unseen one, by the example's mapping."""
     mapping = read_mapping(ROOT / "examples/tdcr.toml")
     train, unseen = (import_logs([folder / name], mapping).run for name in ("train.csv", "val.csv"))
     return train, unseen
 
 
 def robots() -> dict[str, Robot]:
-    """Return the robot as its file has it, with cables, and with other laws of its tendons."""
+    """Return the robot of the file, with cables, and with other tendon laws."""
     cables = Robot.load(ROOT / "examples/tdcr_robot.toml")
     return {
         "elastic rod, two-sided": cables.with_slack(1.0),
@@ -73,7 +73,7 @@ def error(model: Model, run: Run) -> float:
 def rods(
     train: Run, unseen: Run, only: Sequence[str] = ()
 ) -> Iterator[tuple[Row, LearnedRod, Model]]:
-    """Yield a table line for each (or some) tendon law, the fit behind it, and its model."""
+    """Yield a table line for each (or some) tendon law, its fit, and its model."""
     for name, robot in robots().items():
         if only and name not in only:
             continue
@@ -118,7 +118,7 @@ def quoted() -> Row:
 
 
 def line(row: Row) -> str:
-    """Return a row as a line of text."""
+    """Format a row as text."""
     numbers = [
         (row["numbers"], "8.0f"),
         *((row[key], "9.1f") for key in ("train_mm", "cv_mm", "unseen_mm", "seconds")),
@@ -129,14 +129,14 @@ def line(row: Row) -> str:
 
 
 def slack_share(model: Model, run: Run) -> tuple[float, float]:
-    """Return the share of paid-out tendons under tension, and which drawn-in ones are slack."""
+    """Return the share of paid-out tendons under tension, and of shortened ones that are slack."""
     u = run.commands("goal")
     taut = model.prior.state(np.ascontiguousarray(u))[1] > 0
     return float(taut[u < -0.2].mean()), float((~taut[u > 0.2]).mean())
 
 
 def story(model: Model, train: Run, unseen: Run) -> Iterator[Diagnosis]:
-    """Yield what the diagnosis says of a model, and then of that with its answer added."""
+    """Yield the diagnosis of a model, and then of the model with its result added."""
     for _ in range(2):
         found = diagnose(model, train, unseen)
         yield found

@@ -1,8 +1,8 @@
-"""Rows of teleoperation: from a picture of a hand to the first loop period with its target.
+"""Time teleoperation from an image of a hand to the first loop period with its target.
 
-The full chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand
-frame, filter, map, the loop's process; from when the picture is due to the `now` of the period that
-hears the command, by the recording. `python -m benches.teleop` runs it alone.
+The full chain runs on emulated servos: a video at its own 30 images per second, MediaPipe, hand
+frame, filter, map, the loop's process. The time is from the due time of the image to the `now` of
+the period that receives the command, by the recording. `python -m benches.teleop` runs it alone.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from softmap_edge.robot.teleop.hand_source import HandSource, camera_hand_source
 from softmap_edge.robot.teleop.keys import Controls
 from softmap_edge.robot.teleop.mapping import DirectMapping
 
-# of the tests; where --fetch-model puts it
+# of the tests; the target of --fetch-model
 MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)
-RATE = 100.0  # periods a second
+RATE = 100.0  # periods per second
 
 
 class Held:
-    """An input whose key is held once a hand was seen."""
+    """An input whose key is held after the first detection of a hand."""
 
     name = "the benchmark"
 
@@ -52,7 +52,7 @@ class Held:
 
 
 def rows() -> list[dict[str, object]]:
-    """Return latency and count; a row that says why where video, model or mediapipe are absent."""
+    """Return latency and count, or a row with the reason if a requirement is missing."""
     folder = find("hand")
     if folder is None:
         return [_row("teleoperation: not run, there is no hand.mp4", float("nan"), "", "")]
@@ -65,10 +65,10 @@ def rows() -> list[dict[str, object]]:
 
 
 def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
-    """Drive the built-in finger by the hand of a video."""
+    """Drive the built-in finger with the hand of a video."""
     finger = builtin_model()
     calibration = Calibration.stated(np.eye(2) / 280.0, np.zeros(2), np.full(2, 2048.0), "bench")
-    kinematics, sent = Kinematics(finger), []  # sent: when a picture was due, and the command of it
+    kinematics, sent = Kinematics(finger), []  # sent: due time of an image, and its command
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "teleop.mcap"
         with (
@@ -93,7 +93,7 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     late = []
     for (_, before), (taken, command) in zip([(0.0, ()), *sent], sent):
         if command == before:
-            continue  # both at the end of the range: which of them was heard is not known
+            continue  # both at the end of the range: it is unknown which was received
         after = [now for now in heard.get(command, []) if now >= taken]
         if after:
             late.append(after[0] - taken)

@@ -1,12 +1,12 @@
 """Print every number of docs/learn/own_log.md.
 
-First the rod on the trunk robot, compared with general regressors.
+It compares the rod on the trunk robot with general regressors.
 
 Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the
-trunk logs. Commands reach every model after the drive's delay and lag as the rod found them;
+trunk logs. Every model gets commands after the drive's delay and lag identified with the rod;
 encoders are un-held. The regressors get the nine marker coordinates as targets and inputs of unit
 variance: same frames, blocks and inputs for all. The effect of the load is in `trunk_load.py`. Run
-`python -m benches.trunk` (some minutes); `make data` brings the logs.
+`python -m benches.trunk` (some minutes); `make data` downloads the logs.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from softmap_edge.run.run import Run, Source
 
 Floats = NDArray[np.float64]
 BLOCKS, GAP_S = 5, 2.0
-GP_TUNING_FRAMES = 500  # length scales are found on these, then all training frames are used
+GP_TUNING_FRAMES = 500  # length scales are fitted on these, then all training frames are used
 SEED = 1
 INPUTS: tuple[tuple[Source, str], ...] = (("goal", "delayed commands"), ("present", "encoders"))
 
@@ -97,7 +97,7 @@ def main() -> int:
 
 
 def print_table(run: Run) -> None:
-    """Print the cross-validation errors of the rod and its peers, line by line as they are done."""
+    """Print the cross-validation errors of the rod and its peers, line by line."""
     print(f"{'model':<20} {'input':<17} {'3 markers mm':>12} {'tip mm':>8} {'seconds':>8}")
     for line in table(run):
         errors = f"{line['rms_mm']:12.2f} {line['tip_mm']:8.2f} {line['seconds']:8.1f}"
@@ -127,7 +127,7 @@ def inputs(run: Run, rod: LearnedRod) -> Floats:
 
 
 def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:
-    """Return predicted − seen (n, K, 3) mm, each block from the frames beyond its gaps."""
+    """Return predicted − seen (n, K, 3) mm, each block predicted from frames beyond its gaps."""
     residuals = np.empty_like(y)
     for train, test in parts:
         scaler = StandardScaler().fit(x[train])

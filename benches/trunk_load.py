@@ -1,10 +1,10 @@
-"""Numbers of docs/learn/own_log.md beyond its first table.
+"""Compute the numbers of docs/learn/own_log.md beyond its first table.
 
-The drive, withheld seconds, and the changes by the load.
+They are the drive, withheld seconds, and the changes by the load.
 
 `python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers.
-"Later" is the last 30 % of a run; effects see only the first 60 % of the loaded one, and the rod
-none of the unloaded run's later moves.
+"Later" is the last 30 % of a run. Effects are fitted only to the first 60 % of the loaded one, and
+the rod to none of the unloaded run's later moves.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from softmap_edge.run.folds import folds
 
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
-HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
+HOLD_OUT = (103.0, 151.0)  # s, withheld from the rod: the later part and the two seconds before it
 FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, validated after the second
 BLOCKS, GAP_S = 5, 2.0
-# Seconds of the unloaded run: kept from the rod, diagnosed, and kept from both.
+# Seconds of the unloaded run: withheld from the rod, diagnosed, and withheld from both.
 HALVES = {
     "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
     "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
 }
-# s, which the page names as an alternative to a pure delay
+# s, the alternative to a pure delay named on the page
 OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}
 SETS: tuple[tuple[str, ...], ...] = (
     (),
@@ -57,7 +57,7 @@ def read(folder: Path, observations: str) -> Run:
 def reference(free: Run) -> tuple[Model, Model]:
     """Return the rod of the unloaded run, on encoders, without the later moves.
 
-    Also the same with free tendons.
+    Also return it with free tendons.
     """
     model = learn_model(free, hold_out=[HOLD_OUT])
     assert model.arrays is not None and isinstance(model.arrays.prior.shape, PolynomialRodArrays)
@@ -74,7 +74,7 @@ def error(model: Model, run: Run) -> float:
 def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
     """Return the model with `effects` fitted by least squares to frames before `FITTED`.
 
-    They are the run's frames; the squares are plain.
+    The squares are unweighted.
     """
     early = run.at(run.t_seen < FITTED)
     now = model.with_effects((*model.chain_names, *effects), model.params)
@@ -115,9 +115,9 @@ def load_table(
 
 
 def rods(free: Run) -> dict[str, float]:
-    """Return the rod's error (mm) and drive (s) from commands and from encoders.
+    """Return the rod's error (mm) and drive (s), from commands and from encoders.
 
-    Also the error of the alternative drive.
+    Also return the error of the alternative drive.
     """
     found = {}
     for source in ("goal", "present"):
@@ -153,7 +153,7 @@ def diagnosed(model: Model, loaded: Run, reference: Run | None = None) -> Diagno
 
 
 def without_load(free: Run) -> Iterator[tuple[str, Diagnosis]]:
-    """Yield the claims on either half of the unloaded run.
+    """Yield the claims on each half of the unloaded run.
 
     The rod was learned from the other half.
     """

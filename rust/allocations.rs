@@ -1,4 +1,4 @@
-//! Counts what a piece of work allocates, for tests of what runs in a control loop.
+//! Counts allocations, for tests of code in the control loop.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -10,11 +10,11 @@ thread_local! {
 }
 
 fn count() {
-    // A thread that ends has no count any more.
+    // A terminating thread has no count.
     let _ = COUNT.try_with(|count| count.set(count.get() + 1));
 }
 
-// SAFETY: every call goes on to the system's allocator.
+// SAFETY: every call is forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
@@ -34,7 +34,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALL: Counting = Counting;
 
-/// How often this thread asks for memory while it does `work`.
+/// The number of allocations of this thread during `work`.
 pub fn allocations(work: impl FnOnce()) -> usize {
     let before = COUNT.get();
     work();

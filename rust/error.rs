@@ -1,16 +1,15 @@
-//! The one error type of the core: what was wrong, with numbers; what is allowed; what to do.
+//! The error type of the core: the error with its numbers, the allowed values, and the remedy.
 
-/// Everything that can go wrong in the core. Each message is complete: the front prints it as it
-/// is.
+/// All errors of the core. Each message is complete and printed unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// The caller's numbers are outside what is allowed.
+    /// The caller's numbers are invalid.
     #[error("{0}")]
     Invalid(String),
     /// The solver found no equilibrium.
     #[error("{0}")]
     NoEquilibrium(String),
-    /// The caller asked to stop (Ctrl-C).
+    /// The caller interrupted the computation (Ctrl-C).
     #[error("interrupted")]
     Interrupted,
 }

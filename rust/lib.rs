@@ -1,6 +1,6 @@
 //! The compiled core of SOFTMAP-Edge: whatever loops over vertices, time steps or candidates.
 //!
-//! Nothing here knows Python except the `python` module, which only converts and forwards.
+//! Only the `python` module depends on Python; it converts and forwards.
 
 #[cfg(test)]
 mod allocations;

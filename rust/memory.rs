@@ -1,17 +1,17 @@
-//! How much memory one answer may take, asked before it is allocated: an allocation that fails ends
-//! the process.
+//! Limits of the memory of one result, checked before allocation: a failed allocation ends the
+//! process.
 
 use crate::error::{Result, invalid};
 
-/// No answer is larger, bytes; an array archive is not read beyond this either
+/// Largest result, bytes; also the limit for reading an array archive
 /// (`softmap_edge/files/npz.py`).
 const MOST: usize = 4 << 30;
-/// From this size on the system is asked whether it has the memory, bytes; below, asking would cost
-/// more than it saves.
+/// Size from which the system's free memory is checked, bytes; below, the check costs more than it
+/// saves.
 const LARGE: usize = 64 << 20;
 
-/// The product of `lengths`, refused where so many float64 are more than one answer may take or the
-/// machine has.
+/// The product of `lengths`; an error if that many float64 exceed the limit of a result or the
+/// machine's memory.
 pub fn room(what: &str, lengths: &[usize]) -> Result<usize> {
     let refused = |why: &str| {
         let bytes = lengths.iter().map(|&n| n as f64).product::<f64>() * 8.0;
@@ -32,16 +32,16 @@ pub fn room(what: &str, lengths: &[usize]) -> Result<usize> {
     Ok(count)
 }
 
-/// As many zeros as the product of `lengths`, under the same limits.
+/// Zeros for the product of `lengths`, under the same limits.
 pub fn zeros(what: &str, lengths: &[usize]) -> Result<Vec<f64>> {
     Ok(vec![0.0; room(what, lengths)?])
 }
 
-/// Numbers of a piece of work that live on the stack, up to this many.
+/// Most numbers of a workspace on the stack.
 const FEW: usize = 128;
 
-/// Work with `count` zeros, on the stack where they are few: what is asked at every frame must not
-/// ask for memory each time.
+/// Work with `count` zeros, on the stack if they are few: work at every frame must not allocate
+/// each time.
 #[inline(always)]
 pub fn with_few<R>(count: usize, work: impl FnOnce(&mut [f64]) -> R) -> R {
     if count <= FEW {

@@ -1,17 +1,16 @@
 """Scores of the diagnoses of cases, and their table: goal, measured, 95 % interval, n.
 
-A law counts as named if it has the largest share of the explained error and stands alone: every
-alternative holds it, or in its place a structural equivalent under the conditions of the run
-(`alike`: what the registry declares, not what a diagnosis says). Two hidden laws that are each
-other's equivalents need one name. A law that the library does not have, or that this model cannot
-express, is reported as *not in the library*. A run is *flagged* if the diagnosis reports an unknown
-error, or a fault of the measurement that no effect names. Intervals are
+A law counts as named if it has the largest share of the explained error and is unique: every
+alternative contains it, or a structural equivalent under the conditions of the run (`alike`: by the
+registry, not by the diagnosis). Two equivalent hidden laws need one name. A law that the library or
+this model does not have is reported as *not in the library*. A run is *flagged* if the diagnosis
+reports an unknown error, or a fault of the measurement that no effect names. Intervals are
 Wilson's:
 
     (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
 
-Fall = (before − after)/(before − floor) of the RMS error (mm) over all seen points of a run of
-another kind; the floor is the same finger with nothing hidden. Pinned by
+Fall = (before − after)/(before − floor) of the RMS error (mm) over all visible points of a run of
+another kind; the floor is the same finger without hidden laws. Pinned by
 tests/benches/test_bank.py.
 """
 
@@ -27,7 +26,7 @@ Row = Mapping[str, Any]
 
 
 def alike(registry: Sequence[Row], orientations: int, roll: bool = True) -> dict[str, set[str]]:
-    """Return what cannot be distinguished from each effect without a declared load, with itself.
+    """Return the equivalents of each effect without a declared load, including itself.
 
     `orientations` of the run, and whether it shows the `roll` of the body.
     """
@@ -52,11 +51,10 @@ def judged(
     expressible: set[str],
     also: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return what a diagnosis `document` reports on a finger with `hidden`; what is right.
+    """Score a diagnosis `document` on a finger with `hidden` laws.
 
-    `alike` are the structural equivalents of each effect, `expressible` what this model can have of
-    the library, `also` what the hidden laws do besides their names: may be named, need
-    not be.
+    `alike` are the structural equivalents of each effect, `expressible` the effects of the library
+    that this model supports, `also` further effects of the hidden laws, which may be named.
     """
     groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]
     entries = [
@@ -108,9 +106,9 @@ def judged(
 
 
 def _told(named: set[str], like: Mapping[str, set[str]], also: Sequence[str]) -> bool:
-    """Whether each hidden law has a name of its own among those named, and nothing else is.
+    """Whether each hidden law has its own name among those named, and there are no others.
 
-    Hidden laws that are equivalents of each other share one.
+    Equivalent hidden laws share a name.
     """
     left, hidden = set(named), list(like)
     apart = [
@@ -140,8 +138,8 @@ def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
 
     It is Σ share |mean p − share true| by bin.
 
-    A probability is that of one effect: where a structural equivalent acts, it does not. A rod's
-    claims have none.
+    A probability belongs to one effect, not to its structural equivalents. A rod's claims have
+    none.
     """
     claims = [c for c in claims if c["probability"] is not None]
     if not claims:

@@ -1,10 +1,10 @@
-"""Score a diagnosis by family: the law's family, whether it claims, whether falsely.
+"""Score a diagnosis by family: the law's family, claims and false claims.
 
 The document's `families` are a list of {name, …}, strongest first; a document without them names
-none. *Claimed* is a name that is more likely than not, or a static map above the finger's own
-background whose law is open. A verdict is *falsely identified* if it is `identified` and names
-something that is not right for the hidden law. The right answers stand in the truth of a case:
-`answers`, one for each hidden law (`answers.py`). Pinned by tests/benches/test_bank_judge.py.
+none. *Claimed* is a name with a probability above one half, or a static map above the finger's own
+background with an open law. A verdict is *falsely identified* if it is `identified` with a wrong
+name for the hidden law. The right answers are in the truth of a case: `answers`, one for each
+hidden law (`answers.py`). Pinned by tests/benches/test_bank_judge.py.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 
 from benches.bank.answers import fits_family, matches
 
-SURE = 0.5  # probability from which a name is more than a candidate
+SURE = 0.5  # probability above which a name is more than a candidate
 STATIC = "static map"
-# keys under which a family may give its displacement of the finger
+# keys of a family's displacement of the finger
 SIZES = ("moved_mm", "displacement_mm", "size_mm")
 
 
@@ -35,9 +35,9 @@ def by_family(
     """Return the score of a diagnosis `document` by family.
 
     Args:
-        document: of the diagnosis.
-        truth: of the case.
-        like: names that are right for each hidden law (`names_alike`).
+        document: document of the diagnosis.
+        truth: truth of the case.
+        like: right names of each hidden law (`names_alike`).
     """
     families = list(document.get("families") or [])
     said = [str(family["name"]) for family in families]
@@ -70,7 +70,7 @@ def _beside(
     like: Mapping[str, set[str]],
     answered: bool,
 ) -> bool | None:
-    """Return whether a pair's known law is named, the rest left open and nothing wrong claimed.
+    """Return whether a pair's known law is named, the other left open, without wrong claims.
 
     None without an unknown law.
     """

@@ -1,10 +1,10 @@
-"""Score an answer on a robot whose law was always present, with a learned model.
+"""Score the answer with a learned model of a robot whose law was always present.
 
-It is learned from its recordings.
+The model is learned from its recordings.
 
-The named effects are those that `learn` added to the chain of the model, then those that the
-diagnosis of another run adds. For a memory that was always present both are right. Units: mm, s.
-Pinned by tests/benches/test_bank_learned.py.
+The named effects are those that `learn` added to the chain, then those that the diagnosis of
+another run adds. For a memory that was always present, both are right. Units: mm, s. Pinned by
+tests/benches/test_bank_learned.py.
 """
 
 from __future__ import annotations

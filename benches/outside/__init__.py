@@ -1,1 +1,1 @@
-"""Outside data with known answers: our answer compared with general methods (`make outside`)."""
+"""Compare our answers with general methods on outside data with known answers (`make outside`)."""

@@ -1,9 +1,9 @@
 """Run our diagnosis and its peers on outside data; print one table (`make outside`).
 
-The answers are known.
+The true answers are known.
 
 `--out FOLDER` writes outside.json and outside.md there, `--page` docs/benchmarks/outside.md;
-`--only NAME` runs the sets whose name holds NAME. A set that is absent is skipped with its reason.
+`--only NAME` runs the sets whose name contains NAME. A missing set is skipped with its reason.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def _cases(only: str, skipped: dict[str, str]) -> Iterator[Case]:
-    """Yield the cases of the sets that are present; absent ones go into `skipped`."""
+    """Yield the cases of the available sets; add missing ones to `skipped`."""
     for name, (data, make) in SETS.items():
         if only.lower() not in name.lower():
             continue

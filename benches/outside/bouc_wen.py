@@ -4,8 +4,9 @@
 
 ÿ comes from the FFT of the mean of the four estimation periods, without lines above `BAND_HZ` (they
 hold noise). The validation sets are not fitted: r is derived from their own displacement, for the
-sweep without `EDGE_S` at its ends. The structure rings at tens of Hz, and our effects have the pace
-of a finger, so a run counts `SLOWED` s for one of the log. Displacements are in mm, forces in N.
+sweep without `EDGE_S` at its ends. The structure oscillates at tens of Hz, and our effects have the
+time scale of a finger, so 1 s of the log counts as `SLOWED` s. Displacements are in mm, forces in
+N.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from softmap_edge import Model, Run, learn_model
 
 RATE_HZ, MASS, PERIOD = 750.0, 2.0, 8192
 BAND_HZ, EDGE_S = 250.0, 1.0
-FINER = 4  # rows of the command for one sample: 750 Hz are five samples of the fastest cycle
+FINER = 4  # command rows per sample: 750 Hz give five samples of the fastest cycle
 SLOWED = 40.0
-FRAMES = 2048  # of a run that are used
+FRAMES = 2048  # samples of a run that are used
 
 
 def case(folder: Path) -> Case:
@@ -59,7 +60,7 @@ def case(folder: Path) -> Case:
 
 
 def _signal(file: Path) -> Floats:
-    """Return the one signal that a file holds."""
+    """Return the only signal of a file."""
     (name,) = (key for key in loadmat(file) if not key.startswith("__"))
     return np.asarray(loadmat(file)[name], float).ravel()
 
@@ -67,7 +68,7 @@ def _signal(file: Path) -> Floats:
 def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
     """Return displacement and restoring force as a run; periodic ones after one period.
 
-    That period is complete.
+    The omitted period is complete.
     """
     count = len(displacement)
     acceleration, fine = _derivative(displacement, periodic), _finer(displacement, periodic)
@@ -128,7 +129,7 @@ def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
 
     Its six numbers are fitted by least squares.
 
-    γ, δ, ν are searched, k, c, α solved for at each step.
+    γ, δ, ν are searched; k, c, α are solved for at each step.
     """
 
     def columns(run: Run, x: Floats) -> Floats:

@@ -15,10 +15,10 @@ from benches.data import ROOT
 from softmap_edge import Model, Run
 
 Floats = NDArray[np.float64]
-# the validation data where there is no other run: those of the diagnosis
+# validation data without another run: the blocks of the diagnosis
 BLOCKS = "blocks of the run"
 
-# predictions of the right law, fitted by hand, on each held-out run (K, Q)
+# predictions of the right law, fitted manually, on each held-out run (K, Q)
 Law = Callable[[], Mapping[str, Floats]]
 
 
@@ -27,20 +27,20 @@ class Case:
     """A data set.
 
     Attributes:
-        name: of the row.
+        name: name of the row.
         about: a paragraph for the page: the data, the known missing physics, omissions.
-        values: makes (K, Q) of markers (K, M, 3): the targets of peers and errors; outputs stay as
-            they are.
-        fit: the run that is learned from and diagnosed.
-        held: runs that only validate, by name; without one, the held-out blocks of the diagnosis
+        values: converts markers (K, M, 3) to (K, Q): the targets of peers and errors; outputs do
+            not change.
+        fit: the run for learning and diagnosis.
+        held: runs for validation only, by name; without one, the held-out blocks of the diagnosis
             are used.
         model: makes the model before the diagnosis.
-        law: fits the right law by hand, in (K, Q) of `targets`; None where it is unknown.
-        law_name: of that law.
-        unit: of the errors; "NRMSE" divides by the standard deviation of the held-out outputs.
-        lags: rows of the fit run by which the peers see the commands late.
+        law: fits the right law manually, in (K, Q) of `targets`; None if it is unknown.
+        law_name: name of that law.
+        unit: unit of the errors; "NRMSE" divides by the standard deviation of the held-out outputs.
+        lags: lags of the peers' commands, in rows of the fit run.
         expected: the right answer, for the page.
-        diagnose: whether our diagnosis runs at all; else the row has peers and laws only.
+        diagnose: whether our diagnosis runs; otherwise the row has peers and laws only.
         moving: whether commands move; otherwise no peer can be trained.
         per_library_law: whether each memory law of the library is fitted as well.
     """
@@ -76,7 +76,7 @@ def text(name: str, **numbers: object) -> str:
 def folder(name: str) -> Path | None:
     """Return the folder of a data set: in `data`, or `../shared/data`; None if absent.
 
-    `data` is that of the checkout.
+    `data` is the folder in the checkout.
     """
     return next(
         (p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None
@@ -89,14 +89,14 @@ def places(markers: Floats) -> Floats:
 
 
 def along_x(markers: Floats) -> Floats:
-    """Return the x of markers (K, M, 3) that stand for an output, (K, M), in any unit."""
+    """Return the x of markers (K, M, 3) that represent an output, (K, M), in any unit."""
     return np.asarray(markers[..., 0], float)
 
 
 def targets(case: Case, run: Run) -> Floats:
     """Return the measurements (K, Q) of a run: outputs in their unit, else coordinates.
 
-    They are the coordinates of the case.
+    Coordinates are those of the case.
     """
     return run.outputs if run.output is not None else case.values(np.asarray(run.markers, float))
 
@@ -110,9 +110,9 @@ def predicted(case: Case, model: Model, run: Run) -> Floats:
 def error(case: Case, run: Run, answer: Floats) -> float:
     """Return the error of a prediction (K, Q): NRMSE or mm.
 
-    NRMSE is over the standard deviation of the measurement.
+    NRMSE divides by the standard deviation of the measurement.
 
-    In mm it is the RMS distance of the markers that were seen.
+    In mm, it is the RMS distance of the visible markers.
     """
     seen = targets(case, run)
     off = np.asarray(answer, float) - seen

@@ -1,6 +1,6 @@
-"""Machines whose memory was always present.
+"""Data sets of machines whose memory was always present.
 
-A tendon-sheath joint at two bends (ViO-Com), a friction damper (ARTS).
+They are a tendon-sheath joint at two bends (ViO-Com) and a friction damper (ARTS).
 """
 
 from __future__ import annotations

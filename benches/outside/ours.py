@@ -1,7 +1,7 @@
 """Our answer on a data set: effects learned and diagnosed, held-out error before and after.
 
-Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so
-the row follows the product.
+It uses only the public interface (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so
+the row represents the product.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 # families whose laws are fitted one by one
 MEMORY = ("reversal hysteresis", "delay", "slow drift", "slack")
-STARTS = (0.15, 0.5)  # of each number's range
+STARTS = (0.15, 0.5)  # share of each number's range
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Answer:
 
     Attributes:
         learned: the effects of the model's own chain, with numbers.
-        verdict: one of the six words, or "–" without a diagnosis.
-        families: found, by name and share where a document has them.
-        names: of effects and faults, with their probability and numbers.
+        verdict: one of the six verdicts, or "–" without a diagnosis.
+        families: families found, by name and share if the document has them.
+        names: names of effects and faults, with probability and numbers.
         before, after: held-out errors by run.
-        seconds: of the processor, for model and diagnosis.
+        seconds: processor time for model and diagnosis, s.
     """
 
     learned: str
@@ -80,7 +80,7 @@ def answer(case: Case) -> tuple[Answer, Model]:
 
 
 def _named(row: dict[str, Any]) -> str:
-    """Return an entry of a diagnosis in a few words: its name, probability and numbers."""
+    """Format an entry of a diagnosis: its name, probability and numbers."""
     sure = row.get("probability")
     numbers = ", ".join(_number(label, value) for label, value in row["params"].items())
     return (

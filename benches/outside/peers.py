@@ -1,8 +1,8 @@
-"""General methods on the same held-out runs, with the same run and model as our diagnosis.
+"""Fit general methods to the same run and model as our diagnosis, for the same held-out runs.
 
 Each learns the error of the model on the run (seen − predicted) from the commands, at once or at
-several earlier times, and is validated in the same way. None sees a measured output of a held-out
-run, so every figure is one of simulation. Settings are the libraries' own unless named below; draws
+several earlier times, and is validated in the same way. None uses a measured output of a held-out
+run, so every figure is a simulation error. Settings are library defaults unless named below; draws
 use `SEED`; everything runs on one thread.
 """
 
@@ -28,12 +28,12 @@ from softmap_edge import Model, Run
 Floats = NDArray[np.float64]
 
 SEED = 1
-# frames for a Gaussian process to learn from, and to tune its kernel on
+# frames for training a Gaussian process, and for tuning its kernel
 PROCESS_FRAMES, TUNED_ON = 800, 300
-HIDDEN, STEPS, RATE = 32, 400, 1e-2  # of the network: two layers, full batches
+HIDDEN, STEPS, RATE = 32, 400, 1e-2  # width of the network: two layers, full batches
 STATES = 3  # components of the residual that SINDy integrates
 SPARSE, RIDGE = 1e-3, 1e-2  # threshold and ridge of SINDy, on scaled features
-FARTHEST = 10.0  # times the largest residual seen: beyond, SINDy has diverged
+FARTHEST = 10.0  # times the largest measured residual: beyond, SINDy has diverged
 
 Predict = Callable[[Floats], Floats]
 
@@ -137,8 +137,8 @@ def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
     """A sparse polynomial map to the next residual: of itself, the command, its rate, |rate|.
 
     The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in
-    them. The map is iterated from frame to frame and starts at the mean residual. Where it
-    diverges, the mean residual is the answer.
+    them. The map is iterated from frame to frame and starts at the mean residual. If it diverges,
+    the mean residual is the prediction.
     """
     parts = _components(train)
     states = parts.transform(train)
@@ -151,7 +151,7 @@ def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
         feature_library=pysindy.PolynomialLibrary(degree=2),
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # STLSQ warns where it drops every term
+        warnings.simplefilter("ignore")  # STLSQ warns if it drops every term
         model.fit(states / size, t=1, u=taught / spread)
     powers, weights = model.feature_library.powers_, np.asarray(model.coefficients())
 

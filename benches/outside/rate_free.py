@@ -1,6 +1,6 @@
-"""Play and stop, the building blocks of memory, and least squares with a static map.
+"""Play and stop operators, and least squares with a static map.
 
-They are laws by hand.
+They are the basis of manually written laws of memory.
 
 play_g(x): follows x with a total slack of g;   stop_s(x): follows x until it slips at ±s
 """
@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from softmap_edge import Run
 
 Floats = NDArray[np.float64]
-Columns = Callable[[Run, Floats], Floats]  # of a run, for the numbers that are searched: (K, n)
+Columns = Callable[[Run, Floats], Floats]  # columns of a run for the searched numbers: (K, n)
 
 
 def play(x: Floats, gap: float) -> Floats:
@@ -56,14 +56,14 @@ def fitted(
     low: Sequence[float],
     high: Sequence[float],
 ) -> dict[str, Floats]:
-    """Return predictions (K, Q) on held-out runs: numbers searched, weights solved.
+    """Return predictions (K, Q) on held-out runs, with searched numbers and solved weights.
 
-    The search has several starts.
+    The search uses several starts.
 
     Args:
-        columns: of a run and the searched numbers, (K, n).
-        seen: (K, Q) of `fit`.
-        starts: of the numbers.
+        columns: returns the columns (K, n) of a run for the searched numbers.
+        seen: measurement (K, Q) of `fit`.
+        starts: starts of the numbers.
         low: lower bounds of the numbers.
         high: upper bounds of the numbers.
     """

@@ -1,6 +1,6 @@
-"""Robots with measured missing physics: a loaded trunk, slack tendons, a loaded beam.
+"""Data sets of robots with missing physics: a loaded trunk, slack tendons, a loaded beam.
 
-The trunk has 100 g; the robot with slack tendons has nine.
+The trunk carries 100 g; the robot with slack tendons has nine tendons.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The table of outside data: one row a held-out run, as JSON and as a page in Markdown."""
+"""Write the table of outside data, one row per held-out run, as JSON and in Markdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PEERS = {
 class Row:
     """The results on one data set: our answer, and the others' held-out errors.
 
-    They are by name and held-out run.
+    Errors are by name and held-out run.
     """
 
     name: str
@@ -57,7 +57,7 @@ def _plain(row: dict) -> dict:
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
-    """Return the table in Markdown, one line a held-out run."""
+    """Return the table in Markdown, one line per held-out run."""
     head = [
         "data",
         "held out",
@@ -98,7 +98,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _figure(value: float | None) -> str:
-    """Return an error with three figures."""
+    """Format an error with three significant digits."""
     return (
         "–"
         if value is None

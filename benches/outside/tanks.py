@@ -1,6 +1,6 @@
 """The official cascaded-tanks benchmark: pump voltage in, level of the lower tank out.
 
-A table only, no diagnosis.
+It has a table only, without a diagnosis.
 
 ẋ₁ = −k₁ √x₁ + k₄ u,  ẋ₂ = k₂ √x₁ − k₃ √x₂ (+ k₅ u while x₁ = 10: the upper tank overflows),  y = x₂
 """
@@ -16,7 +16,7 @@ from benches.outside.case import Case, Floats, along_x, text
 from softmap_edge import Run, learn_model
 
 STEP_S, FULL, SUBSTEPS = 4.0, 10.0, 4
-STARTS = (0.05, 0.12)  # of the flows, 1/s in the root of the level
+STARTS = (0.05, 0.12)  # starts of the flows, 1/s in the root of the level
 
 
 def case(folder: Path) -> Case:
@@ -58,9 +58,10 @@ def case(folder: Path) -> Case:
 def fitted_levels(u: Floats, y: Floats, u_held: Floats, y_held: Floats) -> Floats:
     """Return the level on held-out voltages.
 
-    Five flows and the start of the upper tank are fitted to the first record.
+    Five flows and the initial level of the upper tank are fitted to the first record.
 
-    The start of the held-out record is fitted to its first 50 samples, as the benchmark allows.
+    The initial level of the held-out record is fitted to its first 50 samples, as the benchmark
+    allows.
     """
     tries = [
         least_squares(

@@ -1,21 +1,21 @@
 //! The linear complementarity problem: z ≥ 0, w = M z − q ≥ 0, z·w = 0, for a positive definite M.
 //!
-//! One-sided forces: cables pull, contacts push. Solved by the primal-dual active set
-//! method (Hintermüller, Ito & Kunisch 2002), by projected Gauss–Seidel should that cycle.
+//! One-sided forces: cables pull, contacts push. Solved by the primal-dual active set method
+//! (Hintermüller, Ito & Kunisch 2002), or by projected Gauss–Seidel if that cycles.
 
 use crate::algebra::dense;
 
-/// Rounds of Gauss–Seidel, and the change (N) at which they end.
+/// Most rounds of Gauss–Seidel, and the change (N) that ends them.
 const ROUNDS: usize = 400;
 const SETTLED: f64 = 1e-9;
 
-/// A problem and its answer, in room that is used again.
+/// A problem and its solution, in reusable storage.
 #[derive(Debug, Clone, Default)]
 pub struct Problem {
     /// M (n, n) row by row, and q (n,).
     pub matrix: Vec<f64>,
     pub right: Vec<f64>,
-    /// Which z are taken to be positive at first.
+    /// The initial active set (z > 0).
     pub positive: Vec<bool>,
     answer: Vec<f64>,
     set: Vec<usize>,
@@ -23,7 +23,7 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// Forget everything but the room.
+    /// Clear everything except the storage.
     pub fn clear(&mut self) {
         self.matrix.clear();
         self.right.clear();
@@ -38,7 +38,7 @@ impl Problem {
         &self.answer
     }
 
-    /// Solve for those taken as positive until they are and the others have w ≥ 0.
+    /// Solve for the active set until its z are positive and all others have w ≥ 0.
     fn active_set(&mut self) -> bool {
         let Problem {
             matrix,

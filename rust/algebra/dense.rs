@@ -1,4 +1,4 @@
-//! Small dense linear systems: a handful of cables or segments, never a mesh.
+//! Small dense linear systems: a few cables or segments, never a mesh.
 
 /// Solve A x = b by elimination with pivoting; None when A is singular.
 pub(crate) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
@@ -25,8 +25,8 @@ pub(crate) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some(b)
 }
 
-/// Solve A x = b by elimination with pivoting, in place of `rows` (n, n + 1) [A | b]: x ends in
-/// their last column. False when A is singular.
+/// Solve A x = b by elimination with pivoting, in place of `rows` (n, n + 1) [A | b]: x is written
+/// to their last column. False when A is singular.
 pub(crate) fn eliminate(rows: &mut [f64], n: usize) -> bool {
     let width = n + 1;
     for c in 0..n {
@@ -52,7 +52,7 @@ pub(crate) fn eliminate(rows: &mut [f64], n: usize) -> bool {
     true
 }
 
-/// The Cholesky factor of a positive definite system, for as many right sides as one likes.
+/// The Cholesky factor of a positive definite system, for any number of right-hand sides.
 #[derive(Debug, Clone)]
 pub(crate) struct Factor {
     lower: Vec<f64>,
@@ -60,7 +60,7 @@ pub(crate) struct Factor {
 }
 
 impl Factor {
-    /// Factorise the lower triangle of `a` (n, n), row-major. A pivot lost to round-off is kept at
+    /// Factorise the lower triangle of `a` (n, n), row-major. A pivot lost to round-off is set to
     /// 1e-14 of its diagonal.
     pub(crate) fn new(mut a: Vec<f64>, n: usize) -> Self {
         for i in 0..n {

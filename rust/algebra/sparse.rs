@@ -1,8 +1,7 @@
-//! Symmetric positive definite systems of B×B node blocks: pattern and symbolic analysis once,
-//! numeric factor many times.
+//! Symmetric positive definite systems of B×B node blocks: one symbolic analysis of the pattern,
+//! many numeric factors.
 //!
-//! B is 3 where forces couple the coordinates of a node, 1 where each coordinate has the same
-//! system.
+//! B is 3 if forces couple the coordinates of a node, and 1 if each coordinate has the same system.
 
 use crate::error::{Result, invalid};
 use faer::Par;
@@ -84,12 +83,12 @@ impl<const B: usize> Pattern<B> {
         B * self.rows.len()
     }
 
-    /// Where block (row, column) is stored: the place within each of its three columns.
+    /// Storage index of block (row, column) within each of its three columns.
     pub fn slot(&self, row: usize, column: usize) -> Option<usize> {
         self.rows[column].binary_search(&row).ok()
     }
 
-    /// Add a block to the values; of a diagonal block only the lower triangle counts.
+    /// Add a block to the values; of a diagonal block, only the lower triangle is used.
     pub fn add<Row: Index<usize, Output = f64>>(
         &self,
         values: &mut [f64],
@@ -141,7 +140,7 @@ impl<const B: usize> Pattern<B> {
     }
 }
 
-/// Kept storage of one numeric factor.
+/// Reusable storage of one numeric factor.
 pub struct Factor {
     values: Vec<f64>,
     memory: MemBuffer,

@@ -1,29 +1,29 @@
-//! Emergency stops next to the flag in the orders: a line of the computer, a heartbeat from another
-//! one, or both.
+//! Emergency stops besides the flag in the orders: a GPIO line of the computer, a heartbeat from
+//! another computer, or both.
 //!
-//! Asked once a period, without waiting and without allocation. An unreadable input is pressed: a
-//! broken wire, a chip that is gone, a heart that does not beat. The guard does the rest (torque
-//! off at once, FAULT until acknowledged).
+//! They are read once per period, without waiting and without allocation. An unreadable input
+//! counts as pressed: a broken wire, a missing chip, a missing heartbeat. The guard then acts
+//! (torque off immediately, FAULT until acknowledged).
 
 use super::gpio::Line;
 use super::heartbeat::Heartbeat;
 
-/// The inputs that a rig has.
+/// The emergency stops of a rig.
 #[derive(Default)]
 pub struct Emergency {
     button: Option<Button>,
     heartbeat: Option<Heartbeat>,
 }
 
-/// A line, and what it reads while the stop is pressed.
+/// A line, and its level while the stop is pressed.
 pub struct Button {
     line: Box<dyn Line + Send>,
     pressed_low: bool,
 }
 
 impl Button {
-    /// A contact that opens when pressed reads high then, by the pull-up, as does a broken wire;
-    /// `pressed_low` is for one that closes.
+    /// A contact that opens when pressed reads high, by the pull-up, as does a broken wire;
+    /// `pressed_low` is for a contact that closes.
     pub fn new(line: Box<dyn Line + Send>, pressed_low: bool) -> Button {
         Button { line, pressed_low }
     }
@@ -40,7 +40,7 @@ impl Emergency {
 
     /// Whether any of them is pressed or dead at `now` (ns, monotonic).
     pub fn pressed(&mut self, now: u64) -> bool {
-        // Each is asked, so that what arrives is taken whatever the other says.
+        // Read each input, so its data are consumed regardless of the other.
         let button = self.button.as_mut().is_some_and(Button::pressed);
         let heart = self
             .heartbeat

@@ -1,28 +1,28 @@
-//! A line of a GPIO chip, by the character device of Linux (second ABI, kernel 5.10 and later)
-//! through `gpiocdev`.
+//! A GPIO line, through the Linux character device (second ABI, kernel 5.10 and later) and
+//! `gpiocdev`.
 //!
-//! The line is asked for once, as an input with its pull-up, and is ours until it is dropped.
-//! Reading it is one call to the kernel: a register for pins of the processor; a chip behind I2C or
-//! SPI takes as long as its bus, use none for this. No test machine had a chip: what fails is
-//! pinned by files that are none, what follows from a level by `emergency.rs`.
+//! The line is requested once, as an input with its pull-up, and is held until it is dropped.
+//! Reading it is one kernel call: a register access for processor pins. A chip behind I2C or SPI is
+//! as slow as its bus; do not use one. No test machine had a chip: failures are tested with files
+//! that are no chips, and the effects of a level by `emergency.rs`.
 
 use gpiocdev::Request;
 use gpiocdev::line::{Bias, Value};
 
-/// Something that is high or low; none when it cannot be read.
+/// A digital level; None if it cannot be read.
 pub trait Line {
     fn high(&mut self) -> Option<bool>;
 }
 
-/// A line that was asked for.
+/// A requested line.
 pub struct Gpio {
     request: Request,
     offset: u32,
 }
 
 impl Gpio {
-    /// Ask for line `offset` of `chip` (`/dev/gpiochip0`), an input with its pull-up; or why that
-    /// cannot be.
+    /// Request line `offset` of `chip` (`/dev/gpiochip0`) as an input with its pull-up, or return
+    /// the reason for the failure.
     pub fn open(chip: &str, offset: u32) -> Result<Gpio, String> {
         let opened = || {
             let request = Request::builder()

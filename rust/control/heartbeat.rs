@@ -1,13 +1,12 @@
-//! A heartbeat from another computer over UDP: while it does not beat, the emergency stop is
-//! pressed.
+//! A heartbeat from another computer over UDP: without it, the emergency stop is pressed.
 //!
 //! A beat is BEAT bytes, little-endian: mark `SMB1`, flags (u8, 1: pressed), session (16 bytes),
 //! sequence number (u64), the sender's clock (u64 ns) and HMAC-SHA256 of all that under a shared
-//! key. The session is ours: a sender that signs correctly under another one gets it (mark `SMC1`,
-//! session, HMAC) while no heart beats, and sequence numbers must rise within it. A heart that
-//! stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is
-//! as old as it has been here, plus by how much later it came than the quickest did; clocks need
-//! not agree. All other datagrams are dropped. Its other end is
+//! key. This end defines the session. While there is no heartbeat, a sender that signs correctly
+//! under another session receives the current one (mark `SMC1`, session, HMAC). Sequence numbers
+//! must increase within a session. After a stop there is a new session, so recorded or queued beats
+//! are invalid. The age of a beat is the time since its arrival, plus its delay relative to the
+//! fastest beat; clocks need not agree. All other datagrams are dropped. Its other end is
 //! `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
 
 use std::io::ErrorKind;
@@ -27,13 +26,12 @@ pub const BEAT: usize = BODY + TAG;
 /// Bytes of an offer.
 pub const OFFER: usize = 4 + SESSION + TAG;
 const PRESSED: u8 = 1;
-/// Datagrams that one period reads: a flood cannot hold it up.
+/// Most datagrams read per period, so a flood cannot delay it.
 const MOST_AT_ONCE: usize = 16;
-/// One part in this many is what two clocks may part by.
+/// Inverse of the largest relative drift of two clocks.
 const DRIFT: u64 = 10_000;
 
-/// The newest beat: its number, ns at which it came, how much later than the quickest, and what it
-/// says.
+/// The newest beat: its number, arrival in ns, delay relative to the fastest, and its flag.
 #[derive(Clone, Copy)]
 struct Beat {
     sequence: u64,
@@ -42,20 +40,20 @@ struct Beat {
     pressed: bool,
 }
 
-/// The end that listens.
+/// The receiving end.
 pub struct Heartbeat {
     socket: UdpSocket,
     keyed: Hmac<Sha256>,
     timeout: u64,
     session: [u8; SESSION],
     last: Option<Beat>,
-    /// The least of arrival minus the sender's clock, ns, and when that was.
+    /// The minimum of arrival minus the sender's clock, ns, and its time.
     quickest: Option<(i64, u64)>,
 }
 
 impl Heartbeat {
-    /// Listen at `host`:`port` for beats signed with `key`, one each `timeout` s at least; or why
-    /// that cannot be.
+    /// Listen at `host`:`port` for beats signed with `key`, at least one per `timeout` s, or return
+    /// the reason for the failure.
     pub fn open(host: &str, port: u16, key: &[u8], timeout: f64) -> Result<Heartbeat, String> {
         let failed = |fault: &dyn std::fmt::Display| {
             format!(
@@ -80,13 +78,13 @@ impl Heartbeat {
         })
     }
 
-    /// Whether the heart does not beat, or says that the stop is pressed, at `now` (ns).
+    /// Whether the heartbeat is missing, or reports a pressed stop, at `now` (ns).
     pub fn pressed(&mut self, now: u64) -> bool {
         let (mut datagram, mut pressed) = ([0; BEAT + 1], false);
         for _ in 0..MOST_AT_ONCE {
             match self.socket.recv_from(&mut datagram) {
                 Ok((size, from)) => pressed |= self.take(&datagram[..size], from, now),
-                // What came back of an offer is no end of what waits.
+                // An error returned for an offer does not end the queue.
                 Err(fault) if fault.kind() != ErrorKind::WouldBlock => {}
                 Err(_) => break,
             }
@@ -99,7 +97,7 @@ impl Heartbeat {
         pressed || beat.pressed
     }
 
-    /// Take a datagram; whether it is a beat that says pressed.
+    /// Process a datagram; return whether it is a beat with the stop pressed.
     fn take(&mut self, datagram: &[u8], from: SocketAddr, now: u64) -> bool {
         let Some((body, tag)) = datagram.split_at_checked(BODY) else {
             return false;
@@ -135,7 +133,7 @@ impl Heartbeat {
         pressed
     }
 
-    /// By how much later than the quickest a beat came, ns.
+    /// Delay of a beat relative to the fastest, ns.
     fn lateness(&mut self, now: u64, clock: u64) -> u64 {
         let apart = now.wrapping_sub(clock) as i64;
         let known = self.quickest.map_or(apart, |(least, when)| {
@@ -146,8 +144,7 @@ impl Heartbeat {
         apart.saturating_sub(least).max(0) as u64
     }
 
-    /// Send the session to the sender that has the key; after a failure again with the next
-    /// beat.
+    /// Send the session to the sender with the key; after a failure, retry with the next beat.
     fn offer(&self, to: SocketAddr) {
         let mut datagram = [0; OFFER];
         datagram[..4].copy_from_slice(&OFFER_MARK);
@@ -164,7 +161,7 @@ impl Heartbeat {
         let _ = self.socket.send_to(&datagram, to);
     }
 
-    /// Beats sent before it stopped no longer count.
+    /// Beats sent before the stop are invalid.
     fn renew(&mut self) {
         (self.last, self.quickest) = (None, None);
         for byte in self.session.iter_mut().rev() {
@@ -216,7 +213,7 @@ mod tests {
             beat
         }
 
-        /// Ask for a session and take it.
+        /// Request a session and use it.
         fn meet(&mut self, heart: &mut Heartbeat, now: u64) {
             self.session = [0; SESSION];
             self.beat(&KEY, 1, 0, 0);
@@ -234,7 +231,7 @@ mod tests {
         }
     }
 
-    /// Ask until what was sent has come through loopback.
+    /// Poll until the sent data have passed loopback.
     fn released(heart: &mut Heartbeat, now: u64) -> bool {
         (0..200).any(|_| {
             let pressed = heart.pressed(now);
@@ -258,7 +255,7 @@ mod tests {
         sender.beat(&KEY, 2, 3 * MS, 0);
         assert!(released(&mut heart, 3 * MS));
         assert!(!heart.pressed(103 * MS) && heart.pressed(104 * MS));
-        // The same session counts no more: it is a new one now.
+        // The old session is invalid: there is a new one.
         sender.beat(&KEY, 3, 104 * MS, 0);
         std::thread::sleep(Duration::from_millis(5));
         assert!(heart.pressed(104 * MS));
@@ -311,7 +308,7 @@ mod tests {
         sender.meet(&mut heart, 200 * MS);
         sender.beat(&KEY, 2, 200 * MS, 0);
         assert!(released(&mut heart, 200 * MS));
-        sender.beat(&KEY, 3, 210 * MS, 0); // stood in a queue for 150 ms
+        sender.beat(&KEY, 3, 210 * MS, 0); // queued for 150 ms
         std::thread::sleep(Duration::from_millis(5));
         assert!(heart.pressed(360 * MS));
     }

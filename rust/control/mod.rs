@@ -1,10 +1,10 @@
-//! The control loop as a process of its own: orders in through a pipe, reports out through another,
-//! servos at a port.
+//! The control loop as a separate process: orders through one pipe, reports through another, servos
+//! at a port.
 //!
-//! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that
-//! does what may take long: it writes reports (and the recording) from a ring that the loop never
-//! waits for. When the orders' pipe closes, the sender is gone: hold, release tension, torque off.
-//! SIGINT and SIGTERM do so at once. Whatever ends the loop, a panic too, torque off is sent
+//! The loop itself is `softmap_servo::control`. This module adds real-time priority, signals, and a
+//! thread for slow work: it writes reports (and the recording) from a ring that the loop never
+//! waits for. If the orders' pipe closes, the sender is gone: hold, release tension, torque off.
+//! SIGINT and SIGTERM do so immediately. However the loop ends, also by a panic, torque off is sent
 //! last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and
 //! tests/robot/test_nobody_watches.py.
 
@@ -37,12 +37,11 @@ use pipe::PipeMailbox;
 use recording::Recording;
 use report::{Last, Reporter, Ring};
 
-/// ms after which a servo stops by itself when it hears nothing: several periods, and well before
-/// anybody would wait.
+/// Watchdog time of the servos, ms: several periods, and short for a person.
 const WATCHDOG: f64 = 100.0;
-/// Entries that the reporting thread may lag behind: seconds, at any rate.
+/// Entries that the reporting thread may lag behind: several seconds at any rate.
 const RING: usize = 4096;
-/// Questions that are repeated before a servo is reported as silent.
+/// Retries before a servo is reported as silent.
 const TRIES: usize = 9;
 /// s for which torque off is repeated at the end.
 const FAREWELL: f64 = 0.5;
@@ -53,13 +52,13 @@ pub struct Setup {
     pub baud: u32,
     pub members: Vec<Member>,
     pub limits: Limits,
-    /// The emergency stops of the rig, next to the one in the orders.
+    /// The emergency stops of the rig, besides the one in the orders.
     pub stops: Emergency,
-    /// A file that the loop is recorded to, and the JSON document that says what it was made of.
+    /// The recording file, and the JSON document of its configuration.
     pub record: Option<(PathBuf, String)>,
 }
 
-/// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must
+/// Run until the orders end or a signal arrives; reports go to `reports`. Returns whether home must
 /// be confirmed again.
 pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<bool> {
     let servos = setup.members.len();
@@ -94,7 +93,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let ids = setup.members.iter().map(|member| member.id).collect();
     let reporter = Reporter::start(receiver, reports, recording, ids, sizes.1, &warnings);
     let guard = Guard::new(setup.limits);
-    // Simulated time stands while a period is reported, so that reports do not depend on load.
+    // Simulated time stops while a period is reported, so reports do not depend on load.
     let record = Ring::new(sender, simulated.then(|| reporter.progress()).flatten());
     let control = Control::new(drive, guard, plan, mailbox, record);
     let mut control = Farewell(control, false);
@@ -120,9 +119,9 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
 pub enum Ended {
     /// The sender of the orders is gone.
     Alone,
-    /// A signal came.
+    /// A signal arrived.
     Signal,
-    /// The port is gone.
+    /// The port is lost.
     Port,
 }
 
@@ -151,7 +150,7 @@ fn run<L: Plan, R: Record>(
     }
 }
 
-/// Ask again where there is no answer: one glitch is no absence.
+/// Retry without an answer: one glitch does not mean a missing servo.
 fn patiently<T>(
     mut ask: impl FnMut() -> std::result::Result<T, Fault>,
 ) -> std::result::Result<T, Fault> {
@@ -165,8 +164,8 @@ fn patiently<T>(
     answer
 }
 
-/// Refuse servos that differ from the rig, or whose torque is on; whether all can
-/// answer in one packet.
+/// Reject servos that differ from the rig, or have torque on; return whether all can answer in one
+/// packet.
 fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
@@ -215,7 +214,7 @@ fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> 
     Ok(fast)
 }
 
-/// Send torque off as the last message to the servos; whether it was sent.
+/// Send torque off as the last message to the servos; return whether it was sent.
 struct Farewell<L: Plan, R: Record>(Control<Opened, L, PipeMailbox, R>, bool);
 
 impl<L: Plan, R: Record> Farewell<L, R> {
@@ -227,7 +226,7 @@ impl<L: Plan, R: Record> Farewell<L, R> {
         drive.ask_again();
         let until = monotonic() + (FAREWELL * 1e9) as u64;
         while monotonic() < until {
-            // A port that is gone takes nothing; the servos' own watchdogs stop them then.
+            // A lost port accepts nothing; the servos' own watchdogs then stop them.
             let sent = drive.command(false, &[], &[]);
             let known = drive.examine().is_ok() && drive.released();
             if known || sent.is_err() {

@@ -1,6 +1,6 @@
-//! One period of the loop in words: what a report and a recording both say of it.
+//! One period of the loop as a document, for reports and recordings.
 //!
-//! JSON: what was not heard and what is not finite is null, numbers are written in full. Pinned by
+//! JSON: missing and non-finite values are null; numbers are written with full precision. Pinned by
 //! tests/robot/test_recording.py.
 
 use std::fmt::Debug;
@@ -16,13 +16,13 @@ pub struct Period {
     cause: String,
     torque: bool,
     refused: bool,
-    /// Why a request changed nothing.
+    /// Why a request had no effect.
     denied: Option<String>,
     emergency: bool,
-    /// How the bus failed.
+    /// The failure of the bus.
     bus: Option<String>,
     overruns: u64,
-    /// Counts of answers so far: asked for, lost, damaged, and not asked for.
+    /// Counts of answers so far: requested, lost, damaged, and unrequested.
     asked: u64,
     lost: u64,
     damaged: u64,
@@ -38,7 +38,7 @@ pub struct Period {
 }
 
 impl Period {
-    /// The period of `entry`, a robot of so many servos.
+    /// The period of `entry`, for a robot with a number of servos.
     pub fn of(entry: &Entry, servos: usize) -> Period {
         let output = &entry.output;
         let goals = entry.goals.iter().take(servos);
@@ -74,7 +74,7 @@ pub fn sensed<T>(
     each.map(|said| said.as_ref().and_then(&of)).collect()
 }
 
-/// A name of the guard's in small letters with underscores.
+/// A name of the guard in snake case.
 pub fn name(of: impl Debug) -> String {
     let mut small = String::new();
     for letter in format!("{of:?}").chars() {

@@ -1,12 +1,11 @@
-//! Orders through a pipe, as frames of one size: little-endian, so that Python packs them with
-//! `struct`.
+//! Orders through a pipe, as frames of fixed size: little-endian, packed in Python with `struct`.
 //!
 //! flags (u8: 1 enable key, 2 emergency, 4 command) · request (u8, 0 none) · 6 zeros ·
 //! sent (u64 ns) · command (C f64, mm)
 //!
-//! The newest command wins. An enable key released in any frame is released, an emergency stop
-//! that was pressed in any is pressed (until a later frame without it); each request counts, one a
-//! period. The emergency stops of the rig are read too.
+//! The newest command wins. An enable key released in any frame counts as released. An emergency
+//! stop pressed in any frame counts as pressed (until a later frame without it). Each request
+//! counts, one per period. The emergency stops of the rig are also read.
 
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
@@ -20,12 +19,12 @@ use softmap_servo::serial::monotonic;
 use super::emergency::Emergency;
 
 const HEAD: usize = 16;
-/// Bytes that are taken at a time.
+/// Bytes per read.
 const SOME: usize = 4096;
-/// Requests that wait at most; a user who asks faster than the loop turns is not heard.
+/// Most queued requests; requests faster than the loop are dropped.
 const WAITING: usize = 16;
 
-/// Orders that come through a pipe.
+/// Orders from a pipe.
 pub struct PipeMailbox {
     pipe: OwnedFd,
     channels: usize,
@@ -41,7 +40,7 @@ impl PipeMailbox {
     /// rig.
     pub fn new(pipe: OwnedFd, channels: usize, stops: Emergency) -> PipeMailbox {
         if let Ok(flags) = fcntl_getfl(&pipe) {
-            // If this fails, the loop waits for orders: then it holds and releases tension.
+            // If this fails, the loop waits for orders, holds, and releases tension.
             let _ = fcntl_setfl(&pipe, flags | OFlags::NONBLOCK);
         }
         PipeMailbox {
@@ -60,7 +59,7 @@ impl PipeMailbox {
         self.closed
     }
 
-    /// Ask for something from this side.
+    /// Add a request from this side.
     pub fn ask(&mut self, request: Request) {
         if self.requests.len() < WAITING {
             self.requests.push_back(request);

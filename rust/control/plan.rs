@@ -1,9 +1,8 @@
-//! Commands of the finger to ticks of its servos: ticks = home + A⁻¹ (u − b), the calibration's own
-//! map.
+//! Commands of the finger to ticks of its servos, by the calibration: ticks = home + A⁻¹ (u − b).
 //!
-//! With a chain of effects, commands are what should act: the chain, which has seen every tick that
-//! was really sent, is inverted first (`inverse/chain.rs`), but for commands far beyond its bounds,
-//! which the guard has to see as they are.
+//! With a chain of effects, commands are the target effective commands. The chain, updated with
+//! every tick actually sent, is inverted first (`inverse/chain.rs`). Commands far beyond its bounds
+//! are passed unchanged to the guard.
 
 use softmap_servo::control::Plan;
 use softmap_servo::guard::MOST_SERVOS;
@@ -12,7 +11,7 @@ use crate::algebra::dense;
 use crate::error::{Result, invalid};
 use crate::inverse::chain::Inverse;
 
-/// The map of a calibration, and the effects between a command and what acts.
+/// The map of a calibration, and the effects between command and effective command.
 pub struct Map {
     slope: Vec<f64>,
     inverse: Vec<f64>,
@@ -23,8 +22,8 @@ pub struct Map {
 }
 
 impl Map {
-    /// `slope` A (C, C) mm a tick, `b` (C,) mm, `home` (C,) ticks; `period` s is how long a command
-    /// lasts.
+    /// `slope` A (C, C) mm per tick, `b` (C,) mm, `home` (C,) ticks; `period` is the duration of a
+    /// command, s.
     pub fn new(
         slope: Vec<f64>,
         b: Vec<f64>,
@@ -100,7 +99,7 @@ impl Plan for Map {
             .as_mut()
             .filter(|chain| command.iter().all(|u| u.is_finite()) && !chain.absurd(command))
         else {
-            // As they are: what is refused without effects is refused with them.
+            // Unchanged: commands rejected without effects are also rejected with them.
             return self.linear(command, ticks);
         };
         let mut sent = [0.0; MOST_SERVOS];
@@ -161,8 +160,7 @@ mod tests {
         assert!(Map::new(vec![0.0; 4], vec![0.0; 2], vec![0.0; 2], None, 0.01).is_err());
     }
 
-    /// The effective command of a slow figure, rounded to whole ticks: the worst error,
-    /// mm.
+    /// The worst error of the effective command of a slow figure, rounded to integer ticks, mm.
     #[test]
     fn through_a_play_what_acts_is_what_was_asked_to_a_tick() {
         let truth = Chain::new(&["backlash".to_string()], 2).unwrap();
@@ -201,7 +199,7 @@ mod tests {
         assert!(follow(Some(inverse(&["backlash"], &[0.6]))) < 1.7 / 280.0);
     }
 
-    /// How often the ticks of a still hand with 5 µm of noise turn in 20 s.
+    /// The number of reversals of the ticks in 20 s for a still hand with 5 µm of noise.
     fn turns(names: &[&str], params: &[f64], budget: Option<Budget>) -> usize {
         let mut map = map(Some(inverse(names, params)));
         map.passed(&[2000, 1000], 0.01);
@@ -228,7 +226,7 @@ mod tests {
                 let next = ticks[c].round() as i32;
                 let direction = (next - sent[c]).signum();
                 if direction != 0 {
-                    // The way there and the first moments are no stillness.
+                    // Exclude the approach and the first moments.
                     turned += usize::from(k > 200 && direction != way[c]);
                     way[c] = direction;
                 }
@@ -251,7 +249,7 @@ mod tests {
             turns(&["backlash", "hysteresis"], &[0.5, 0.15, 3.0, 1.0], budget),
             0
         );
-        // Creep asks for the play once in each channel, and for nothing more.
+        // Creep crosses the play once in each channel, and no more.
         assert!(turns(&["backlash", "creep"], &[0.5, 0.1, 10.0, 2.0], budget) <= 2);
         assert!(
             turns(&["backlash"], &[0.5], None) > 200,

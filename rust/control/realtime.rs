@@ -1,4 +1,4 @@
-//! Real-time priority where the system grants it; a refusal is reported, not hidden.
+//! Real-time priority, if the system grants it; a refusal is reported.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use softmap_servo::urgent::urgent;
@@ -6,7 +6,7 @@ use softmap_servo::urgent::urgent;
 /// Above ordinary threads, below those of the kernel.
 const PRIORITY: i32 = 50;
 
-/// The rights that this process lacks, in sentences for the user.
+/// The permissions that this process lacks, as sentences for the user.
 pub fn warnings() -> Vec<String> {
     let mut said = vec![];
     if !urgent(PRIORITY) {
@@ -27,7 +27,7 @@ pub fn warnings() -> Vec<String> {
     said
 }
 
-/// The calling thread runs before all ordinary ones from now on, where that is granted.
+/// Give the calling thread priority over all ordinary ones, if granted.
 pub fn enter() {
     urgent(PRIORITY);
 }

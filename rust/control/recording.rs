@@ -1,11 +1,12 @@
-//! A recording of the loop: plain MCAP, a JSON message a period, that a cut of power leaves
-//! readable to its last second.
+//! A recording of the loop: plain MCAP, one JSON message per period, readable to the last second
+//! after a power cut.
 //!
-//! Topic `/setup`, once: the configuration of the loop. Topic `/loop`, a period: all inputs of the
-//! guard and its outputs, so that a recording replays bit for bit (numbers are written in full;
-//! what is not finite is null, which the guard refuses alike). No chunks and no compression: a file
-//! cut anywhere gives every message before the cut. Source of the format: MCAP, Foxglove,
-//! https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and tests/robot/test_live.py.
+//! Topic `/setup`, once: the configuration of the loop. Topic `/loop`, once per period: all inputs
+//! and outputs of the guard, so a recording replays bit for bit (numbers have full precision;
+//! non-finite values are null, which the guard also rejects). There are no chunks and no
+//! compression: a truncated file gives every message before the cut. Source of the format: MCAP,
+//! Foxglove, https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and
+//! tests/robot/test_live.py.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -23,11 +24,11 @@ use softmap_servo::guard::Request;
 use super::period::{Period, name, sensed};
 use crate::error::{Result, invalid};
 
-/// ns after which what was recorded is on the disk.
+/// Longest time until recorded data are on the disk, ns.
 const SAFE: u64 = 500_000_000;
-/// Bytes of a recording that are read at most.
+/// Most bytes of a recording that are read.
 const MOST: u64 = 4 << 30;
-/// Bytes of a record at most, and of what is read at once.
+/// Most bytes of a record, and bytes per read.
 const LONGEST: usize = 1 << 24;
 const AT_ONCE: usize = 1 << 16;
 
@@ -115,7 +116,7 @@ impl Recording {
 /// A message: its topic, its time (ns) and its bytes.
 pub type Message = (String, u64, Vec<u8>);
 
-/// A recording that is read, also while it grows.
+/// A reader of a recording, also while it grows.
 pub struct Reading {
     path: PathBuf,
     file: File,
@@ -144,7 +145,7 @@ impl Reading {
         })
     }
 
-    /// Whether the writer has closed it.
+    /// Whether the writer has closed the file.
     pub fn ended(&self) -> bool {
         self.ended
     }
@@ -171,7 +172,7 @@ impl Reading {
                 LinearReadEvent::ReadRequest(bytes) => {
                     let room = self.records.insert(bytes.max(AT_ONCE));
                     match self.file.read(room) {
-                        // It may grow: the reader gets no end of file here.
+                        // The file may grow, so the end of file is not an error.
                         Ok(0) => return Ok(()),
                         Ok(count) => self.records.notify_read(count),
                         Err(fault) => break fault.to_string(),
@@ -208,7 +209,7 @@ impl Reading {
     }
 }
 
-/// The messages of a recording; those before the cut, or the damage, of one that was cut short.
+/// The messages of a recording, up to a cut or damage.
 pub fn read(path: &Path) -> Result<Vec<Message>> {
     let mut reading = Reading::open(path)?;
     let size = reading
@@ -225,12 +226,12 @@ pub fn read(path: &Path) -> Result<Vec<Message>> {
         )));
     }
     let mut found = vec![];
-    // What a cut of power leaves behind may be anything.
+    // After a power cut, the bytes may be arbitrary.
     let _ = reading.more(&mut found);
     Ok(found)
 }
 
-/// Why a write failed: the text of the operating system, which the writer's error leaves out.
+/// Why a write failed: the text of the operating system, which the writer's error omits.
 pub fn cause(fault: &McapError) -> String {
     match fault {
         McapError::Io(cause) => cause.to_string(),
@@ -308,7 +309,7 @@ struct Told {
     period: Period,
 }
 
-/// The health of the servos, read less often.
+/// The health of the servos, read at a lower rate.
 #[derive(Serialize)]
 struct Examined {
     hardware: Vec<Option<u8>>,
@@ -342,7 +343,7 @@ impl Told {
     }
 }
 
-/// The request of its name in a recording.
+/// The request by its name in a recording.
 pub fn request(called: &str) -> Option<Request> {
     Request::ALL
         .into_iter()

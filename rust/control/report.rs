@@ -1,9 +1,9 @@
-//! Reports of the loop, from a ring to their reader: a JSON document a line, some
-//! thirty a second.
+//! Reports of the loop, from a ring to their reader: one JSON document per line, about thirty per
+//! second.
 //!
-//! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and
-//! voltage; what was refused or denied at once; at the end how late periods began and how old
-//! commands were.
+//! `softmap.loop/1`: the state and its cause; goal, position, current, temperature and voltage of
+//! each servo; rejected or denied requests immediately; at the end, lateness of periods and age of
+//! commands.
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
@@ -25,23 +25,23 @@ use super::recording::{Recording, cause};
 
 /// The schema of the documents.
 const SCHEMA: &str = "softmap.loop/1";
-/// How often the thread looks at the ring.
+/// Polling interval of the ring.
 const LOOK: Duration = Duration::from_millis(5);
 /// ns between two reports while nothing changes.
 const OFTEN: u64 = 33_000_000;
 
-/// How long a loop in simulated time waits for a report: a disk may be slow, and a thread that
-/// failed reports nothing.
+/// Timeout of a loop in simulated time for a report: a disk may be slow, and the thread may have
+/// failed.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// How far the reporting thread is.
+/// The progress of the reporting thread.
 pub struct Progress {
     thread: Thread,
     handled: Arc<AtomicU64>,
 }
 
-/// The loop's end of the ring; what does not fit is counted. With `progress` each entry is reported
-/// before the next begins.
+/// The loop's end of the ring; entries that do not fit are counted. With `progress`, each entry is
+/// reported before the next begins.
 pub struct Ring {
     sender: rtrb::Producer<Entry>,
     lost: u64,
@@ -97,7 +97,7 @@ pub struct Last {
     pub kept: Vec<u8>,
 }
 
-/// The thread that reports.
+/// The reporting thread.
 pub struct Reporter {
     stop: Arc<AtomicBool>,
     handled: Arc<AtomicU64>,
@@ -105,7 +105,7 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Report what comes out of `ring` to `pipe`, and record it; `warnings` first.
+    /// Report the entries of `ring` to `pipe`, and record them; `warnings` first.
     pub fn start(
         mut ring: rtrb::Consumer<Entry>,
         pipe: OwnedFd,
@@ -115,7 +115,7 @@ impl Reporter {
         warnings: &[String],
     ) -> Reporter {
         if let Ok(flags) = fcntl_getfl(&pipe) {
-            // Were it refused, a reader that sleeps would keep this thread waiting, not the loop.
+            // If this fails, a slow reader blocks this thread, not the loop.
             let _ = fcntl_setfl(&pipe, flags | OFlags::NONBLOCK);
         }
         let stop = Arc::new(AtomicBool::new(false));
@@ -136,7 +136,7 @@ impl Reporter {
                     if let Some(Err(fault)) =
                         recording.as_mut().map(|open| open.add(&entry, commands))
                     {
-                        // A disk that is full ends the recording, not the loop.
+                        // A full disk ends the recording, not the loop.
                         recording = None;
                         say(&pipe, &unrecorded(&fault));
                     }
@@ -172,7 +172,7 @@ impl Reporter {
         Some(Progress { thread, handled })
     }
 
-    /// Say how it ended, and how the loop kept its time.
+    /// Report the end, and the timing of the loop.
     pub fn finish(mut self, last: &Last) {
         self.stop.store(true, Ordering::Relaxed);
         let Some(Ok(pipe)) = self.thread.take().map(JoinHandle::join) else {
@@ -206,7 +206,7 @@ fn unrecorded(fault: &McapError) -> serde_json::Value {
     json!({"schema": SCHEMA, "unrecorded": cause(fault)})
 }
 
-/// Write a line that fits into the pipe completely; false if there is no room for it now.
+/// Write a complete line to the pipe; false if it does not fit now.
 fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
     // A document whose keys are texts can always be written.
     let mut line = serde_json::to_vec(document).unwrap_or_default();
@@ -214,7 +214,7 @@ fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
     write(pipe, &line) != Err(Errno::AGAIN)
 }
 
-/// The part of a report that a recording of the period lacks.
+/// The part of a report that is not in a recording.
 #[derive(Serialize)]
 struct Told<'a> {
     schema: &'static str,

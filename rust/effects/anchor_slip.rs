@@ -1,13 +1,13 @@
-//! Anchor slip: at some instant a knot or a clamp gives way, and from then on one cable of the pair
-//! is longer.
+//! Anchor slip: at some instant a knot or a clamp slips; from then on one cable of the pair is
+//! longer.
 //!
 //! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample
-//! and lasts `width·at`. The cable that pulls against s is longer by |s|; what that does to the
-//! command is in `pair.rs`: `taut` 0 for cables that only pull and hang loose at home, 1 for a pair
-//! that is held taut or takes compression, where the full channel is shifted. An instant has no
-//! slope to follow, and how long a record is is not known to an effect; so the ramp begins as wide
-//! as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip
-//! per channel. Limit: one slip; several are several ramps that one of them averages.
+//! and lasts `width·at`. The cable that pulls against s is longer by |s|; `pair.rs` has the effect
+//! on the command: `taut` 0 for cables that only pull and hang loose at home, 1 for a pair that is
+//! held taut or takes compression, where the full channel is shifted. A fit to a step has no slope
+//! over its time, and an effect does not know the length of a record. So the ramp starts as wide as
+//! a share of its time, at any time scale, and the fit narrows it as it converges. mm, slip per
+//! channel. Limit: one slip; several slips are averaged.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -68,7 +68,7 @@ pub static EFFECT: Effect = Effect {
 
 struct AnchorSlip;
 
-/// Shortest slip, s, so that a width of nothing is a step and no division by zero.
+/// Shortest slip, s: a zero width is then a step, not a division by zero.
 const INSTANT: f64 = 1e-9;
 
 impl ChannelEffect for AnchorSlip {

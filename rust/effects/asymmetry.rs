@@ -1,8 +1,8 @@
 //! Asymmetry: a pull of one sign bends more than the same pull of the other.
 //!
 //! `y = x·(1 + excess·sign(x))`, per channel, without memory; continuous, with a kink at zero. To
-//! first order the part of a static map that is even in the command, which gain and offset cannot
-//! make together.
+//! first order, it is the part of a static map that is even in the command, which gain and offset
+//! cannot represent.
 
 use super::conditions::Context;
 use super::declaration::*;

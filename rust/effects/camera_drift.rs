@@ -1,9 +1,9 @@
-//! Camera drift: the frame of the cameras creeps away during the run; a fault of the measurement,
-//! not of the robot.
+//! Camera drift: the frame of the cameras drifts during the run; a measurement fault, not physics
+//! of the robot.
 //!
-//! `p = R(turn·m)·p + shift·m` about the origin of the base, `m` the minutes since the first frame
-//! that is seen, where all is as it should be; `R` as in `mount.rs`. Directions only turn. Limit:
-//! steady drift; a knock is a mount of its own from then on.
+//! `p = R(turn·m)·p + shift·m` about the origin of the base, `m` the minutes since the first frame,
+//! where the drift is zero; `R` as in `mount.rs`. Directions only turn. Limit: steady drift; after
+//! a knock, the camera has another mount.
 
 use super::conditions::Context;
 use super::declaration::*;

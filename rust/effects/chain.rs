@@ -1,9 +1,9 @@
-//! A chain of effects in stage order: its numbers, one sample at a time, loads, what is seen;
-//! `chain_record.rs`: records.
+//! A chain of effects in stage order: its parameters, single samples, loads and sensing;
+//! `chain_record.rs` has records.
 //!
 //! The chain is feed-forward, so a record is evaluated effect by effect, each over all its samples.
-//! A state slice holds whether it has seen a time, that time, then the memory of every effect in
-//! order; it is all there is to remember.
+//! A state slice holds a flag for a known time, that time, then the memory of every effect in
+//! order.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -11,13 +11,13 @@ use super::{find, registry};
 use crate::error::{Result, invalid};
 use std::ops::Range;
 
-/// An effect and where its numbers lie in the parameter and state slices.
+/// An effect and its ranges in the parameter and state slices.
 #[derive(Debug, Clone)]
 struct Link {
     effect: &'static Effect,
     params: Range<usize>,
     state: Range<usize>,
-    /// Where the memory of a shape effect lies in the memory of all shape effects of the chain.
+    /// Range of a shape effect in the memory of all shape effects of the chain.
     remembered: Range<usize>,
 }
 
@@ -31,15 +31,14 @@ pub struct Chain {
     remembered: usize,
 }
 
-/// No tendon robot has more; beyond, a count is a mistake that would ask for all the memory there
-/// is.
+/// Most channels of a tendon robot; a larger count is a mistake that would exhaust the memory.
 const MAX_CHANNELS: usize = 256;
 
 /// The head of a state: 1 once a sample has been seen, and its time.
 const HEAD: usize = 2;
 
 impl Chain {
-    /// Compose the effects called `names`, in whatever order they are given.
+    /// Compose the effects called `names`, given in any order.
     pub fn new(names: &[String], channels: usize) -> Result<Chain> {
         if channels > MAX_CHANNELS {
             return Err(invalid(format!(
@@ -172,7 +171,7 @@ impl Chain {
             .collect()
     }
 
-    /// Refuse parameters (P,) that some effect cannot honour.
+    /// Reject parameters (P,) that are invalid for an effect.
     pub fn check(&self, params: &[f64]) -> Result<()> {
         if params.len() != self.width {
             return Err(invalid(format!(
@@ -214,8 +213,8 @@ impl Chain {
         })
     }
 
-    /// Refuse steps sample by sample where a user's effect maps complete records only. A control
-    /// loop asks this first.
+    /// Reject single samples if a user-defined effect maps only complete records. A control loop
+    /// checks this first.
     pub fn stepwise(&self) -> Result<()> {
         let whole = |link: &&Link| matches!(link.effect.law, Law::Record(_));
         let name = |link: &Link| link.effect.declaration.name;
@@ -240,8 +239,8 @@ impl Chain {
         Ok(state)
     }
 
-    /// The same in the caller's room: `x` (C,) held forever is changed to what acts then, `state`
-    /// is that equilibrium.
+    /// The same in the caller's storage: `x` (C,) held forever becomes the effective command, and
+    /// `state` the equilibrium.
     pub fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
         state.fill(0.0);
         for (link, law) in self.channel_links() {
@@ -262,7 +261,7 @@ impl Chain {
         Ok((chain, links.iter().flat_map(own).collect()))
     }
 
-    /// Advance one sample: `x` (C,) is changed to what acts, `state` remembers.
+    /// Advance one sample: `x` (C,) becomes the effective command; `state` is updated.
     pub fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
         for (link, law) in self.channel_links() {
             law.step(
@@ -275,7 +274,7 @@ impl Chain {
         state[..HEAD].copy_from_slice(&[1.0, context.t]);
     }
 
-    /// The time a state was left at, if it has seen one.
+    /// The time of a state, if known.
     pub fn left_at(&self, state: &[f64]) -> Option<f64> {
         (state[0] > 0.0).then_some(state[1])
     }
@@ -338,7 +337,7 @@ impl Chain {
         used
     }
 
-    /// Each number of the prior that an effect of the chain changes, and by what it is multiplied.
+    /// Each number of the prior that an effect of the chain changes, with its factor.
     pub fn factors(&self, params: &[f64]) -> Vec<(&'static str, f64)> {
         let factor = |link: &Link| match link.effect.law {
             Law::Prior(law) => Some((law.number(), law.factor(&params[link.params.clone()]))),
@@ -362,7 +361,7 @@ impl Chain {
         links.any(|link| matches!(link.effect.law, Law::Sensing(_)))
     }
 
-    /// How much later (s) frames are stamped than what they show.
+    /// Delay of the time stamps of frames, s.
     pub fn late(&self, params: &[f64]) -> f64 {
         let late = |link: &Link| match link.effect.law {
             Law::Sensing(law) => law.late(&params[link.params.clone()]),

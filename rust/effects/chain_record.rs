@@ -1,5 +1,5 @@
-//! Full records through a chain, for many parameter sets at once: what acts at every sample, or at
-//! the seen times only.
+//! Complete records through a chain, for many parameter sets at once: effective commands at every
+//! sample, or at the frame times only.
 
 use super::{Chain, HEAD, Link};
 use crate::effects::conditions::Conditions;
@@ -8,7 +8,7 @@ use crate::error::{Result, invalid};
 use crate::memory::zeros;
 use rayon::prelude::*;
 
-/// One parameter set whose record is read at K places.
+/// One parameter set with its record read at K positions.
 struct Reader<'a> {
     params: &'a [f64],
     acting: &'a mut [f64],
@@ -16,7 +16,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Read records (T, n) of n numbers each, side by side.
+    /// Read records (T, n) of n numbers each, concatenated.
     fn read(self, records: &[(&[f64], usize)]) {
         let width = records.iter().map(|(_, n)| n).sum();
         let rows = self.acting.chunks_exact_mut(width);
@@ -37,8 +37,8 @@ impl Reader<'_> {
 }
 
 impl Chain {
-    /// Advance a full record (T, C) in place, effect by effect; where it begins, from equilibrium
-    /// with `held` (C,).
+    /// Advance a complete record (T, C) in place, effect by effect, from equilibrium with `held`
+    /// (C,).
     fn advance(
         &self,
         params: &[f64],
@@ -64,7 +64,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Take a record (T, C), and what it is held at before, through one effect.
+    /// Apply one effect to a record (T, C) and its initial value.
     fn pass(
         &self,
         link: &Link,
@@ -98,8 +98,8 @@ impl Chain {
     /// Effective commands (B, T, C) for parameters (B, P) on the commands `u` (T, C); sets run in
     /// parallel.
     ///
-    /// `states` (B, S) are read and left where the record ends; empty, they begin in equilibrium
-    /// with `u[0]` and are filled. All states of a batch must have been left at one time.
+    /// `states` (B, S) are read, and updated to the end of the record. If empty, they start in
+    /// equilibrium with `u[0]` and are filled. All states of a batch must have the same time.
     pub fn rollout(
         &self,
         params: &[f64],
@@ -160,8 +160,8 @@ impl Chain {
     }
 
     /// Effective commands and the memory of the shape effects, (B, K, C + M), from equilibrium with
-    /// `u[0]`: for each set at its own K `places`, each a sample and the share of the way to the
-    /// next one. Sets whose first effects have the same numbers share the computation of these.
+    /// `u[0]`: for each set at its own K `places`, each a sample and the fraction to the next one.
+    /// Sets with equal parameters of the first effects share their computation.
     pub fn acting(
         &self,
         params: &[f64],
@@ -190,8 +190,8 @@ impl Chain {
         Ok(out)
     }
 
-    /// Take a record, and the value it is held at before, through the effects `left`, for each of
-    /// `sets`; `remembered` is the memory of the shape effects before them, (T, M) each.
+    /// Apply the effects `left` to a record and its initial value, for each of `sets`; `remembered`
+    /// is the memory of the shape effects before them, (T, M) each.
     fn branch(
         &self,
         left: &[Link],

@@ -1,4 +1,4 @@
-//! Invariants of every chain: a record may be split, answers stay bounded, a batch is its members.
+//! Invariants of every chain: splitting a record, bounded responses, batch equals members.
 
 use super::*;
 use crate::effects::Conditions;

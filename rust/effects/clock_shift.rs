@@ -1,10 +1,10 @@
-//! Clock shift: the clock of the cameras is not that of the drive; a fault of the measurement, not
-//! of the robot.
+//! Clock shift: the clocks of cameras and drive differ; a measurement fault, not physics of the
+//! robot.
 //!
-//! A frame that is stamped t shows what was at `t − late`: commands, loads and all. Either sign; a
-//! late stamp looks like `latency`, and no data of a run can distinguish them, while an
-//! early one is no latency. s. Frames before the first sample show the first command. Limit: one
-//! shift for the complete run; clocks that drift apart are none.
+//! A frame stamped t shows the state at `t − late`, commands and loads included. Either sign is
+//! possible. A late stamp looks like `latency`, and the data of a run cannot distinguish them; an
+//! early one cannot be latency. s. Frames before the first sample show the first command. Limit:
+//! one shift for the complete run, without clock drift.
 
 use super::declaration::*;
 

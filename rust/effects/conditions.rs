@@ -1,4 +1,4 @@
-//! The world around a record: time, gravity, load and temperature of every sample.
+//! The conditions of a record: time, gravity, load and temperature of every sample.
 
 use crate::error::{Result, invalid};
 
@@ -21,7 +21,7 @@ pub struct Context {
 /// The pose [R | t] of a camera, base frame → camera, which looks along its z.
 pub type Camera = [[f64; 4]; 3];
 
-/// The contexts of a record of T samples; what a run does not declare is constant.
+/// The contexts of a record of T samples; undeclared conditions are constant.
 #[derive(Debug, Clone)]
 pub struct Conditions {
     t: Vec<f64>,
@@ -74,12 +74,12 @@ impl Conditions {
         })
     }
 
-    /// The same world, with the poses of the cameras that look at it.
+    /// The same conditions, with the poses of the cameras.
     pub fn seen_by(self, cameras: Vec<Camera>) -> Conditions {
         Conditions { cameras, ..self }
     }
 
-    /// Poses of the cameras, none where they are not known.
+    /// Poses of the cameras, empty if unknown.
     pub fn cameras(&self) -> &[Camera] {
         &self.cameras
     }
@@ -118,8 +118,8 @@ impl Conditions {
         Ok(())
     }
 
-    /// The context of sample `k`. It cannot fail, so an effect that reads only part of it pays for
-    /// that part.
+    /// The context of sample `k`. It cannot fail, so an effect pays only for the part that it
+    /// reads.
     #[inline]
     pub fn at(&self, k: usize) -> Context {
         fn column<T: Copy>(values: &[T], k: usize, absent: T) -> T {
@@ -160,8 +160,8 @@ impl Conditions {
     }
 }
 
-/// Where `t` lies among rising `times`: the sample before and the share of the way to the next.
-/// Held beyond both ends.
+/// Position of `t` in increasing `times`: the previous sample and the fraction to the next.
+/// Constant beyond both ends.
 pub fn bracket(times: &[f64], t: f64) -> (usize, f64) {
     let last = times.len() - 1;
     if t <= times[0] {

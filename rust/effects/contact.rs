@@ -1,11 +1,11 @@
-//! Contact: the body touches something, a wall or a ball.
+//! Contact: the body touches an obstacle, a wall or a ball.
 //!
 //! The obstacle's foremost point is q = (distance·cos heading, distance·sin heading, height), its
 //! normal there n = −(cos heading·cos tilt, sin heading·cos tilt, sin tilt) and its curvature that
 //! of a sphere (0: a plane, for which `height` only matters when it is tilted). Four stations of
-//! the body keep outside of it, pushed without friction by the unit-force fields; how, stands in
-//! `rust/response/contact.rs`. At distance 0 there is no obstacle. Limit: linear; where the
-//! obstacle holds the body back by many mm, it is held too far.
+//! the body stay outside it, pushed without friction by the unit-force fields
+//! (`rust/response/contact.rs`). At distance 0 there is no obstacle. Limit: linear; if the obstacle
+//! displaces the body by many mm, the displacement is too large.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,9 +1,9 @@
 //! Coupling: the command of one channel moves the others too.
 //!
-//! `x_i = u_i + Σ_j factor_ij·u_j`, `j ≠ i`, without memory. Up to four channels every ordered pair
-//! has a factor; with more only neighbours have (`Each::Pair`), so that their number grows with the
-//! channels as that of `gain` does and not with its square: tendons lead past their neighbours.
-//! Limit: a robot whose neighbours have far numbers hides the rest.
+//! `x_i = u_i + Σ_j factor_ij·u_j`, `j ≠ i`, without memory. Up to four channels, every ordered
+//! pair has a factor. With more, only neighbours do (`Each::Pair`), because tendons run past their
+//! neighbours; so the number of factors is linear in the channels. Limit: on a robot whose
+//! neighbours have distant numbers, the other couplings are not modelled.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -40,7 +40,7 @@ pub static EFFECT: Effect = Effect {
 struct Coupling;
 
 impl ChannelEffect for Coupling {
-    /// The command before it is mixed: a place to work in, so that a step allocates nothing.
+    /// Storage for the command before mixing, so a step allocates nothing.
     fn state_size(&self, channels: usize) -> usize {
         channels
     }

@@ -1,12 +1,12 @@
-//! Creep: under a held command the body goes on bending slowly (two Prony terms).
+//! Creep: under a held command the body keeps bending slowly (two Prony terms).
 //!
 //! `y = x + strength·(z₁ + z₂)/2`, `tau·spread·z₁' = x − z₁`, `(tau/spread)·z₂' = x − z₂`: the
 //! response to a step is one plus strength times the mean of two relaxations, whose times lie
 //! `spread` above and below `tau`; one relaxation at spread 1. Advanced exactly for commands linear
 //! between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s. Limit:
-//! two equal terms. They stand for three as well: fitted to five bodies of up to three terms over
-//! two decades, lopsided ones among them, they leave 3 to 9 % of the slow part, where one term
-//! leaves 14 to 32 %, so there is no third. Pinned by tests/model/test_effects.py.
+//! two equal terms. They also approximate three: fitted to five bodies of up to three terms over
+//! two decades, also of unequal strength, they leave 3 to 9 % of the slow part, while one term
+//! leaves 14 to 32 %. So there is no third. Pinned by tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -85,7 +85,7 @@ impl ChannelEffect for Creep {
         advance(strength, slow, quick, x, state);
     }
 
-    /// As by steps; the weights of many samples are found together.
+    /// Like single steps; the weights of many samples are computed together.
     fn rollout(
         &self,
         params: &[f64],

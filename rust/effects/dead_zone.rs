@@ -1,9 +1,9 @@
-//! Dead zone: around zero a command moves nothing, because slack is taken up first.
+//! Dead zone: around zero, a command causes no motion, because slack is taken up first.
 //!
 //! `x = u − min(max(u, −slack⁻), slack⁺)`, mm, without memory, for each channel; slack ≤ 0 is none.
 //! Each cable of a pair has its own slack: slack⁺ is that of the cable that +u pulls. It acts on
-//! the command. A tendon that goes slack under a load is a law of the prior itself (`slack` of a
-//! rod), and not a dead zone.
+//! the command. A tendon that becomes slack under a load is a law of the prior (`slack` of a rod),
+//! not a dead zone.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,9 +1,9 @@
 //! The declaration of an effect, and its four possible roles.
 //!
-//! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives
-//! the coefficients of named fields; a *sensing* effect moves what is seen; a *prior* effect
-//! changes a number that the prior itself takes. At null parameters each is the identity. All
-//! memory lies in flat slices that the caller owns, so it can be copied, reset and replayed.
+//! A *channel* effect changes the C commands (mm) and may have memory. A *shape* effect gives the
+//! coefficients of named fields. A *sensing* effect moves the measured points. A *prior* effect
+//! changes a parameter of the prior. At null parameters each is the identity. All memory is in flat
+//! slices owned by the caller, so it can be copied, reset and replayed.
 
 use super::conditions::{Conditions, Context};
 use crate::error::Result;
@@ -46,8 +46,8 @@ pub enum Kind {
 pub struct Parameter {
     pub name: &'static str,
     pub unit: &'static str,
-    /// Always admissible, even outside [low, high]. Where another parameter switches the effect
-    /// off, this is a typical value.
+    /// Always valid, even outside [low, high]. If another parameter switches the effect off, this
+    /// is a typical value.
     pub null: f64,
     /// A plausible strength: where a search begins and at which signatures are compared.
     pub start: f64,
@@ -56,16 +56,15 @@ pub struct Parameter {
     pub doc: &'static str,
     /// One number for the robot, or one for each channel or pair.
     pub each: Each,
-    /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave
-    /// it there.
+    /// An integer: it has no slope, so fits try each value from low to high as a start and keep it.
     pub integer: bool,
-    /// A time within the run: it lies so far from its ends that both sides of it are seen.
+    /// A time within the run, far enough from its ends that both sides of it are visible.
     pub instant: bool,
-    /// How far beyond `high` a fit may go where the data require it.
+    /// How far beyond `high` a fit may go if the data require it.
     pub reach: Reach,
-    /// For a whole number that counts something of the channels: the highest that means anything.
+    /// For an integer that counts channels: the highest meaningful value.
     pub most: Option<fn(usize) -> usize>,
-    /// For a whole number that stands for a case: what it means, for a number of channels.
+    /// For an integer that encodes a case: its meaning, for a number of channels.
     pub meaning: Option<fn(f64, usize) -> String>,
 }
 
@@ -77,12 +76,11 @@ pub enum Reach {
     High,
     /// So many times half the range of the commands.
     HalfRanges(f64),
-    /// A weight that would move the tip sideways by so many lengths of the body if the answer were
-    /// linear.
+    /// A weight that would move the tip sideways by so many body lengths with a linear response.
     Lengths(f64),
 }
 
-/// What a parameter has a number for.
+/// The objects that a parameter has a number for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Each {
     Robot,
@@ -97,8 +95,8 @@ pub enum Each {
     Pair,
 }
 
-/// Up to so many channels every ordered pair counts as one; beyond, only neighbours do, so that the
-/// number of pairs grows like that of the channels and a search over them stays affordable.
+/// Most channels for all ordered pairs; beyond, only neighbours count, so the number of pairs is
+/// linear in the channels and a search stays affordable.
 const EVERY_PAIR: usize = 4;
 
 /// The ordered pairs (i, j), i ≠ j, that an effect between channels has a number for.
@@ -234,7 +232,7 @@ impl Parameter {
     }
 }
 
-/// The description of an effect for pages, screens, tests and fits.
+/// The declaration of an effect for pages, screens, tests and fits.
 #[derive(Debug)]
 pub struct Declaration {
     pub name: &'static str,
@@ -243,16 +241,16 @@ pub struct Declaration {
     pub kind: Kind,
     pub formula: &'static str,
     pub doc: &'static str,
-    /// What the error looks like while the effect is missing from the model.
+    /// The appearance of the error while the model lacks the effect.
     pub signature: &'static str,
     pub reference: &'static str,
-    /// What to record so that the effect shows itself, and how many minutes that takes.
+    /// The experiment that shows the effect, and its minutes.
     pub experiment: (&'static str, f64),
-    /// Effects of the same form, and what in a run distinguishes them: "orientation", "load",
-    /// "roll", "base" (points of the clamped base, or a model that has the other effect) or
+    /// Effects of the same form, and the property of a run that distinguishes them: "orientation",
+    /// "load", "roll", "base" (points of the clamped base, or a model that has the other effect) or
     /// "never".
     pub alike: &'static [(&'static str, &'static str)],
-    /// Fields a run must carry for the effect to be computed at all.
+    /// Fields that a run must declare for the effect.
     pub needs: &'static [&'static str],
     pub parameters: &'static [Parameter],
 }
@@ -264,21 +262,21 @@ impl Declaration {
     }
 }
 
-/// A change of the command numbers, with or without memory.
+/// A change of the commands, with or without memory.
 pub trait ChannelEffect: Sync {
     /// Numbers of memory for `channels` channels.
     fn state_size(&self, _channels: usize) -> usize {
         0
     }
 
-    /// Set `state` to the equilibrium with `x` held forever, and `x` to what comes out then.
+    /// Set `state` to the equilibrium with `x` held forever, and `x` to its output.
     fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]);
 
-    /// Advance one sample: `x` (C,) goes in and comes out changed.
+    /// Advance one sample: `x` (C,) is changed in place.
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context);
 
-    /// Advance a full record `samples` (T, C) in place. The loop is compiled once per effect, with
-    /// `step` inside it.
+    /// Advance a complete record `samples` (T, C) in place. The loop is compiled once per effect,
+    /// with `step` inlined.
     fn rollout(
         &self,
         params: &[f64],
@@ -292,14 +290,14 @@ pub trait ChannelEffect: Sync {
         }
     }
 
-    /// Refuse parameters that the effect cannot honour.
+    /// Reject parameters that are invalid for the effect.
     fn check(&self, _params: &[f64]) -> Result<()> {
         Ok(())
     }
 }
 
-/// A change of the commands that maps a complete record at once: a user's own (`own.rs`). It
-/// has no state to pass on.
+/// A user-defined change of the commands that maps a complete record at once (`own.rs`). It has no
+/// state.
 pub trait RecordEffect: Sync {
     /// Change a complete record `samples` (T, C) in place, T and C at least 1. It begins in
     /// equilibrium with its first sample.
@@ -314,8 +312,8 @@ pub trait RecordEffect: Sync {
 
 /// Coefficients of shape fields.
 pub trait ShapeEffect: Sync {
-    /// Which coefficients the effect uses on a robot of so many channels: indices into [`FIELDS`],
-    /// [`TENDON`] or [`CONTACT`].
+    /// The coefficients of the effect for a number of channels: indices into [`FIELDS`], [`TENDON`]
+    /// or [`CONTACT`].
     fn fields(&self, channels: usize) -> Vec<usize>;
 
     /// Add the effect's coefficients to `out`, at the command `u` (C,) that acts.
@@ -328,7 +326,7 @@ pub trait RememberingEffect: Sync {
     /// As of [`ShapeEffect`].
     fn fields(&self, channels: usize) -> Vec<usize>;
 
-    /// Size of the memory at every sample on a robot of so many channels.
+    /// Size of the memory at every sample, for a number of channels.
     fn memory(&self, channels: usize) -> usize;
 
     /// Write the memory (T, M) to `out` for a complete record `samples` (T, C) of effective
@@ -348,10 +346,10 @@ pub trait RememberingEffect: Sync {
     );
 }
 
-/// A change of what is seen.
+/// A change of the measured points.
 pub trait SensingEffect: Sync {
-    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which
-    /// no shift moves.
+    /// Move `points` (V, 3) in place; where `positions` is false, the vector is a direction, which
+    /// shifts do not change.
     fn apply(
         &self,
         _params: &[f64],
@@ -362,28 +360,28 @@ pub trait SensingEffect: Sync {
     ) {
     }
 
-    /// How much later a frame is stamped than what it shows, s.
+    /// Delay of the time stamp of a frame, s.
     fn late(&self, _params: &[f64]) -> f64 {
         0.0
     }
 }
 
-/// A change of a number that the prior itself takes.
+/// A change of a parameter of the prior.
 pub trait PriorEffect: Sync {
-    /// What the prior calls the number.
+    /// The prior's name of the parameter.
     fn number(&self) -> &'static str;
 
-    /// By what the prior's own value is multiplied.
+    /// The factor of the prior's own value.
     fn factor(&self, params: &[f64]) -> f64;
 }
 
 /// An effect's law in its role.
 pub enum Law {
     Channel(&'static dyn ChannelEffect),
-    /// A channel effect too, of a user.
+    /// Also a channel effect, user-defined.
     Record(&'static dyn RecordEffect),
     Shape(&'static dyn ShapeEffect),
-    /// A shape effect too, with a memory.
+    /// Also a shape effect, with memory.
     Remembering(&'static dyn RememberingEffect),
     Sensing(&'static dyn SensingEffect),
     Prior(&'static dyn PriorEffect),

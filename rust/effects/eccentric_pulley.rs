@@ -1,10 +1,10 @@
 //! Eccentric pulley: a spool off its axis winds unevenly over a turn.
 //!
 //! `x = u + A·(sin(u/radius + φ) − sin φ)`, mm, without memory. With `sine = A·cos φ` and `cosine =
-//! A·sin φ` it is linear in both, `x = u + sine·sin(u/radius) + cosine·(cos(u/radius) − 1)`, so
-//! that a fit needs no start for the phase and the amplitude, the root of their squares, fades to
-//! nothing at null. One radius for all pulleys, sine and cosine per channel. Limit: the first
-//! harmonic only, of the command instead of the length wound (second order in A/radius).
+//! A·sin φ` it is linear in both, `x = u + sine·sin(u/radius) + cosine·(cos(u/radius) − 1)`. So a
+//! fit needs no start for the phase, and the amplitude, the root of the sum of their squares, is
+//! zero at null. One radius for all pulleys, sine and cosine per channel. Limit: the first harmonic
+//! only, of the command instead of the length wound (second order in A/radius).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -68,8 +68,8 @@ impl ChannelEffect for EccentricPulley {
         let (cosine, radius) = rest.split_at(x.len());
         for ((x, sine), cosine) in x.iter_mut().zip(sine).zip(cosine) {
             let half = 0.5 * *x / radius[0];
-            // cos a − 1 = −2 sin²(a/2) keeps its figures near zero, and sin a = 2 sin(a/2) cos(a/2)
-            // is at hand.
+            // cos a − 1 = −2 sin²(a/2) is accurate near zero, and sin a = 2 sin(a/2) cos(a/2) comes
+            // with it.
             let (s, c) = half.sin_cos();
             *x += 2.0 * s * (sine * c - cosine * s);
         }

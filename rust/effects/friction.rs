@@ -1,5 +1,4 @@
-//! Friction along the tendon: the harder it is pulled, the further it must be pulled back before it
-//! moves.
+//! Friction along the tendon: the larger the pull, the larger the reversal before it moves.
 //!
 //! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j,
 //! x + w_j)` with `w_j = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the

@@ -1,13 +1,12 @@
-//! Gravity: the body weighs more or less than the model says, or hangs at another angle.
+//! Gravity: the body is heavier or lighter than the model, or hangs at another angle.
 //!
-//! The gravity that acts is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R`
+//! The effective gravity is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R`
 //! a turn by `tilt_x` about the base's x axis, then by `tilt_y` about y. The coefficients of the
 //! fields gravity_x|y|z (displacement per 1 g) are its difference to `g`; what the run declares is
-//! applied as known physics in `predict.rs`. The body answers linearly at constant
-//! tension, the tendons by falling slack or taut (`cables.rs`). Limit: all of that is taken at the
-//! unloaded equilibrium. On the built-in finger, horizontal instead of hanging, vertices are 0.14
-//! mm off where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by
-//! tests/model/test_bundle.py.
+//! applied as known physics in `predict.rs`. The body responds linearly at constant tension, and
+//! tendons become slack or taut (`cables.rs`). Limit: the response is that at the unloaded
+//! equilibrium. On the built-in finger, horizontal instead of hanging, vertices are 0.14 mm off
+//! where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by tests/model/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,4 +1,4 @@
-//! Hysteresis: a material whose response after a reversal is softer at first and catches up
+//! Hysteresis: after a reversal, the response is reduced at first and then catches up
 //! (Prandtl–Ishlinskii).
 //!
 //! `y = x − Σ w_i·stop_i(x)`, i = 1…4, with the stop operators `s_i ← clamp(s_i + Δx, ±r_i)`,
@@ -7,8 +7,8 @@
 //! shape above 1 crowds the thresholds at small motions, for loops that open at once and close
 //! late. Memory starts relaxed (`s_i = 0`). Exact for commands monotonic between samples. Source:
 //! P. Krejčí, K. Kuhnen, doi:10.1049/ip-cta:20010375. Limit: rate-independent, four thresholds.
-//! Fitted to loops of other laws it leaves, of what they move: Bouc–Wen 4 to 15 % (shape held at 1:
-//! 5 to 17 %), Dahl 6 % (7 %), thresholds of exponential density 7 % (11 %), of density 1/r 7 % (12
+//! Fitted to loops of other laws, it leaves of their motion: Bouc–Wen 4 to 15 % (shape held at 1: 5
+//! to 17 %), Dahl 6 % (7 %), thresholds of exponential density 7 % (11 %), of density 1/r 7 % (12
 //! %); eight thresholds are no better. Pinned by tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
@@ -111,7 +111,7 @@ impl ChannelEffect for Hysteresis {
         advance(strength, &thresholds(numbers), x, state);
     }
 
-    /// As by steps; powers are taken once instead of at every sample.
+    /// Like single steps; powers are computed once instead of at every sample.
     fn rollout(
         &self,
         params: &[f64],

@@ -1,9 +1,9 @@
-//! Kink: a place of the body gives way once it is bent far enough.
+//! Kink: a section of the body becomes soft once it is bent far enough.
 //!
 //! From a bend on, the modulus within 1/8 of the height of `centre` falls: `ln E = ln E₀ −
-//! softening·⟨1 − bend/|u|⟩₊`, |u| the size of the command that acts (mm), to which local bending
-//! grows in proportion. bend = 0 is a soft hinge. Fields and limits as `stiff_section`; a fold that
-//! stays closed when the command goes back is not in it.
+//! softening·⟨1 − bend/|u|⟩₊`, |u| the size of the effective command (mm), to which local bending
+//! is proportional. bend = 0 is a soft hinge. Fields and limits as for `stiff_section`; a fold that
+//! stays closed on reversal is not modelled.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -58,7 +58,7 @@ pub static EFFECT: Effect = Effect {
     law: Law::Shape(&Kink),
 };
 
-/// Half the length that gives way, as a share of the height.
+/// Half the length of the soft section, as a share of the height.
 const REACH: f64 = 0.125;
 
 struct Kink;

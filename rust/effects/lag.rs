@@ -2,8 +2,8 @@
 //!
 //! `tau·x' = u − x`, advanced exactly for commands that are linear between samples (as everywhere
 //! in the chain): with `h = dt/tau`, `a = e^(−h)`, `p = (1 − a)/h`: `x⁺ = a·x + (p − a)·u_before +
-//! (1 − p)·u`. The plain recursion `x += (1 − a)(u − x)` acts half a period early; this one has no
-//! error at any period. Units s. tau ≤ 0 is no lag.
+//! (1 − p)·u`. The simple recursion `x += (1 − a)(u − x)` is half a period early; this one is exact
+//! at any period. Units s. tau ≤ 0 is no lag.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -54,8 +54,8 @@ impl ChannelEffect for Lag {
         }
     }
 
-    /// The same as by steps; the weights of many samples are computed together, once for all
-    /// channels of one time constant.
+    /// Like single steps; the weights of many samples are computed together, once for all channels
+    /// with one time constant.
     fn rollout(
         &self,
         params: &[f64],

@@ -1,10 +1,10 @@
-//! Latency: the drive acts on the command of a moment ago.
+//! Latency: the drive follows an earlier command.
 //!
-//! `x(t) = u(t − delay)`, linear between samples, so that the delay need not be a multiple of the
-//! period and can be fitted. Memory is a ring of past samples with their times. Before the first
-//! sample the first command is held forever. Limit: delays up to [`MAX_DELAY`]; samples closer than
-//! half of [`SPACING`] are thinned so that the ring always spans it (none at rates up to 900 Hz).
-//! Source: pure dead time of any sampled drive. Pinned by the tests at the foot.
+//! `x(t) = u(t − delay)`, linear between samples, so the delay need not be a multiple of the period
+//! and can be fitted. Memory is a ring of past samples with their times. Before the first sample
+//! the first command is held forever. Limit: delays up to [`MAX_DELAY`]; samples closer than half
+//! of [`SPACING`] are thinned so that the ring always spans it (none at rates up to 900 Hz).
+//! Source: pure dead time of any sampled drive. Pinned by the tests below.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -174,7 +174,7 @@ mod tests {
             while t < 1.5 {
                 x[0] = 2.0 * t;
                 Latency.step(&[0.37], &mut x, &mut state, &context(t));
-                // A ramp is linear, so interpolation is exact whatever was thinned.
+                // A ramp is linear, so interpolation is exact after thinning.
                 assert!(
                     (x[0] - 2.0 * (t - 0.37).max(0.0)).abs() < 1e-9,
                     "rate {rate}, t {t}: {}",

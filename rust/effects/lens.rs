@@ -1,13 +1,13 @@
-//! Lens: the cameras bend straight lines towards the rim of their pictures; a fault of the
-//! measurement, not of the robot.
+//! Lens: the cameras distort straight lines towards the image border; a measurement fault, not
+//! physics of the robot.
 //!
-//! A camera with the pose [R | t] (base → camera, looking along its z) sees p at `q = R·p + t`, in
-//! its picture at `n = (q_x, q_y)/q_z`, and takes it for `n·(1 + radial·|n|²)`. What is seen is the
-//! point nearest to the rays of all cameras (least squares; of one camera, the point of its ray
-//! nearest to the true one). Cameras behind which a point lies do not see it. Without the cameras'
-//! poses in the run it does nothing. One number for all cameras, on top of their calibration.
-//! Source: first radial term of Brown's model. Limit: places only, by their section middles; the
-//! size of a section stays.
+//! A camera with the pose [R | t] (base → camera, looking along its z) has p at `q = R·p + t`, in
+//! its image at `n = (q_x, q_y)/q_z`, and measures `n·(1 + radial·|n|²)`. The measured point is
+//! nearest to the rays of all cameras (least squares; with one camera, the point of its ray nearest
+//! to the true one). Points behind a camera are not visible to it. Without camera poses in the run,
+//! the effect is zero. One number for all cameras, on top of their calibration. Source: first
+//! radial term of Brown's model. Limit: positions only, by section centroids; the size of a section
+//! does not change.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -48,7 +48,7 @@ pub static EFFECT: Effect = Effect {
 
 struct Lens;
 
-/// Share of the identity that keeps the meeting point of one ray, or of parallel ones, unique.
+/// Share of the identity that keeps the intersection of one ray, or of parallel ones, unique.
 const UNIQUE: f64 = 1e-12;
 
 impl SensingEffect for Lens {
@@ -72,7 +72,7 @@ impl SensingEffect for Lens {
     }
 }
 
-/// By how much a point is seen away from its place, mm.
+/// Displacement of the measured point, mm.
 fn seen_away(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
     let mut system = Mat3::from_diagonal(Vec3::splat(UNIQUE));
     let mut right = Vec3::ZERO;
@@ -84,8 +84,7 @@ fn seen_away(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
         }
         let seen = q / q.z;
         let bent = radial * (seen.x * seen.x + seen.y * seen.y);
-        // From the camera to p, and the ray that it takes it for, both in the base frame, at the
-        // depth of p.
+        // From the camera to p, and the distorted ray, both in the base frame, at the depth of p.
         let beside = bent * (q.x * x + q.y * y);
         let ray = q.x * x + q.y * y + q.z * z + beside;
         let square = ray.length_squared();

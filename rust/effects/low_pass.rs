@@ -1,5 +1,5 @@
-//! First-order low passes under commands that are linear between samples: what lag, creep and
-//! tendon creep are made of.
+//! First-order low passes under commands that are linear between samples, for lag, creep and tendon
+//! creep.
 //!
 //! Over dt, with h = dt/τ and p = (1 − e^(−h))/h:  x ← (1 − ph) x + (p − 1 + ph) u_before + (1 − p)
 //!   u. Exact to round-off.
@@ -26,7 +26,7 @@ pub(crate) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
     [1.0 - fall, p - 1.0 + fall, 1.0 - p]
 }
 
-/// Up to this h the series below is exact to round-off (h⁹/10! < 3e-16) and several times cheaper
+/// Up to this h, the series below is exact to round-off (h⁹/10! < 3e-16) and several times cheaper
 /// than the exponential.
 const SHORT: f64 = 0.1;
 
@@ -49,10 +49,10 @@ fn mean_of_fall(h: f64) -> f64 {
         .fold(1.0, |sum, inverse| 1.0 - h * inverse * sum)
 }
 
-/// Samples whose weights are found together.
+/// Samples whose weights are computed together.
 const TOGETHER: usize = 128;
 
-/// `low_pass` at up to [`TOGETHER`] samples, written to `out`; the same numbers, several at a time.
+/// `low_pass` at up to [`TOGETHER`] samples, written to `out`; the same values, several at a time.
 fn low_passes(tau: f64, dts: &[f64], out: &mut [[f64; 3]; TOGETHER]) {
     if tau <= 0.0 || dts.iter().any(|dt| *dt <= 0.0 || *dt / tau >= SHORT) {
         let pairs = out.iter_mut().zip(dts);
@@ -72,8 +72,8 @@ fn low_passes(tau: f64, dts: &[f64], out: &mut [[f64; 3]; TOGETHER]) {
     );
 }
 
-/// Advance a record sample by sample: `advance` gets the weights of N low passes of `taus`, found
-/// many samples at a time.
+/// Advance a record sample by sample: `advance` gets the weights of N low passes of `taus`,
+/// computed for many samples at a time.
 pub(super) fn low_passed<const N: usize>(
     taus: [f64; N],
     samples: &mut [f64],

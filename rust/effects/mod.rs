@@ -1,4 +1,4 @@
-//! Effects: each declared once, in a file of its own; the list below is the registry.
+//! Effects: each is declared once, in its own file; the list below is the registry.
 //!
 //! To add one, write `NAME.rs` next to the others with `pub static EFFECT: Effect` and put its name
 //! in the list below. Chains, fits, the effects page and the tests loop over the list.

@@ -1,14 +1,14 @@
-//! Mount: the base sits turned and shifted in the frame of the cameras; a fault of the measurement,
-//! not of the robot.
+//! Mount: the base is turned and shifted in the frame of the cameras; a measurement fault, not
+//! physics of the robot.
 //!
 //! `p = R·p + shift` about the base's origin, `R` the turn by the rotation vector `turn` (degrees;
 //! Rodrigues' formula with the series at small angles). Directions only turn. Exact for any angle;
-//! the effect of gravity on a truly tilted base is the effect `gravity`, not this one.
+//! gravity on a truly tilted base is the effect `gravity`.
 
 use super::conditions::Context;
 use super::declaration::*;
 
-/// One of three like parameters.
+/// One of three similar parameters.
 const fn turn(name: &'static str, doc: &'static str) -> Parameter {
     Parameter::new(name, "deg", 0.0, 1.0, -6.0, 6.0, doc)
 }

@@ -1,12 +1,12 @@
-//! Mullins softening: up to the largest bend so far the body is softer than beyond it.
+//! Mullins softening: up to the largest previous bend, the body is softer than beyond it.
 //!
 //! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))`, |x| the length of the vector of the
-//! channels of a section and X the largest so far, which is memory. mm. A bend one way softens
-//! every way: the damage belongs to the body, not to a tendon. It starts in equilibrium: X = |x| of
-//! the first command, an untouched body. Exact for commands on straight lines between samples;
-//! reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written for a
-//! bend instead of an energy. Limits: two channels are taken to bend a section, three where their
-//! number is odd and can be divided so, else all; no healing.
+//! channels of a section and X the largest so far, which is memory. mm. A bend in one direction
+//! softens all directions: the damage is in the body, not in a tendon. It starts in equilibrium: X
+//! = |x| of the first command, an untouched body. Exact for commands on straight lines between
+//! samples; reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written
+//! for a bend instead of an energy. Limits: two channels bend a section, or three if their number
+//! is odd and divisible by three, else all; no recovery.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -76,7 +76,7 @@ impl ChannelEffect for Mullins {
     }
 }
 
-/// How many of so many channels bend one section: pairs of tendons, three tendons, or all.
+/// The number of channels that bend one section: pairs of tendons, three tendons, or all.
 fn section(channels: usize) -> usize {
     let even = [2, 3].into_iter().find(|n| channels.is_multiple_of(*n));
     even.unwrap_or(channels)

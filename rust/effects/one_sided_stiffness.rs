@@ -1,8 +1,8 @@
 //! One-sided stiffness: the body is stiffer towards one side of its section.
 //!
-//! `ln E = ln E₀ + (x·X + y·Y)/R`, X and Y the place in the section and R the largest distance of
-//! the body from its axis. The coefficients of the fields stiff_x and stiff_y are x and y. Limit:
-//! second order (`second.rs`); fields alone are 6 % off at ±20 % (rust/fem/sweep_tests.rs).
+//! `ln E = ln E₀ + (x·X + y·Y)/R`, X and Y the position in the section and R the largest distance
+//! of the body from its axis. The coefficients of the fields stiff_x and stiff_y are x and y.
+//! Limit: second order (`second.rs`); fields alone are 6 % off at ±20 % (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,8 +1,8 @@
-//! Effects that a user adds while the program runs: a list next to the library's.
+//! User-defined effects, added at run time: a list besides the library's.
 //!
-//! One name stands for one effect: a name that is taken is refused until it is forgotten. A chain
-//! keeps the effects that it was composed with, whatever is forgotten later; so their few hundred
-//! bytes are never given back.
+//! A name identifies one effect: a used name is rejected until it is removed. A chain keeps the
+//! effects that it was composed with, also after their removal; so their few hundred bytes are
+//! never freed.
 
 use super::REGISTRY;
 use super::declaration::{Declaration, Effect, Law, RecordEffect, Stage};
@@ -11,7 +11,7 @@ use std::sync::{PoisonError, RwLock};
 
 static OWN: RwLock<Vec<&'static Effect>> = RwLock::new(Vec::new());
 
-/// Every effect there is now, in stage order; within a stage the library's come first.
+/// All current effects, in stage order; within a stage, those of the library come first.
 pub fn registry() -> Vec<&'static Effect> {
     let own = OWN.read().unwrap_or_else(PoisonError::into_inner);
     let mut all: Vec<_> = REGISTRY.iter().chain(own.iter()).copied().collect();
@@ -58,7 +58,7 @@ pub fn register(declaration: Declaration, law: Box<dyn RecordEffect>) -> Result<
     Ok(())
 }
 
-/// Take a user's effect out of the list.
+/// Remove a user's effect from the list.
 pub fn forget(name: &str) -> Result<()> {
     let mut own = OWN.write().unwrap_or_else(PoisonError::into_inner);
     let before = own.len();

@@ -1,15 +1,14 @@
-//! An antagonist pair whose cables have grown longer: what anchor slip and tendon creep do to a
+//! An antagonist pair with lengthened cables: the effect of anchor slip and tendon creep on a
 //! command.
 //!
-//! Cables only pull. With a and b ≥ 0 by how much the cable that +x pulls and the one that −x pulls
-//! are longer:
-//!   hanging loose, x > a: x − a;   x < −b: x + b;   between, neither pulls: 0, a dead zone;
-//!   held taut, or where cables take compression: x − a + b, the full channel is shifted,
-//! and `taut` is the share of the latter. Continuous and monotone in x for `taut` from 0 to 1. mm.
+//! Cables only pull. With a and b ≥ 0 the extra lengths of the cable that +x pulls and of the one
+//! that −x pulls: hanging loose, x > a: x − a; x < −b: x + b; between, neither pulls: 0, a dead
+//! zone; held taut, or where cables take compression: x − a + b, the full channel is shifted, and
+//! `taut` is the share of the latter. Continuous and monotone in x for `taut` from 0 to 1. mm.
 
 use super::declaration::Parameter;
 
-/// The number that says how taut a pair is; `doc` says what shows of it.
+/// The parameter for the tautness of a pair, with its `doc`.
 pub(super) const fn taut(doc: &'static str) -> Parameter {
     Parameter::new("taut", "1", 0.5, 0.5, 0.0, 1.0, doc)
 }

@@ -1,9 +1,9 @@
-//! Payload: something hangs at the tip that the run does not declare.
+//! Payload: an undeclared mass hangs at the tip.
 //!
 //! A mass of `mass` grams on top of the declared load: the force `mass·1e-3·9.80665 N` along the
-//! run's gravity, as coefficients of tip_force_x|y|z (displacement per 1 N). The body answers
-//! linearly at constant tension, the tendons by falling slack or taut (`cables.rs`). Limit: all of
-//! that is taken at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven
+//! run's gravity, as coefficients of tip_force_x|y|z (displacement per 1 N). The body responds
+//! linearly at constant tension, and tendons become slack or taut (`cables.rs`). Limit: the
+//! response is that at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven
 //! commands: 25 g hanging 0.10 mm off of 0.9 mm moved, 25 g leaning by 35° 0.28 of 3.3, 60 g
 //! leaning 1.11 of 5.6; pinned by docs/make_effects.py and tests/model/test_bundle.py.
 

@@ -1,7 +1,7 @@
 //! Pre-curve: the body is curved at rest.
 //!
-//! Body and tendons lie on an even arc whose tip is (x, y) mm aside: the coefficients of the fields
-//! curve_x and curve_y (displacement per 1 mm). Limit: linear; 2 % off at 2 mm
+//! Body and tendons lie on a uniform arc with its tip (x, y) mm aside: the coefficients of the
+//! fields curve_x and curve_y (displacement per 1 mm). Limit: linear; 2 % off at 2 mm
 //! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;

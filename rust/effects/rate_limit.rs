@@ -1,7 +1,7 @@
 //! Rate limit: the drive follows its command no faster than a certain speed.
 //!
 //! `dx/dt = clamp(du/dt while x = u, ±speed)`, else `±speed` towards u. Advanced exactly for
-//! commands linear between samples, also where x meets u within a sample and is left behind again.
+//! commands linear between samples, also if x reaches u within a sample and falls behind again.
 //! mm/s, one number for all channels; speed ≤ 0 is no limit. Memory starts in equilibrium, x = u.
 
 use super::conditions::Context;
@@ -42,13 +42,12 @@ pub static EFFECT: Effect = Effect {
 
 struct RateLimit;
 
-/// Where a follower of speed `v` that stands at `x` ends after `dt`, while its command goes
-/// straight from `a` to `b`.
+/// Position of a follower of speed `v` after `dt`, from `x`, for a command linear from `a` to `b`.
 #[inline]
 fn follow(v: f64, dt: f64, x: f64, a: f64, b: f64) -> f64 {
     let (gap, rise) = (a - x, b - a);
     if gap * rise < 0.0 && rise.abs() > v * dt {
-        // They run towards one another, meet after `share` of the sample, and the command runs on
+        // They approach each other, meet after `share` of the sample, and the command continues
         // faster.
         let share = gap.abs() / (v * dt + rise.abs());
         if share < 1.0 {
@@ -107,7 +106,7 @@ mod tests {
                 let at = |k: usize| a + (b - a) * k as f64 / n as f64;
                 fine = follow(v, 1.0 / n as f64, fine, at(k), at(k + 1));
             }
-            // A short sample cannot be off by more than it covers.
+            // The error of a short sample is at most its motion.
             assert!(
                 (follow(v, 1.0, x, a, b) - fine).abs() < 1e-12,
                 "{x} {a} {b}: {fine}"

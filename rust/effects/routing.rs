@@ -1,8 +1,8 @@
 //! Routing: the tendons of a command run at another angle about the axis than the model's.
 //!
 //! The coefficients of the fields routing_c (displacement per 1°) are the phases of the tendons
-//! that command c moves. Other than a turn of the commands it is no affine map of them: which
-//! tendons go slack is decided by where they run. Limit: linear; 5 % off at 5°
+//! that command c moves. Unlike a rotation of the commands, it is not an affine map of them: the
+//! routing determines which tendons become slack. Limit: linear; 5 % off at 5°
 //! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
@@ -46,8 +46,8 @@ impl ShapeEffect for Routing {
     }
 
     fn add(&self, params: &[f64], _u: &[f64], _context: &Context, out: &mut Coefficients) {
-        // A model has fields for as many commands as it names; `fields` asks for more where there
-        // are more.
+        // A model has fields for its named commands; `fields` requests more if there are more
+        // commands.
         for (out, phase) in out[ROUTING..ROUTING + PHASES].iter_mut().zip(params) {
             *out += phase;
         }

@@ -1,8 +1,8 @@
-//! Saturation: the drive stops at its limits, which the model does not know.
+//! Saturation: the drive stops at limits that the model lacks.
 //!
 //! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is
-//! none. The search begins inside the usual stroke, since a limit beyond all commands has no slope.
-//! A drive that pulls to one side only has its limit at up to two half ranges.
+//! none. The search starts inside the usual stroke, because a limit beyond all commands has no
+//! slope. The limit of a one-sided drive is at up to two half ranges.
 
 use super::conditions::Context;
 use super::declaration::*;

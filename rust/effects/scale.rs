@@ -1,4 +1,5 @@
-//! Scale: everything is seen too large or too small; a fault of the measurement, not of the robot.
+//! Scale: all measurements are too large or too small; a measurement fault, not physics of the
+//! robot.
 //!
 //! `p = factor·p` about the origin of the base; sizes and directions scale with it. Exact.
 

@@ -1,11 +1,10 @@
-//! Servo swap: one servo turns the wrong way, or two are plugged where the other belongs; a fault,
-//! not physics.
+//! Servo swap: one servo is reversed, or two are exchanged; a fault, not physics.
 //!
-//! A whole number says which: 0 nothing, 1…C the sign of that channel, then the pairs (0,1), (0,2),
-//! … that are exchanged. Up to nine channels every pair stands in the list, 45 cases; with more
-//! only neighbours do, so that it grows with the channels and not with their square. Rounded to the
-//! nearest; a number beyond the list is nothing. No memory. Limit: one exchange or one sign; two
-//! faults at once are not in the list.
+//! An integer is the case: 0 none, 1…C the sign of that channel, then the exchanged pairs (0,1),
+//! (0,2), …. Up to nine channels, the list has every pair, 45 cases; with more, only neighbours, so
+//! it is linear in the channels. The value is rounded to the nearest integer; beyond the list it
+//! has no effect. No memory. Limit: one exchange or one sign; two faults at once are not in the
+//! list.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -42,10 +41,10 @@ pub static EFFECT: Effect = Effect {
 
 struct ServoSwap;
 
-/// Up to so many channels every pair can be exchanged, beyond only neighbours.
+/// Most channels for which every pair can be exchanged; beyond, only neighbours.
 const EVERY_PAIR: usize = 9;
 
-/// How many cases there are for a number of channels.
+/// The number of cases for a number of channels.
 fn cases(channels: usize) -> usize {
     let far = channels <= EVERY_PAIR;
     channels

@@ -1,9 +1,9 @@
-//! Slack: tendons that push less than the model's, down to cables that only pull.
+//! Slack: tendons push less than in the model, down to cables that only pull.
 //!
 //! The stiffness of a tendon in compression over that in tension is a number of the elastic rod
 //! (`rust/rod/elastic.rs`); this effect multiplies the rod's own by `ratio`, and the rod finds its
-//! equilibrium with that, loads included. A rod whose tendons only pull has nothing to lose, and a
-//! finger of finite elements, whose cables never push, neither.
+//! equilibrium with that, loads included. It has no effect on a rod whose tendons only pull, or on
+//! a finger of finite elements, whose cables never push.
 
 use super::declaration::*;
 

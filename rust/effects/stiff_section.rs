@@ -2,7 +2,7 @@
 //!
 //! `ln E = ln E₀ + amount` where s lies within width/2 of centre (shares of the height). The
 //! coefficient of each field stiff_k is amount times the part of its stretch that the section
-//! covers (`loads.rs`), so a border between stretches is smeared over 1/6 of the height. Limit:
+//! covers (`loads.rs`), so a border between sections is smeared over 1/6 of the height. Limit:
 //! second order in the logarithm (`second.rs`); linear, it is 4 % off at ±25 % and some 15 % at ±50
 //! %.
 

@@ -2,10 +2,10 @@
 //!
 //! `ln E(s) = ln E₀ + amount`, the same for every stretch of the body: the coefficient of each
 //! field stiff_k is `amount`. With tendons of given shortening and no other load, a uniform modulus
-//! hardly changes the shape (0.13 mm at −30 %). A weight, a lean and cables that stretch show it.
-//! The search is from half the modulus to twice it; in this range a run without weight or lean
-//! cannot show it. Limit: as for one stretch, second order (`second.rs`). A body without fields of
-//! its modulus has no such effect.
+//! hardly changes the shape (0.13 mm at −30 %). A weight, a lean and stretching cables show it. The
+//! search is from half the modulus to twice it; in this range, a run without weight or lean cannot
+//! show it. Limit: second order (`second.rs`), as for one section. A body without modulus fields
+//! does not have this effect.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,9 +1,9 @@
-//! Stiffness gradient: the modulus falls or rises evenly along the body.
+//! Stiffness gradient: the modulus changes uniformly along the body.
 //!
 //! `ln E(s) = ln E₀ + gradient·(s − ½)`, s the share of the height: the coefficient of each field
 //! stiff_k (displacement per unit of the logarithm of the modulus in one of seven stretches) is
-//! gradient·(s_k − ½). Under tendons whose shortening is given a uniform modulus hardly shows, its
-//! change along the body does. Limit: second order (`second.rs`); a field alone misses the
+//! gradient·(s_k − ½). Under tendons of given shortening, a uniform modulus is hardly visible, but
+//! its change along the body is. Limit: second order (`second.rs`); a field alone misses the
 //! simulator by 4 % at ±25 % in one stretch (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;

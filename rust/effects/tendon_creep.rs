@@ -1,13 +1,13 @@
-//! Tendon creep: a tendon under tension goes on stretching, and the bend is slowly lost.
+//! Tendon creep: a tendon under tension keeps stretching, and the bend decreases slowly.
 //!
-//! Each cable of a pair by itself: `s± = loss±·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the
-//! cable that +x pulls and the one that −x pulls are longer; what that does to the command is in
-//! `pair.rs`: `taut` 0 for cables that only pull and hang loose when they are let go, 1 for a pair
-//! that is held taut or takes compression, where `y = x − s⁺ + s⁻`. After a step all of it comes at
-//! once and a share of it is lost with time, where creep of the body (`creep.rs`) goes on in the
+//! Each cable of a pair by itself: `s± = loss±·z±`, `tau·z±' = max(±x, 0) − z±` are the extra
+//! lengths of the cable that +x pulls and of the one that −x pulls; `pair.rs` has the effect on the
+//! command: `taut` 0 for cables that only pull and hang loose when released, 1 for a pair that is
+//! held taut or takes compression, where `y = x − s⁺ + s⁻`. After a step, the full response is
+//! immediate, and a share of it is lost with time; creep of the body (`creep.rs`) continues in the
 //! direction of the step. Advanced exactly for pulls linear between samples, as in `lag.rs`. Memory
-//! starts in equilibrium, z± = max(±x, 0). Units 1 and s. Limit: one relaxation time, and all that
-//! is lost comes back.
+//! starts in equilibrium, z± = max(±x, 0). Units 1 and s. Limit: one relaxation time, and full
+//! recovery.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
@@ -80,7 +80,7 @@ impl ChannelEffect for TendonCreep {
         advance(params, low_pass(tau, context.dt), x, state);
     }
 
-    /// As by steps; the weights of many samples are found together.
+    /// Like single steps; the weights of many samples are computed together.
     fn rollout(
         &self,
         params: &[f64],

@@ -1,10 +1,10 @@
-//! Tendon stretch: the cables give more than the model's, in proportion to their tension.
+//! Tendon stretch: the cables stretch more than the model's, in proportion to their tension.
 //!
-//! Every cable gets its `compliance` mm longer for each N of its tension, beyond the 1/k that the
-//! model has for cable and drive: a softer spring in the complementarity of `cables.rs`, which
-//! finds the new tensions with what loads and other effects do to them. Under a payload the
-//! tensions change and so does what is lost; a gain would not know. Limit: as far as the body
-//! answers changes of tension linearly: 1 % off at 0.02 mm/N (rust/fem/sweep_tests.rs).
+//! Every cable is `compliance` mm longer for each N of its tension, beyond the 1/k of the model for
+//! cable and drive. It is a softer spring in the complementarity of `cables.rs`, which finds the
+//! new tensions together with loads and other effects. A payload changes the tensions and so the
+//! lost motion, unlike a gain. Limit: linear response of the body to changes of tension: 1 % off at
+//! 0.02 mm/N (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;

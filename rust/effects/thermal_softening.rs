@@ -1,9 +1,8 @@
 //! Thermal softening: a warmer body bends further under the same command.
 //!
-//! `y = x·(1 + rate/100·(T − T₀))`, `T₀` the first temperature of the run, which is memory;
-//! without a temperature it does nothing. Linear in the rate, so that a fit needs no start; a body
-//! that hardens has a negative rate. Limit: the temperature of the run is that of the body, all of
-//! it.
+//! `y = x·(1 + rate/100·(T − T₀))`, `T₀` the first temperature of the run, which is memory; without
+//! a temperature it does nothing. It is linear in the rate, so a fit needs no start; a hardening
+//! body has a negative rate. Limit: the complete body has the temperature of the run.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -42,7 +41,7 @@ pub static EFFECT: Effect = Effect {
 struct ThermalSoftening;
 
 impl ChannelEffect for ThermalSoftening {
-    /// Whether a temperature was declared, and the first.
+    /// Whether a temperature was declared, and the first one.
     fn state_size(&self, _channels: usize) -> usize {
         2
     }

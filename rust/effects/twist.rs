@@ -1,9 +1,9 @@
 //! Twist: body and tendons are twisted along their length at rest.
 //!
-//! An even twist of `angle` degrees at the tip, tendons carried along: the coefficient of the field
+//! A uniform twist of `angle` degrees at the tip, tendons included: the coefficient of the field
 //! twist (displacement per 1°). Points roll about the middle line, and the body bends out of the
-//! plane of its tendons towards the tip. Limit: linear; 5 % off at 6°, where a chord is no arc any
-//! more (rust/fem/sweep_tests.rs).
+//! plane of its tendons towards the tip. Limit: linear; 5 % off at 6°, where chord and arc differ
+//! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -1,10 +1,10 @@
-//! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps
+//! Zero drift: the zero of a channel moves steadily during the run, as for a tendon that creeps
 //! through its knot.
 //!
 //! `x = u + rate·min(m, 15)`, mm, `rate` in mm/min per channel, `m` the minutes since the first
-//! sample. No memory of the commands. No log of some minutes says what comes after a quarter of an
-//! hour, so a controller that compensates it stops there. Limit: steady; a drift that ends is a
-//! `tendon_creep`, and one that comes at once an `anchor_slip`.
+//! sample. No memory of the commands. A log of a few minutes cannot predict beyond a quarter of an
+//! hour, so a controller that compensates the drift stops there. Limit: steady; a drift that ends
+//! is a `tendon_creep`, and a sudden one an `anchor_slip`.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -41,7 +41,7 @@ pub static EFFECT: Effect = Effect {
 
 struct ZeroDrift;
 
-/// Minutes after which the drift stays where it is.
+/// Minutes after which the drift stops.
 const LONGEST: f64 = 15.0;
 
 impl ChannelEffect for ZeroDrift {

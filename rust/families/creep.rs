@@ -31,9 +31,9 @@ const CABLES: [f64; 3] = [10.0, 30.0, 90.0];
 /// Time constants in which the largest stroke is forgotten, s.
 const STROKES: [f64; 3] = [4.0, 12.0, 36.0];
 
-/// Low-passed command minus command, mm. If the map is not free: also what remains of the largest
-/// stroke of all channels beyond the present one, as in a material that recovers; and what each
-/// cable of a pair has lost, where it pulls.
+/// Low-passed command minus command, mm. If the map is not free: also the remainder of the largest
+/// stroke of all channels beyond the present one, as in a recovering material; and the lost motion
+/// of each cable of a pair while it pulls.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     let mut out = vec![0.0; series.samples()];

@@ -55,9 +55,9 @@ pub struct Family {
     pub doc: &'static str,
     /// Fields of a run that must be declared and must vary.
     pub needs: &'static [&'static str],
-    /// Families that can produce the same error where the run cannot distinguish them.
+    /// Families that can produce the same error if the run cannot distinguish them.
     pub mimics: &'static [&'static str],
-    /// Experiment that shows the family apart from those it can mimic, and its minutes; empty if
+    /// Experiment that separates the family from those it can mimic, and its minutes; empty if
     /// there is none.
     pub experiment: (&'static str, f64),
     /// Effects of the library that belong to the family.

@@ -2,9 +2,9 @@
 //! speed.
 //!
 //! Play operators of all widths span every Prandtl-Ishlinskii hysteresis; times |x|, the loop can
-//! grow with the bend. Such loops close after each small cycle. Dahl elements creep on, as sheaths
-//! and the Bouc-Wen model do. Source: M. Brokate, J. Sprekels, Hysteresis and Phase Transitions
-//! (1996), ch. 2.
+//! grow with the bend. Such loops close after each small cycle. Dahl elements keep drifting, like
+//! sheaths and the Bouc-Wen model. Source: M. Brokate, J. Sprekels, Hysteresis and Phase
+//! Transitions (1996), ch. 2.
 
 use super::declaration::*;
 use super::operators::{dahl, geometric, play, with};
@@ -37,15 +37,15 @@ fn widths(wide: bool) -> [f64; WIDTHS] {
     }
 }
 
-/// Number of Dahl elements, and of those whose powers count too: reaches from barely visible to
-/// beyond the range.
+/// Number of Dahl elements, and of those whose powers count too: their reaches are from barely
+/// visible to beyond the range.
 const ELEMENTS: usize = 3;
 const REACHES: usize = 6;
 
 /// Half widths of the plays of other channels that drag this one along.
 const DRAGGED: [f64; 3] = [0.08, 0.2, 0.5];
-/// Most channels for which others are tried, on a map that is not free: else a run cannot identify
-/// so many columns.
+/// Most channels for which other channels are tried, on a map that is not free: beyond, a run
+/// cannot identify so many columns.
 const OTHERS: usize = 3;
 
 /// Output of the play minus its input, of the channel and of the others, and of Dahl elements, mm.

@@ -13,7 +13,7 @@ fn block(cells: [usize; 3], size: Vec3, young: f64, poisson: f64) -> Solid {
     Solid::new(mesh::block(cells, size).unwrap(), Vec::new(), &body).unwrap()
 }
 
-/// The same block of 10-node tetrahedra, six a brick.
+/// The same block of 10-node tetrahedra, six per brick.
 fn cut(cells: [usize; 3], size: Vec3, young: f64, poisson: f64) -> Solid {
     let (nodes, cells) = cut_block(cells, size);
     let mesh = tetrahedra(nodes, &cells, 0).unwrap();
@@ -25,7 +25,7 @@ fn cut(cells: [usize; 3], size: Vec3, young: f64, poisson: f64) -> Solid {
     .unwrap()
 }
 
-/// Mean sideways move of the end face.
+/// Mean lateral displacement of the end face.
 fn end_moves(solid: &Solid, state: &State) -> f64 {
     let end: Vec<usize> = (0..state.x.len())
         .filter(|&n| solid.mesh.nodes[n][2] > solid.mesh.height - 1e-9)
@@ -45,8 +45,8 @@ fn beam(length: f64, side: f64, young: f64, poisson: f64, g: f64) -> f64 {
     bending + line_load * length.powi(2) / (2.0 * coefficient * shear_modulus * side * side)
 }
 
-/// A cantilever of bricks or tetrahedra sags as the theory says, with the order of its elements;
-/// `stiff` is the sag at Poisson's ratio 0.48 with two and four cells across, over the theory's.
+/// A cantilever of bricks or tetrahedra sags as in theory, with the order of its elements; `stiff`
+/// is the sag at Poisson's ratio 0.48 with two and four cells across, over the theory's.
 fn check_cantilever(
     solid: fn([usize; 3], Vec3, f64, f64) -> Solid,
     cells: [usize; 3],
@@ -58,7 +58,7 @@ fn check_cantilever(
         let solid = solid([n, n, 5 * n], Vec3::new(side, side, length), young, poisson);
         end_moves(&solid, &reach(&solid, &[], g * Vec3::X, Vec3::ZERO))
     };
-    // With ν near 0 the clamp does not restrain the section, which is what a beam assumes.
+    // With ν near 0 the clamp does not restrain the section, as beam theory assumes.
     let sags = cells.map(|n| sag(n, 0.02));
     let order = ((sags[1] - sags[0]) / (sags[2] - sags[1])).log2();
     let limit = sags[2] + (sags[2] - sags[1]) / (order.exp2() - 1.0);

@@ -1,5 +1,4 @@
-//! How the answer of an equilibrium to loads, moduli and tensions bends: its second derivatives,
-//! for causes that are not small.
+//! Second derivatives of an equilibrium by loads, moduli and tensions, for large causes.
 //!
 //! With the residual r(x, λ), λ the dead loads, the changes of the modulus and the tensions, and
 //! x_k = dx/dλ_k at constant other tensions (`sweep.rs`),
@@ -7,10 +6,10 @@
 //!     r(0)]/h²,
 //! where d moves the nodes along h·x_k and the tensions along h·e_k: dead loads are linear, so only
 //! elements and cables are assembled. A modulus p_k adds ∂(∂r/∂p_k)/∂x·x_l, a central difference,
-//! for each l, and two of them ∂²r/∂p_k∂p_l (`moduli.rs`). A cable's length bends likewise, by the
-//! same difference of lengths plus b·x_kl. Steps are REACH mm long, the error is their square:
-//! 1e-4. Units: mm, N, g. Limit: as for fields, where K at constant tension is indefinite it is
-//! shifted.
+//! for each l, and two of them ∂²r/∂p_k∂p_l (`moduli.rs`). The second derivative of a cable's
+//! length is the same difference of lengths plus b·x_kl. Steps are REACH mm long; the error is
+//! their square: 1e-4. Units: mm, N, g. Limit: as for fields, an indefinite K at constant tension
+//! is shifted.
 
 use super::Vec3;
 use super::change::add_parts;
@@ -23,7 +22,7 @@ use super::work::inner;
 use crate::error::Result;
 use crate::response::loads::{LOADS, TIP_FORCE};
 
-/// How far a difference moves the node that moves most, mm.
+/// Largest motion of a node in a difference, mm.
 const REACH: f64 = 0.1;
 
 /// Second derivatives at one equilibrium, for each pair (k ≤ l) of `loads::LOADS`, the moduli and
@@ -34,13 +33,13 @@ pub struct Bend {
     pub fields: Vec<Vec<Vec3>>,
     /// Stretch of each cable under the same, mm: rows (cables, pairs).
     pub stretch: Vec<f64>,
-    /// By what share the answers of gravity, of a force on the tip and of the tensions (each kind
-    /// alike) grow for a unit of each cause: g_k = ⟨x_l, x_kl⟩/⟨x_l, x_l⟩, sums over the causes l
-    /// of a kind, over all unknowns.
+    /// Relative growth of the responses to gravity, to a force on the tip and to the tensions (each
+    /// kind alike) per unit of each cause: g_k = ⟨x_l, x_kl⟩/⟨x_l, x_l⟩, sums over the causes l of
+    /// a kind, over all unknowns.
     pub growth: Vec<f64>,
 }
 
-/// One cause: what it moves per unit, in unknowns, and which modulus or tension it is.
+/// One cause: its motion of the unknowns per unit, and its modulus or tension.
 struct Cause {
     step: Vec<f64>,
     modulus: Option<usize>,
@@ -139,7 +138,7 @@ impl Simulation {
     }
 }
 
-/// What ⟨x_l, x_kl⟩ of each cause l counts in a growth.
+/// Weight of ⟨x_l, x_kl⟩ of each cause l in a growth.
 fn shares(causes: &[Cause]) -> Vec<f64> {
     let stiffer = causes.iter().filter(|c| c.modulus.is_some()).count();
     let ends = [0, TIP_FORCE, LOADS, LOADS + stiffer, causes.len()];
@@ -195,7 +194,7 @@ impl<'a> Difference<'a> {
         (self.solid.gathered(force), stretch)
     }
 
-    /// Take from `force` what moduli among two causes add to D²r, per unit of both.
+    /// Subtract from `force` the contribution of moduli among two causes to D²r, per unit of both.
     fn subtract_moduli(&self, moduli: &Moduli, one: &Cause, other: &Cause, force: &mut [f64]) {
         let mut subtract = |times: f64, derivative: Vec<f64>| {
             let pairs = force.iter_mut().zip(derivative);

@@ -11,7 +11,7 @@ use super::mesh::Mesh;
 use super::route::Route;
 use crate::error::{Result, invalid};
 
-/// What a cable's command is.
+/// The kind of a cable's command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Drive {
     /// Shortening, mm.
@@ -30,7 +30,7 @@ pub struct Cable {
 }
 
 impl Cable {
-    /// Bind a route to a mesh; refused where a guide would leave the solid.
+    /// Bind a route to a mesh; rejected if a guide is outside the solid.
     pub fn new(
         mesh: &Mesh,
         route: &Route,
@@ -88,7 +88,7 @@ impl Cable {
         }
     }
 
-    /// Call `add(node, dL/dx)` for every node that a guide weighs (a node comes up several times).
+    /// Call `add(node, dL/dx)` for every node of a guide (a node may occur several times).
     pub fn slope(&self, x: &[Vec3], mut add: impl FnMut(usize, Vec3)) {
         self.segments(x, |g, _, t| {
             for &(n, w) in &self.guides[g] {
@@ -295,7 +295,7 @@ mod tests {
             path: vec![[0.0, 7.0], [50.0, 7.0]],
         };
         let helix = Cable::new(&mesh, &helix, AVERAGE, 20.0, Drive::Shortening).unwrap();
-        // The chords between eleven guides are a little shorter than the curve.
+        // The chords between eleven guides are slightly shorter than the curve.
         let curve = (50f64.powi(2) + (7.0f64 * 1.5).powi(2)).sqrt();
         assert!((helix.rest_length / curve - 1.0).abs() < 1e-3 && helix.rest_length < curve);
         let last = helix.place(helix.guides.len() - 1, &mesh.nodes);

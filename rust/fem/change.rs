@@ -1,13 +1,13 @@
-//! A body that differs from its description: its modulus along and across, its shape at rest, and
-//! where its tendons run.
+//! A body that differs from its description: modulus along and across, rest shape, and tendon
+//! routing.
 //!
-//! One number for each field of a design (`loads.rs`, in its units) says how much. A body's modulus
-//! is multiplied by the exponential of them; body and tendons together are twisted about z, evenly
-//! over the height, then bent to an arc that starts upright at the base. From a changed design
-//! either a new solid is built and solved again, or its forces at the places of a known equilibrium
-//! give the field: with the residual r(x, p) and the tangent K at constant tension, dx/dp = −K⁻¹
-//! ∂r/∂p, and a cable stretches by b·dx/dp + ∂L/∂p, b = ∂L/∂x. Derivatives in p are central
-//! differences of two such designs. Units: mm, N, rad inside, ° in a change.
+//! One number for each field of a design (`loads.rs`, in its units) is the amount. A body's modulus
+//! is multiplied by the exponential of them; body and tendons together are twisted about z,
+//! uniformly over the height, then bent to an arc that starts upright at the base. A changed design
+//! is either built and solved again, or its forces at the positions of a known equilibrium give the
+//! field: with the residual r(x, p) and the tangent K at constant tension, dx/dp = −K⁻¹ ∂r/∂p, and
+//! a cable stretches by b·dx/dp + ∂L/∂p, b = ∂L/∂x. Derivatives in p are central differences of two
+//! such designs. Units: mm, N, rad inside, ° in a change.
 
 use super::Vec3;
 use super::cable::Cable;
@@ -18,7 +18,7 @@ use super::solid::{Design, Solid};
 use crate::error::Result;
 use crate::response::loads::{ACROSS, CURVE, LOADS, PUSH, ROUTING, STIFF, TWIST};
 
-/// How much of each field of a design is there.
+/// The amount of each field of a design.
 pub type Change = [f64; PUSH - LOADS];
 
 /// Half the distance of the two designs of a central difference, in the units of the fields: 0.01
@@ -27,8 +27,8 @@ pub type Change = [f64; PUSH - LOADS];
 const LOGARITHM: f64 = 0.01;
 const STEP: f64 = 0.05;
 
-/// A design with `by` more of one field; None where there is no such command. `drive` says which
-/// tendons a command moves.
+/// A design with `by` more of one field; None without such a command. `drive` maps commands to
+/// tendons.
 pub fn changed(design: &Design, drive: &[Vec<f64>], field: usize, by: f64) -> Option<Design> {
     let mut design = design.clone();
     if field >= ROUTING {
@@ -46,7 +46,7 @@ pub fn changed(design: &Design, drive: &[Vec<f64>], field: usize, by: f64) -> Op
     Some(design)
 }
 
-/// What a change makes of the modulus of a design that was not moved yet.
+/// The changed modulus of a design before its shape changes.
 pub(super) fn modulation(design: &Design, change: &Change) -> Modulation {
     let (nodes, change) = (&design.mesh.nodes, |field: usize| change[field - LOADS]);
     let far = |m: f64, p: &Vec3| m.max(p[0].abs()).max(p[1].abs());
@@ -58,8 +58,8 @@ pub(super) fn modulation(design: &Design, change: &Change) -> Modulation {
     }
 }
 
-/// Bind the cables and move the rest places of a design: what differs from its description is done
-/// here. The design's mesh and body end up changed.
+/// Bind the cables and move the rest positions of a design, which applies the changes. The design's
+/// mesh and body are modified.
 pub(super) fn bind(design: &mut Design) -> Result<Vec<Cable>> {
     let change = |field: usize| design.change[field - LOADS];
     let modulation = modulation(design, &design.change);
@@ -116,7 +116,7 @@ fn bent(p: Vec3, curve: [f64; 2], height: f64) -> Vec3 {
     let (curvature, side) = (2.0 * size / (height * height), curve.map(|c| c / size));
     let (sin, cos) = (curvature * p[2]).sin_cos();
     let out = side[0] * p[0] + side[1] * p[1];
-    // The middle line is at (1 − cos)/κ, sin/κ; what is off it turns with its section.
+    // The middle line is at (1 − cos)/κ, sin/κ; other points turn with their section.
     let half = (0.5 * curvature * p[2]).sin();
     let aside = 2.0 * half * half / curvature + (cos - 1.0) * out;
     Vec3::new(
@@ -126,7 +126,7 @@ fn bent(p: Vec3, curve: [f64; 2], height: f64) -> Vec3 {
     )
 }
 
-/// The parts of a changed design that pull and push at places which are not its own equilibrium.
+/// The parts of a changed design with forces at positions other than its own equilibrium.
 struct Changed {
     elements: Vec<Box<dyn Element>>,
     cables: Vec<Cable>,
@@ -187,8 +187,8 @@ pub(super) struct Changes {
 }
 
 impl Changes {
-    /// All fields that the solid's design has; a change that cannot be built (a tendon that would
-    /// leave a tight solid) has none.
+    /// All fields of the solid's design; a change that cannot be built (a tendon outside the solid)
+    /// has none.
     pub fn new(solid: &Solid, drive: &[Vec<f64>]) -> Changes {
         let pair = |field: usize| {
             let design = solid.design.as_deref()?;
@@ -201,7 +201,7 @@ impl Changes {
         }
     }
 
-    /// For each field there is: its number, the forces −∂r/∂p on the unknowns and the stretch ∂L/∂p
+    /// For each existing field: its number, the forces −∂r/∂p on the unknowns and the stretch ∂L/∂p
     /// of each cable at places `x` with tensions `tension`, per unit.
     pub fn at<'a>(
         &'a self,

@@ -1,8 +1,8 @@
 //! The linear fields of an equilibrium: displacements and cable stretches per unit of load, change
 //! of design and tension.
 //!
-//! A field is the displacement per unit by back-substitution at the equilibrium's tangent, all
-//! other tensions as they are.
+//! A field is the displacement per unit, by back-substitution at the equilibrium's tangent, with
+//! all other tensions constant.
 
 use super::Vec3;
 use super::change::Changes;
@@ -14,20 +14,20 @@ use super::work::inner;
 use crate::error::Result;
 use crate::response::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
 
-/// How an equilibrium answers small loads, changes of design and tensions while all other tensions
-/// stay as they are.
+/// The response of an equilibrium to small loads, changes of design and tensions, with all other
+/// tensions constant.
 #[derive(Debug, Clone, Default)]
 pub struct Compliance {
     /// Displacements of the points per unit of each of `FIELDS`, then per 1 N in each cable; empty
-    /// where there is no such field.
+    /// if there is no such field.
     pub fields: Vec<Vec<Vec3>>,
     /// Stretch of each cable under the same, mm: rows (cables, fields).
     pub stretch: Vec<f64>,
 }
 
 impl Simulation {
-    /// The compliance at the equilibrium of each command, to changes of `design` and to pushes too
-    /// if asked.
+    /// The compliance at the equilibrium of each command; optionally also to changes of `design`
+    /// and to pushes.
     pub fn fields(
         &self,
         commands: &[Vec<f64>],

@@ -9,8 +9,8 @@
 //! 8 nodes, 2×2×2 points and one part: its mean dilatation, without which it locks. A tetrahedron
 //! has 10 nodes, 4 points and 4 parts: at ν ≤ 0.48 it does not lock, and with a mean dilatation
 //! four points would leave it modes without energy (58 % too soft). μ is taken at the points, κ is
-//! the mean over a part; MPa, energy in N·mm. U grows without bound as θ → 0, so that a line search
-//! cannot walk through a collapsed cell; a cell with J ≤ 0 at a point has infinite energy. Limits:
+//! the mean over a part; MPa, energy in N·mm. U grows without bound as θ → 0, so a line search
+//! cannot pass through a collapsed cell; a cell with J ≤ 0 at a point has infinite energy. Limits:
 //! one pressure a brick, so stresses show a faint checkerboard; shapes do not (0.4–0.8 mm from a
 //! fine reference at 43–86° on the usual mesh). Four-node tetrahedra lock (2–5 mm) and are never
 //! used. Pinned by the tests below and the patch test.
@@ -24,16 +24,15 @@ use crate::error::{Result, invalid};
 /// Stiffness of a pair of nodes, N/mm.
 pub type Block = [Vec3; 3];
 
-/// What a solid asks of a cell of any kind; `x` are the places of all nodes.
+/// The interface of a cell of any kind; `x` are the positions of all nodes.
 pub trait Element: Send + Sync {
     /// Numbers of its nodes.
     fn nodes(&self) -> &[usize];
     /// ∫ N_a dV of each node: its share of the volume, mm³.
     fn share(&self) -> &[f64];
-    /// Energy, N·mm; infinite where the cell is inside out.
+    /// Energy, N·mm; infinite if the cell is inverted.
     fn energy(&self, x: &[Vec3]) -> f64;
-    /// The gradient of the energy (N) alone, added by node; nothing usable where the cell is inside
-    /// out.
+    /// The gradient of the energy (N) alone, added by node; undefined if the cell is inverted.
     fn force(&self, x: &[Vec3], force: &mut [Vec3]);
     /// Energy, its gradient (N) by node and its tangent (N/mm) by pairs (a, b ≤ a), row after row.
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64;
@@ -69,7 +68,7 @@ struct Hyperelastic<const N: usize, const Q: usize, const G: usize> {
 }
 
 impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
-    /// Rest geometry of a cell; refused when it is turned inside out.
+    /// Rest geometry of a cell; rejected if it is inverted.
     fn new(
         kind: Kind,
         (number, cell): (usize, &[usize]),
@@ -109,7 +108,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
             element.weight[q] = weight * det;
             element.volume[q / G] += weight * det;
         }
-        // The mean, written so that equal numbers stay what they are to the last bit.
+        // The mean, in a form that keeps equal numbers bit for bit.
         for part in 0..Q / G {
             let (points, one) = (part * G..(part + 1) * G, kappa[part * G]);
             let away: f64 = points.map(|q| element.weight[q] * (kappa[q] - one)).sum();

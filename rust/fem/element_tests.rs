@@ -4,8 +4,8 @@
 use super::*;
 use crate::fem::natural::EDGES;
 
-/// Rest nodes of a skewed cell, and the same stretched, sheared and bent, so that no symmetry hides
-/// a wrong sign.
+/// Rest nodes of a skewed cell, and the same stretched, sheared and bent, so no symmetry hides a
+/// wrong sign.
 fn skewed(kind: Kind) -> (Vec<Vec3>, Vec<Vec3>) {
     let mut rest = vec![
         Vec3::new(0.0, 0.1, 0.0),

@@ -1,8 +1,8 @@
-//! Material points carried by a solid: where the points of one mesh go on another.
+//! Material points carried by a solid: the points of one mesh on another.
 //!
-//! A point is bound at rest to the cell that holds it by its natural coordinates (Newton's method
-//! on the cell's map). Meshes of one finger differ by their facets: a point up to `tolerance` mm
-//! outside is extrapolated, farther is refused.
+//! A point is bound at rest to the cell that contains it by its natural coordinates (Newton's
+//! method on the cell's map). Meshes of one finger differ by their facets: a point up to
+//! `tolerance` mm outside is extrapolated, a farther one rejected.
 
 use super::Vec3;
 use super::mesh::Mesh;
@@ -32,7 +32,7 @@ impl Points {
         }
     }
 
-    /// Points bound at rest; refused when farther than `tolerance` mm outside.
+    /// Points bound at rest; rejected if farther than `tolerance` mm outside.
     pub fn embedded(mesh: &Mesh, points: &[Vec3], tolerance: f64) -> Result<Points> {
         let finder = Finder::new(mesh);
         let weights = points
@@ -63,7 +63,7 @@ impl Points {
     }
 }
 
-/// Finds the cell that holds a place of the rest configuration.
+/// Finds the cell that contains a position of the rest configuration.
 pub(super) struct Finder<'a> {
     mesh: &'a Mesh,
     cells: Vec<&'a [usize]>,
@@ -85,7 +85,7 @@ impl<'a> Finder<'a> {
         }
     }
 
-    /// Cell, natural coordinates and distance outside (mm) of the cell that fits a point best.
+    /// Cell, natural coordinates and distance outside (mm) of the best cell for a point.
     pub fn nearest(&self, p: Vec3) -> (usize, Vec3, f64) {
         let kind = self.mesh.kind;
         let mut order: Vec<usize> = (0..self.cells.len()).collect();

@@ -1,14 +1,14 @@
 //! The nodes that carry the guides of a tendon.
 //!
-//! A guide is not a point: a point load cuts into a mesh like a wire and its depth depends on the
-//! mesh. In a mesh with layers each guide is the average over a ring (the anchor over a disc) of
-//! moving-least-squares interpolants of one layer's nodes; there is a guide at every layer: a cable
-//! in a continuous channel. In any other mesh a guide is one interpolant of the nodes within four
-//! rings in space, which is the wider average. The weights are smooth in the guide's place (no jump
-//! between elements) and reproduce linear fields, so that rest position and rigid motion are exact,
-//! also for a guide in a hollow channel. Units: mm, rad. Limits: in layers guides stay in their
-//! rest layer, so a channel must not run sideways; without them a guide more than two rings (3 mm)
-//! outside the solid is refused.
+//! A guide is not a point: a point load cuts into a mesh like a wire, with a mesh-dependent depth.
+//! In a mesh with layers each guide is the average over a ring (the anchor over a disc) of
+//! moving-least-squares interpolants of one layer's nodes; every layer has a guide, like a cable in
+//! a continuous channel. In any other mesh, a guide is one interpolant of the nodes within four
+//! rings in space, a wider average. The weights are smooth in the guide's position (no jump between
+//! elements) and reproduce linear fields. So rest position and rigid motion are exact, also for a
+//! guide in a hollow channel. Units: mm, rad. Limits: in layers guides stay in their rest layer, so
+//! a channel must not run sideways; without them, a guide more than two rings (3 mm) outside the
+//! solid is rejected.
 
 use super::Vec3;
 use super::embed::Finder;
@@ -18,20 +18,20 @@ use crate::algebra::{Mat3, dense, outer};
 use crate::error::{Result, invalid};
 use std::f64::consts::TAU;
 
-/// Reach of the smooth weights over the outer radius: the same on every mesh, so that refinement
-/// does not let cables cut in deeper (a reach of two cells moved the tip by 3 mm of 18 between a
-/// core of 2 and of 6 cells).
+/// Reach of the smooth weights over the outer radius: the same on every mesh, so cables do not cut
+/// in deeper under refinement (a reach of two cells moved the tip by 3 mm of 18 between a core of 2
+/// and of 6 cells).
 const REACH: f64 = 0.75;
-/// Coarser cores have too few nodes within it; theirs reaches farther in proportion.
+/// Coarser cores have too few nodes within it; their reach is larger in proportion.
 const REACH_CORE: usize = 3;
-/// Places on a ring.
+/// Points on a ring.
 const RING_PLACES: usize = 12;
 /// In a mesh without layers: reach of the weights, and how far outside a guide may lie, in rings.
 const REACH_RINGS: f64 = 4.0;
 const OUTSIDE_RINGS: f64 = 2.0;
-/// There the weights take in this many nodes at least.
+/// There, the weights include at least this many nodes.
 const FEWEST: usize = 12;
-/// Weights that sum to 1 but are larger than this together come from nodes on one side.
+/// Weights that sum to 1 with a larger absolute sum come from nodes on one side.
 const MOST_WEIGHT: f64 = 6.0;
 
 /// Node weights; they sum to 1.
@@ -44,7 +44,7 @@ pub struct Averaging {
     pub disc: f64,
 }
 
-/// The guides of a route on a mesh; refused where one would leave the solid.
+/// The guides of a route on a mesh; rejected if one is outside the solid.
 pub fn guides(mesh: &Mesh, route: &Route, averaging: Averaging) -> Result<Vec<Weights>> {
     let Some((first, last)) = route.ends() else {
         return Err(invalid("tendon route: empty; give at least two guides"));
@@ -116,8 +116,8 @@ fn around(section: &Section, z: f64, at: [f64; 2]) -> (f64, f64, usize) {
     match section {
         Section::Disc(profile, core) => {
             let outer = radius_at(profile, z);
-            // The radius is made of a cosine and a sine: on the border itself round-off must not
-            // decide.
+            // The radius comes from a cosine and a sine: round-off must not decide on the border
+            // itself.
             (outer, outer - at[0].hypot(at[1]) + 1e-9, *core)
         }
         Section::Rectangle(half, cells) => {
@@ -234,8 +234,7 @@ fn to_surface(mesh: &Mesh, p: Vec3) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// The place on a triangle that is nearest to a point (Ericson, Real-Time Collision Detection, ch.
-/// 5.1.5).
+/// The point of a triangle nearest to a point (Ericson, Real-Time Collision Detection, ch. 5.1.5).
 fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     let (ab, ac) = (b - a, c - a);
     let from = |corner: Vec3| (ab.dot(p - corner), ac.dot(p - corner));
@@ -264,7 +263,7 @@ fn on_triangle([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     a + to_b / sum * ab + to_c / sum * ac
 }
 
-/// Moving-least-squares weights of a place among nodes in space; none where the nodes do not
+/// Moving-least-squares weights of a position among nodes in space; None if the nodes do not
 /// surround it.
 fn in_space(nodes: &[Vec3], place: Vec3, reach: f64) -> Option<Weights> {
     let mut far: Vec<(f64, usize)> = nodes
@@ -273,7 +272,7 @@ fn in_space(nodes: &[Vec3], place: Vec3, reach: f64) -> Option<Weights> {
         .map(|(n, p)| (p.distance(place), n))
         .collect();
     far.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // The distance of the twelfth node is continuous in the place, so the weights are too.
+    // The distance of the twelfth node is continuous in the position, and so are the weights.
     let reach = reach.max(1.5 * far[FEWEST.min(far.len()) - 1].0);
     let near: Vec<(usize, [f64; 4], f64)> = far
         .iter()
@@ -329,7 +328,7 @@ mod tests {
             let best = tried
                 .map(|(i, j)| p.distance(at(i as f64 / 60.0, j as f64 / 60.0)))
                 .fold(f64::INFINITY, f64::min);
-            // The grid of places tried is 0.05 mm wide.
+            // The grid of tested positions has 0.05 mm spacing.
             assert!(
                 found < best + 1e-12 && best < found + 0.05,
                 "{p:?}: {found} {best}"

@@ -1,10 +1,10 @@
-//! What a body is made of: modulus, Poisson's ratio and density, and where the modulus differs.
+//! The material of a body: modulus, Poisson's ratio, density, and regions of another modulus.
 //!
 //! μ = E/2(1+ν), κ = E/3(1−2ν) in MPa. A region is a box in the rest configuration, or the half of
-//! it that faces an angle about z (one side of the section stiffer), or what of them some cells of
-//! the mesh fill; the last region that holds a place decides its modulus. The modulus is taken at
-//! Gauss points, so that a border between regions need not follow the mesh. Limit: a border inside
-//! a cell is smeared over it.
+//! it that faces an angle about z (one side of the section stiffer), or the part of these in some
+//! cells of the mesh. Where regions overlap, the last one applies. The modulus is evaluated at
+//! Gauss points, so a border between regions need not follow the mesh. Limit: a border inside a
+//! cell is smeared over it.
 
 use super::Vec3;
 use crate::error::{Result, invalid};
@@ -38,8 +38,8 @@ impl Material {
     }
 }
 
-/// Where the modulus is another: a box in mm, and the half of the section that faces `side`
-/// (radians about z), if any, in those of the mesh's cells that are marked in `cells`, if any are.
+/// A region of another modulus: a box in mm, optionally the half of the section that faces `side`
+/// (radians about z), optionally within the mesh cells marked in `cells`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     pub low: Vec3,
@@ -61,9 +61,8 @@ impl Region {
     }
 }
 
-/// By how much the logarithm of the modulus differs from what the base and the regions say,
-/// smoothly: `hats` along a body of `height` mm, `across` from its axis to `reach` mm along x and
-/// y.
+/// A smooth change of the logarithm of the modulus relative to base and regions: `hats` along a
+/// body of `height` mm, `across` from its axis to `reach` mm along x and y.
 #[derive(Debug, Clone, Copy)]
 pub struct Modulation {
     pub hats: [f64; HATS],
@@ -92,7 +91,7 @@ pub struct Body {
 }
 
 impl Body {
-    /// Refuses numbers that no material has.
+    /// Rejects impossible material values.
     pub fn new(young: f64, poisson: f64, density: f64, regions: Vec<Region>) -> Result<Body> {
         if !(density.is_finite() && density >= 0.0) {
             return Err(invalid(format!(
@@ -125,13 +124,13 @@ impl Body {
         }
     }
 
-    /// How its modulus answers `by`: ∂E/∂p, p the amount of it that there is.
+    /// The derivative of its modulus by the amount p of `by`: ∂E/∂p.
     pub fn slope(mut self, by: Modulation) -> Body {
         self.slopes.push(by);
         self
     }
 
-    /// The material at a place of the rest configuration, in a cell of the mesh.
+    /// The material at a position of the rest configuration, in a cell of the mesh.
     pub fn at(&self, p: Vec3, cell: usize) -> Material {
         let last = self.regions.iter().rev().find(|(r, _)| r.holds(p, cell));
         let Material { mu, kappa } = last.map_or(self.base, |(_, material)| *material);

@@ -1,10 +1,9 @@
-//! Meshes, and those made of 8-node bricks: the round tapered finger as an O-grid, and the plain
-//! block.
+//! Meshes, and those of 8-node bricks: the round tapered finger as an O-grid, and the block.
 //!
-//! The base frame's origin is at the centre of the clamped base, z runs to the tip; what lies at z
-//! = 0 or below is held. A layer of the O-grid is a square core of `core` × `core` cells inside
+//! The base frame's origin is at the centre of the clamped base, z runs to the tip; nodes at z = 0
+//! or below are clamped. A layer of the O-grid is a square core of `core` × `core` cells inside
 //! `rings` rings of 4·`core` cells. The outer polygon is inflated to the area of the circle, so
-//! that weight and axial stiffness are right on every resolution. 3×3 core, 1 ring, 42 layers: 1204
+//! weight and axial stiffness are correct at every resolution. 3×3 core, 1 ring, 42 layers: 1204
 //! nodes, 882 bricks, 548 surface vertices.
 
 use super::Vec3;
@@ -13,24 +12,24 @@ use crate::error::{Result, invalid};
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// Corner of the core, as a fraction of the outer radius: keeps the ring's cells about as thick as
+/// Corner of the core, as a fraction of the outer radius: makes the ring's cells about as thick as
 /// wide.
 const CORE_FRACTION: f64 = 0.62;
 /// Nodes times nodes of a layer: the factored tangent is a band, and grows with this. Usual meshes
 /// have 3e4.
 const MOST_WORK: usize = 4_000_000;
-/// GB of the factor for each of these: 9 numbers of 8 bytes a pair of nodes, twice for the fill
+/// GB of the factor for each of these: 9 numbers of 8 bytes per pair of nodes, twice for the fill
 /// beyond a layer.
 const FACTOR_BYTES: f64 = 2.0 * 9.0 * 8e-9;
 
-/// What the cross-section of a mesh is known to be.
+/// The cross-section of a mesh, if known.
 #[derive(Debug, Clone)]
 pub enum Section {
     /// Round: the profile `(z, radius)` and the cells across the core.
     Disc(Vec<[f64; 2]>, usize),
     /// A block: half its width and depth, and the fewest cells across.
     Rectangle([f64; 2], usize),
-    /// Anything: only the cells know.
+    /// Any other: given by the cells only.
     Free,
 }
 
@@ -41,7 +40,7 @@ pub struct Mesh {
     pub kind: Kind,
     /// Nodes of the cells, one cell after the other.
     pub cells: Vec<usize>,
-    /// Held at rest.
+    /// Clamped.
     pub clamped: Vec<bool>,
     /// Node of each surface vertex, ascending.
     pub surface: Vec<usize>,
@@ -50,7 +49,7 @@ pub struct Mesh {
     /// From the clamped base to the tip, mm.
     pub height: f64,
     pub section: Section,
-    /// Height of each layer of nodes, mm, from the base to the tip; none in a mesh without layers.
+    /// Height of each layer of nodes, mm, from base to tip; empty in a mesh without layers.
     pub levels: Vec<f64>,
     /// Nodes in a layer; layer k holds the nodes k·per_layer .. (k+1)·per_layer.
     pub per_layer: usize,
@@ -93,8 +92,7 @@ pub fn check_profile(profile: &[[f64; 2]]) -> Result<()> {
     Ok(())
 }
 
-/// The finger: layers between `breaks` (heights that must be layers: where tendons start and end),
-/// base clamped.
+/// The finger: layers between `breaks` (required layer heights: the ends of tendons), base clamped.
 pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> Result<Mesh> {
     let Resolution {
         core,
@@ -233,7 +231,7 @@ impl Mesh {
     }
 }
 
-/// Heights of the node layers: even between breaks, so that every break is a layer.
+/// Heights of the node layers: uniform between breaks, so every break is a layer.
 fn layer_heights(height: f64, breaks: &[f64], layers: usize) -> Result<Vec<f64>> {
     let mut ends: Vec<f64> = breaks
         .iter()
@@ -252,7 +250,7 @@ fn layer_heights(height: f64, breaks: &[f64], layers: usize) -> Result<Vec<f64>>
     }
     let mut count = vec![1usize; spans];
     for _ in spans..layers {
-        // The next layer goes where layers are thickest.
+        // Add the next layer where layers are thickest.
         let thick = |i: usize| (ends[i + 1] - ends[i]) / count[i] as f64;
         let best = (0..spans)
             .max_by(|&a, &b| thick(a).total_cmp(&thick(b)))

@@ -1,12 +1,12 @@
 //! The simulator: quasi-static finite elements of a soft finger that is bent by cables.
 //!
-//! `mesh` builds bricks and `tetrahedra` takes imported cells, `element` is what a cell of
-//! either kind stores and `natural` its shape functions, `material` what it is made of, `cable` the
-//! tendons and `guide` their way through the nodes, `sparse` the linear algebra, `solid` puts them
-//! together, `work` assembles and solves, `newton` finds equilibria, `sweep` visits many of them
-//! and reports its `progress`, `embed` carries material points, `change` a body that differs from
-//! its description, `bend` what is not linear in a load. Units: mm, N, MPa (N/mm²), N·mm; gravity
-//! in multiples of g in the base frame (z along the rest axis to the tip).
+//! `mesh` builds bricks, `tetrahedra` imports cells, `element` has the data of a cell and `natural`
+//! its shape functions, `material` its material, `cable` the tendons and `guide` their guides in
+//! the nodes, `sparse` the linear algebra. `solid` combines them, `work` assembles and solves,
+//! `newton` finds equilibria, `sweep` computes many of them and reports its `progress`, `embed`
+//! carries material points, `change` is a body that differs from its description, `bend` has the
+//! terms beyond linear loads. Units: mm, N, MPa (N/mm²), N·mm; gravity in multiples of g in the
+//! base frame (z along the rest axis to the tip).
 
 mod bend;
 pub mod cable;

@@ -1,9 +1,9 @@
-//! How the forces of a body's elements answer its modulus: first and second derivatives by `stiff_0
-//! … stiff_6`, `stiff_x|y`.
+//! First and second derivatives of a body's element forces by its modulus: `stiff_0 … stiff_6`,
+//! `stiff_x|y`.
 //!
-//! Forces are linear in the modulus E = E₀ exp Σ p_i m_i(X). So ∂r/∂p_i at the same places are the
-//! forces of a body of modulus E m_i, and ∂²r/∂p_i∂p_j those of E m_i m_j: exact, from elements of
-//! their own where that is not zero. N.
+//! Forces are linear in the modulus E = E₀ exp Σ p_i m_i(X). So ∂r/∂p_i at the same positions are
+//! the forces of a body of modulus E m_i, and ∂²r/∂p_i∂p_j those of E m_i m_j: exact, from separate
+//! elements where that is not zero. N.
 
 use super::Vec3;
 use super::change::{Change, add_parts, bind, modulation};
@@ -23,7 +23,7 @@ pub(super) struct Moduli {
 }
 
 impl Moduli {
-    /// All of them; none of a solid that was made without a design.
+    /// All of them; none for a solid without a design.
     pub fn new(solid: &Solid) -> Result<Moduli> {
         let (mut first, mut second) = (vec![], vec![]);
         if let Some(design) = solid.design.as_deref() {
@@ -57,7 +57,7 @@ impl Moduli {
     }
 }
 
-/// The body whose modulus is how that of `body` answers the i-th field.
+/// The body whose modulus is the derivative of that of `body` by the i-th field.
 fn sloped(design: &Design, body: Body, i: usize) -> Body {
     let mut change = Change::default();
     change[STIFF - LOADS + i] = 1.0;

@@ -27,7 +27,7 @@ const CORNERS: [[f64; 3]; 8] = [
 /// Slopes of the barycentric coordinates.
 const SLOPES: [Vec3; 4] = [Vec3::NEG_ONE, Vec3::X, Vec3::Y, Vec3::Z];
 
-/// What a mesh is made of.
+/// The kind of cells of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Brick,
@@ -88,7 +88,7 @@ impl Kind {
         }
     }
 
-    /// Where a search for natural coordinates starts.
+    /// The start of a search for natural coordinates.
     pub fn centre(self) -> Vec3 {
         match self {
             Kind::Brick => Vec3::ZERO,
@@ -96,7 +96,7 @@ impl Kind {
         }
     }
 
-    /// Coordinates inside the cell: the same where they are, else about the nearest.
+    /// Coordinates inside the cell: unchanged if inside, else about the nearest.
     pub fn inside(self, xi: Vec3) -> Vec3 {
         match self {
             Kind::Brick => xi.map(|v| v.clamp(-1.0, 1.0)),

@@ -1,12 +1,11 @@
-//! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in
+//! Equilibria by Newton's method on the total energy, from a known equilibrium to the next load in
 //! small steps.
 //!
 //! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo
-//! backtracking on the total energy (Nocedal & Wright, ch. 3); the last steps, which are short,
-//! take the factor at hand (chord method: Kelley, Solving Nonlinear Equations with Newton's Method,
-//! 2003). An indefinite tangent is shifted on its diagonal, so that every step goes downhill; a
-//! step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch
-//! lies downhill.
+//! backtracking on the total energy (Nocedal & Wright, ch. 3); the last, short steps reuse the
+//! factor (chord method: Kelley, Solving Nonlinear Equations with Newton's Method, 2003). An
+//! indefinite tangent is shifted on its diagonal, so every step is a descent step; a failed step is
+//! halved. Limit: it follows one branch; a snap-through ends on some branch of lower energy.
 
 use super::Vec3;
 use super::cable::Drive;
@@ -22,25 +21,24 @@ const STEP_N: f64 = 1.0;
 /// Largest change of gravity in one step, g, and of the tip load, N.
 const STEP_GRAVITY: f64 = 0.5;
 const STEP_TIP: f64 = 0.1;
-/// The way to a load is cut into no more steps: farther loads are beyond any finger and fail
-/// sooner.
+/// Most steps on the path to a load: farther loads are beyond any finger and fail earlier.
 const MOST_STEPS: f64 = 256.0;
-/// A step is not halved below this part of its usual length.
+/// Smallest halved step, as a part of its usual length.
 const SMALLEST_PART: f64 = 1.0 / 64.0;
-/// Converged when no unknown is out of balance by more than this, N: bends a finger by less than
-/// 1e-4 mm.
+/// Converged if no unknown is out of balance by more, N: bends a finger by less than 1e-4 mm.
 const BALANCED: f64 = 1e-7;
-/// Converged when a full step moves no node by more, mm: the next one would move its square.
+/// Converged if a full step moves no node by more, mm: the next one would move its square.
 const SETTLED: f64 = 2e-4;
 const ITERATIONS: usize = 40;
-/// From steps that move no node by more on, mm, the factor at hand is used again.
+/// The factor is reused from steps that move no node by more, mm.
 const NEAR: f64 = 0.5;
-/// It is for as long as each step is so small a part of the one before, and so many times.
+/// It is reused while each step is at most this part of the previous one, and at most so many
+/// times.
 const SHRINKS: f64 = 0.2;
 const CHORDS: usize = 5;
-/// Converged when such a step moves no node by more, mm.
+/// Converged if such a step moves no node by more, mm.
 const AT_REST: f64 = 2e-5;
-/// No Newton step moves a node by more, mm.
+/// Largest motion of a node in a Newton step, mm.
 const LONGEST: f64 = 10.0;
 
 /// An equilibrium.
@@ -50,11 +48,10 @@ pub struct State {
     pub load: Load,
 }
 
-/// Finds equilibria on one thread and remembers the factor for the next step.
+/// Finds equilibria on one thread and keeps the factor for the next step.
 pub struct Solver<'a> {
     pub work: Work<'a>,
-    /// Whether the factor in `work` belongs to the last state that was reached, or to one a short
-    /// step away.
+    /// Whether the factor in `work` belongs to the last state reached, or to a nearby one.
     fresh: bool,
     /// Set by another thread to stop before the next iteration.
     stop: Option<&'a AtomicBool>,
@@ -104,13 +101,13 @@ impl<'a> Solver<'a> {
         Ok(state)
     }
 
-    /// The next `advance` starts from another state than the last one ended with.
+    /// The next `advance` starts from another state than the end of the last one.
     pub fn forget(&mut self) {
         self.fresh = false;
     }
 
-    /// Move an equilibrium to another load; on failure the state is the last equilibrium on the
-    /// way.
+    /// Move an equilibrium to another load; on failure, the state is the last equilibrium on the
+    /// path.
     pub fn advance(&mut self, state: &mut State, goal: &Load) -> Result<()> {
         let start = state.load.clone();
         let usual = 1.0
@@ -155,7 +152,7 @@ impl<'a> Solver<'a> {
             .collect()
     }
 
-    /// Assemble and factor at an equilibrium, so that `work` answers with its compliance.
+    /// Assemble and factor at an equilibrium, so `work` has its compliance.
     pub fn linearise(&mut self, state: &State) -> Result<()> {
         self.work.assemble(&state.x, &state.load);
         self.fresh = self.work.refactor();
@@ -166,8 +163,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Newton's method from a guess of the places at a load, as another mesh of the same solid
-    /// gives it.
+    /// Newton's method at a load from guessed positions, as from another mesh of the same solid.
     pub fn settle(&mut self, guess: Vec<Vec3>, load: &Load) -> Result<State> {
         let mut state = State {
             x: guess.clone(),
@@ -225,8 +221,8 @@ impl<'a> Solver<'a> {
         Err(residual)
     }
 
-    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly
-    /// differ. None where that does not settle quickly.
+    /// Continue from `x` with the current factor after a step of `longest` mm: a new one would
+    /// hardly differ. None if it does not converge quickly.
     fn chord(&mut self, x: &[Vec3], load: &Load, mut longest: f64) -> Option<Vec<Vec3>> {
         let mut x = x.to_vec();
         for _ in 0..CHORDS {
@@ -261,25 +257,25 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// The step with the factor at hand, its longest move, and the slope of the energy along it;
-    /// None if that is uphill.
+    /// The step with the current factor, its longest motion, and the slope of the energy along it;
+    /// None if that is positive.
     fn downhill(&mut self) -> Option<(Vec<f64>, f64, f64)> {
         let residual = &self.work.residual;
         let step = self.work.solve(residual.iter().map(|r| -r).collect());
         let longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
         let slope = inner(&self.work.residual, &step);
-        // The largest of numbers that are none is 0; their sum is none.
+        // The maximum of NaNs is 0; their sum is NaN.
         (longest.is_finite() && slope <= 0.0).then_some((step, longest, slope))
     }
 
-    /// One Newton step with backtracking: new places, longest move, whether the full step was
+    /// One Newton step with backtracking: new positions, longest motion, whether the full step was
     /// taken.
     fn descend(&mut self, x: &[Vec3], load: &Load, energy: f64) -> Option<(Vec<Vec3>, f64, bool)> {
         let solid = self.work.solid;
         let (step, longest, slope) = self.downhill()?;
         let whole = (LONGEST / longest).min(1.0);
         let mut alpha = whole;
-        // Energies of 100 N·mm are summed from a thousand cells: this is their round-off.
+        // Round-off of energies of 100 N·mm, summed over a thousand cells.
         let noise = 1e-12 * (1.0 + energy.abs());
         while alpha > 1e-6 {
             let moved = solid.displace(x, &step, alpha);
@@ -292,8 +288,8 @@ impl<'a> Solver<'a> {
         None
     }
 
-    /// Tangent predictor, kept only where it has less energy under the new load than standing
-    /// still.
+    /// Tangent predictor, kept only if it has less energy under the new load than the old
+    /// positions.
     fn predict(&mut self, state: &State, load: &Load) -> Option<Vec<Vec3>> {
         if *load == state.load {
             return None;
@@ -337,7 +333,7 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
             solid.mesh.nodes.len()
         )));
     }
-    // Paid out this far, every cable is slack.
+    // With this much length paid out, every cable is slack.
     let slack = Load {
         cables: vec![-1e9; solid.cables.len()],
         ..Load::default()
@@ -352,7 +348,7 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
     Ok(solid.displace(&vec![Vec3::ZERO; x.len()], &step, 1.0))
 }
 
-/// Number of steps on the way to a load, before rounding up.
+/// Number of steps to a load, before rounding up.
 fn steps(solid: &Solid, from: &Load, to: &Load) -> f64 {
     let largest = |a: Vec3, b: Vec3, unit: f64| (a - b).abs().max_element() / unit;
     let commands = from.cables.iter().zip(&to.cables).zip(&solid.cables);

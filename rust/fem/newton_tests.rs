@@ -1,4 +1,4 @@
-//! Equilibria against what is known of them: patch test, beam theory, symmetry, work of the cables,
+//! Equilibria against references: patch test, beam theory, symmetry, work of the cables,
 //! refinement.
 
 use super::*;
@@ -188,7 +188,7 @@ fn a_slack_cable_is_no_cable() {
         Solid::build(design(2, 8)).unwrap(),
         Solid::build(alone).unwrap(),
     );
-    let gravity = Vec3::new(0.0, 0.0, -0.2); // standing: gravity slacks the cables too
+    let gravity = Vec3::new(0.0, 0.0, -0.2); // upright: gravity also makes the cables slack
     let all = reach(&four, &[6.0, -4.0, -6.0, -4.0], gravity, Vec3::ZERO);
     let single = reach(&one, &[6.0], gravity, Vec3::ZERO);
     let tension: Vec<f64> = four
@@ -217,7 +217,7 @@ fn the_cable_s_work_is_the_energy_gained_over_a_stroke() {
     let mut state = solver.home(gravity, Vec3::ZERO).unwrap();
     let (steps, stroke) = (40, 10.0);
     let mut pulls = Vec::new();
-    // taut from here on, so that the tension is smooth and Simpson's rule exact to 1e-5
+    // taut from here on, so the tension is smooth and Simpson's rule exact to 1e-5
     let start = 2.0;
     let mut energies = Vec::new();
     for k in 0..=steps {
@@ -299,8 +299,7 @@ fn the_finger_converges_under_refinement() {
         state.x[last..].iter().map(|p| p[0]).sum::<f64>() / solid.mesh.per_layer as f64
     };
     let tips = [tip(3, 18), tip(4, 24), tip(6, 36)];
-    // Cables that cut in deeper on finer meshes would lose 3 mm here; what is left is
-    // discretisation.
+    // Cables that cut in deeper on finer meshes would lose 3 mm here; the rest is discretisation.
     assert!(
         tips[0] > 15.0 && (tips[2] - tips[0]).abs() < 0.3,
         "{tips:?}"
@@ -313,7 +312,7 @@ fn the_finger_converges_under_refinement() {
 
 #[test]
 fn a_load_acts_where_it_hangs() {
-    // Force and moment of the shares are those of the place, and farther out it bends more.
+    // Force and moment of the shares are those of the position; farther out, it bends more.
     let size = Vec3::new(30.0, 30.0, 100.0);
     let at = |load_at: Option<Vec3>| {
         Solid::build(Design {

@@ -1,9 +1,9 @@
-//! How far a long computation is, seen from another thread, and how that one stops it.
+//! The progress of a long computation for another thread, which can stop it.
 
 use crate::error::{Error, Result};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// How far a long computation is, and whether to stop it.
+/// The progress of a long computation, and its stop flag.
 #[derive(Debug, Default)]
 pub struct Progress {
     pub done: AtomicUsize,
@@ -11,7 +11,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// One command more is done; refused once the computation is to stop.
+    /// Count one more finished command; an error once the computation must stop.
     pub(super) fn count(&self) -> Result<()> {
         self.done.fetch_add(1, Ordering::Relaxed);
         if self.stop.load(Ordering::Relaxed) {

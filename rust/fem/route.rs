@@ -1,17 +1,16 @@
-//! Where a tendon runs: by a formula of height, or by points. Units: mm, rad.
+//! The route of a tendon: by a formula of height, or by points. Units: mm, rad.
 
 use super::Vec3;
 use super::mesh::radius_at;
 
-/// In a mesh without layers the guides of a formula are this far apart at most, as a part of the
-/// height.
+/// Largest distance of a formula's guides in a mesh without layers, as a part of the height.
 const SPACING: f64 = 0.04;
 
-/// Where a tendon runs, from where it leaves the base to its anchor.
+/// The route of a tendon, from the base to its anchor.
 #[derive(Debug, Clone)]
 pub enum Route {
-    /// `(z, radius)` pairs, z ascending, at an angle about z that turns evenly with z by `turn` on
-    /// the full length.
+    /// `(z, radius)` pairs, z ascending, at an angle about z that turns uniformly with z by `turn`
+    /// on the full length.
     Formula {
         angle: f64,
         turn: f64,
@@ -58,7 +57,7 @@ impl Route {
         z.len() >= 2 && z.windows(2).all(|w| w[1] > w[0])
     }
 
-    /// The place at a height of a route that ascends.
+    /// The point of an ascending route at a height.
     pub(super) fn at(&self, z: f64) -> [f64; 2] {
         match self {
             Route::Formula { angle, turn, path } => {
@@ -73,7 +72,7 @@ impl Route {
         }
     }
 
-    /// The guides' own places in a mesh of this height.
+    /// The positions of the guides in a mesh of this height.
     pub(super) fn places(&self, height: f64) -> Vec<Vec3> {
         match self {
             Route::Points(points) => points.clone(),

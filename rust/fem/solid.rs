@@ -2,7 +2,7 @@
 //! their equations.
 //!
 //! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight
-//! (consistent, ρ g) and a tip load spread over the last tenth of the height, with a slope where it
+//! (consistent, ρ g) and a tip load spread over the last tenth of the height, with a slope if it
 //! acts at another height. Its residual and tangent are assembled and solved in `work.rs`.
 
 use super::Vec3;
@@ -24,22 +24,22 @@ pub use super::work::Work;
 const TIP_PART: f64 = 0.1;
 /// Standard deviation along the height of a push at a station, as a part of it.
 const PUSH_WIDTH: f64 = 0.04;
-/// A tip load acts this far outside the body at most, as a part of the height.
+/// Largest distance of a tip load outside the body, as a part of the height.
 const LOAD_REACH: f64 = 0.5;
-/// Slope of its shares over the height from which they are no answer but round-off.
+/// Slope of its shares over the height above which they are round-off.
 const STEEPEST: f64 = 1e4;
-/// Number of a clamped node among the free ones.
+/// Marks a clamped node among the free numbers.
 pub(super) const HELD: usize = usize::MAX;
 
-/// What a finger is made of (mm, MPa, kg/m³, N/mm), and by how much it differs from that.
+/// The design of a finger (mm, MPa, kg/m³, N/mm), and its changes.
 #[derive(Debug, Clone)]
 pub struct Design {
     pub mesh: Mesh,
     pub body: Body,
     pub cable_stiffness: f64,
-    /// By how much every cable is shorter than its way at rest, mm; below zero it is slack.
+    /// Shortening of every cable relative to its path at rest, mm; negative if slack.
     pub pretension: f64,
-    /// Where a tip load acts at rest, mm; without it the middle of the tip.
+    /// Position of a tip load at rest, mm; by default the middle of the tip.
     pub load_at: Option<Vec3>,
     pub averaging: Averaging,
     pub routes: Vec<Route>,
@@ -47,7 +47,7 @@ pub struct Design {
     pub change: Change,
 }
 
-/// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g),
+/// The loads of a solid: command of each cable (shortening in mm, or tension in N), gravity (g),
 /// force on the tip (N).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Load {
@@ -67,17 +67,17 @@ pub struct Solid {
     weight: Vec<f64>,
     /// Share of a tip load of each node; sums to 1.
     tip: Vec<f64>,
-    /// The same of a push at each station but the tip.
+    /// The same for a push at each station except the tip.
     push: Vec<Vec<f64>>,
     pub(super) pattern: Pattern,
     /// Place in the pattern of each pair (a, b ≤ a) of each element, one element after the other.
     pub(super) slots: Vec<u32>,
-    /// What it was built from.
+    /// The design that it was built from.
     pub(super) design: Option<Box<Design>>,
 }
 
 impl Solid {
-    /// The finger of a design; refused with the reason when it cannot be built.
+    /// The finger of a design; an error with the reason if it cannot be built.
     pub fn build(design: Design) -> Result<Solid> {
         let mut made = design.clone();
         let cables = change::bind(&mut made)?;
@@ -105,7 +105,7 @@ impl Solid {
         let tip = tip_shares(&mesh, &volume);
         let stations = STATIONS.iter().take(STATIONS.len() - 1);
         let push = stations.map(|s| push_shares(&mesh, &volume, *s)).collect();
-        // A cell that is held altogether, in a flange, has weight and nothing to solve.
+        // A completely clamped cell, in a flange, has weight but no unknowns.
         elements.retain(|e| e.nodes().iter().any(|&n| !mesh.clamped[n]));
         let (mut free, mut blocks) = (vec![HELD; mesh.nodes.len()], 0);
         for n in (0..mesh.nodes.len()).filter(|&n| !mesh.clamped[n]) {
@@ -142,7 +142,7 @@ impl Solid {
         })
     }
 
-    /// Move a tip load to a place of the rest shape, mm: the shares get a slope, so that they make
+    /// Move a tip load to a position of the rest shape, mm: the shares get a slope, so they give
     /// its force and moment.
     fn load_at(&mut self, place: Vec3) -> Result<()> {
         let nodes = &self.mesh.nodes;
@@ -205,7 +205,7 @@ impl Solid {
         self.weight[node] * load.gravity + self.tip[node] * load.tip
     }
 
-    /// Total energy, N·mm; infinite where a cell is inside out.
+    /// Total energy, N·mm; infinite if a cell is inverted.
     pub fn energy(&self, x: &[Vec3], load: &Load) -> f64 {
         let mut energy = 0.0;
         for element in &self.elements {
@@ -273,8 +273,8 @@ impl Solid {
     }
 }
 
-/// Shares of a tip load: volume in the last tenth of the height, faded in over half of it so that
-/// no mesh is special.
+/// Shares of a tip load: volume in the last tenth of the height, faded in over half of it to be
+/// independent of the mesh.
 fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     let part = TIP_PART * mesh.height;
     let fade = |z: f64| ((z - mesh.height + part) / (0.5 * part)).clamp(0.0, 1.0);
@@ -286,8 +286,8 @@ fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     share
 }
 
-/// Shares of a push at a share of the height: volume, bell-shaped along it, so that no mesh is
-/// special.
+/// Shares of a push at a share of the height: volume, bell-shaped along it to be independent of the
+/// mesh.
 fn push_shares(mesh: &Mesh, volume: &[f64], station: f64) -> Vec<f64> {
     let away = |z: f64| (z / mesh.height - station) / PUSH_WIDTH;
     let share = |n: usize| volume[n] * (-0.5 * away(mesh.nodes[n][2]).powi(2)).exp();

@@ -1,9 +1,9 @@
-//! Many equilibria: sweeps over a tensor grid, paths, and whatever is asked of the equilibria of
-//! given commands.
+//! Many equilibria: sweeps over a tensor grid, paths, and results at the equilibria of given
+//! commands.
 //!
-//! Neighbours start from each other. A sweep goes from home along the first axis, then from each of
-//! those states along the next axis, both ways, in parallel. A path is cut into chunks of fixed
-//! length, so that the answer does not depend on the number of cores. What loads do there:
+//! Each solve starts from a neighbour. A sweep goes from home along the first axis, then from each
+//! of those states along the next axis, in both directions, in parallel. A path is cut into chunks
+//! of fixed length, so the result does not depend on the number of cores. Responses to loads:
 //! `compliance.rs`, `bend.rs`.
 
 use super::Vec3;
@@ -16,25 +16,24 @@ use crate::memory::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Commands of a path that one thread solves one after the other.
+/// Commands of a path that one thread solves in sequence.
 const CHUNK: usize = 64;
 
-/// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium
-/// there.
+/// Limit of command (mm), gravity (g) and tip load (N): no finger has an equilibrium beyond.
 const LARGEST: f64 = 1e6;
 
-/// By how much the nodes of one mesh may lie outside another of the same solid, mm.
+/// Largest distance of nodes of one mesh outside another of the same solid, mm.
 const FACETS: f64 = 2.5;
 
-/// What one command gave: places of the points, and the pull of each cable (N; below zero how slack
-/// it is).
+/// The result of one command: positions of the points, and the pull of each cable (N; negative:
+/// slack).
 #[derive(Debug, Clone, Default)]
 pub struct Configuration {
     pub places: Vec<Vec3>,
     pub pull: Vec<f64>,
 }
 
-/// A solid with the points that are reported and the map from commands to cables.
+/// A solid with the reported points and the map from commands to cables.
 pub struct Simulation {
     pub solid: Solid,
     pub points: Points,
@@ -43,7 +42,7 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Refuses a drive that does not give every cable one number a command.
+    /// Rejects a drive without one number per cable and command.
     pub fn new(solid: Solid, points: Points, drive: Vec<Vec<f64>>) -> Result<Simulation> {
         let channels = drive.first().map_or(0, Vec::len);
         let even = drive
@@ -113,7 +112,7 @@ impl Simulation {
             return Ok(vec![self.configuration(&solver, &home)]);
         }
         drop(solver);
-        // States along the axes done so far, with their commands; C order throughout.
+        // States along the finished axes, with their commands, in C order.
         let mut spine = vec![(command, home)];
         for (c, axis) in axes.iter().enumerate().take(axes.len() - 1) {
             let grown = spine
@@ -159,7 +158,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// States along one axis, both ways from where `state` stands.
+    /// States along one axis, in both directions from `state`.
     fn line<T: Clone>(
         &self,
         command: &[f64],
@@ -210,8 +209,8 @@ impl Simulation {
         })
     }
 
-    /// The same with the guesses of another mesh of this solid: Newton's method from where its
-    /// equilibria put the nodes.
+    /// The same with guesses from another mesh of this solid: Newton's method starts at its node
+    /// positions.
     pub fn path_from(
         &self,
         other: &Simulation,
@@ -242,7 +241,7 @@ impl Simulation {
             .collect()
     }
 
-    /// What `keep` finds at the equilibrium of each command, solved in an order of short ways.
+    /// The results of `keep` at the equilibrium of each command, solved in an order of short steps.
     pub(super) fn toured<T: Send>(
         &self,
         commands: &[Vec<f64>],
@@ -276,7 +275,7 @@ impl Simulation {
             )));
         }
         for (u, &g) in commands.iter().zip(gravity) {
-            self.load(u, g, tip)?; // a bad one is refused before the others are solved
+            self.load(u, g, tip)?; // a bad one is rejected before the others are solved
         }
         let chunks = commands
             .par_chunks(CHUNK)
@@ -297,7 +296,7 @@ impl Simulation {
         Ok(chunks.into_iter().flatten().collect())
     }
 
-    /// Refuse an answer of several vectors a point that is too large to keep.
+    /// Reject a result with several vectors per point that is too large for memory.
     pub fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
         let a_command = [3 * vectors, self.points.weights.len()];
         room(
@@ -321,7 +320,7 @@ fn nearest_home(axis: &[f64]) -> usize {
         .unwrap_or(0)
 }
 
-/// An order in which each command is the nearest of those left: short ways between warm starts.
+/// An order in which each command is the nearest remaining one: short steps between warm starts.
 fn short_tour(commands: &[Vec<f64>], stop: &AtomicBool) -> Result<Vec<usize>> {
     let far = |a: &[f64], b: &[f64]| {
         a.iter()

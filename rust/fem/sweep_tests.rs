@@ -1,5 +1,5 @@
 //! Sweeps against paths, fields against solved loads, the same points on another mesh, stops and
-//! refusals.
+//! errors.
 
 use super::*;
 use crate::algebra::complementarity::Problem;
@@ -172,8 +172,8 @@ fn large_loads_that_change_which_cables_pull_are_answered_too() {
         let loads = loads(&first);
         let (said, truth) = (answered(&s, &command, &loads), solved(&s, &command, &loads));
         let size = truth.iter().fold(0.0, |m: f64, v| m.max(v.length()));
-        // Geometric nonlinearity only; with the tangent of the start instead the error is half of
-        // the displacement.
+        // Geometric nonlinearity only; with the tangent of the start instead, the error is half the
+        // displacement.
         assert!(
             largest(&said, &truth) < 0.12 * size,
             "{command:?} {first:?}: {} of {size}",
@@ -187,8 +187,8 @@ fn rms(a: &[Vec3], b: &[Vec3]) -> f64 {
     (sum / a.len() as f64).sqrt()
 }
 
-/// By how much (mm RMS) the fields miss a changed design that is solved again, of how much it moves
-/// the points; the worst ratio over some commands, and the displacement of the best answer.
+/// Error (mm RMS) of the fields for a changed design that is solved again, relative to its
+/// displacement: the worst ratio over some commands, and the best displacement.
 fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
     let (s, mut change) = (small(3, 12, None), loads(&[]));
     change[field] = by;
@@ -269,8 +269,8 @@ fn solved_again(cases: Vec<(usize, f64, f64)>) {
 
 #[test]
 fn a_body_at_rest_takes_the_shape_of_its_changed_design() {
-    // Without weight or pull: an arc whose tip is 2 mm aside, a roll of 6° at the tip, and a
-    // modulus that no effect shows.
+    // Without weight or pull: an arc with its tip 2 mm aside, a roll of 6° at the tip, and a
+    // modulus without an effect.
     let still = |field: usize, by: f64| {
         let s = small(2, 8, None);
         let found = s.fields(

@@ -2,9 +2,9 @@
 //!
 //! Four-node cells lock; each gets a node at the middle of every edge, shared with its neighbours.
 //! Refining splits a cell into eight at its mid-edges (Bey 1995), the octahedron in its middle
-//! along its shortest diagonal. What is refused, in one line: no cells, numbers that are not
-//! finite, cells that point outside the nodes, are inside out or flat, loose nodes, several bodies,
-//! a size that no finger has, nothing clamped. Units: mm in the base frame; z ≤ 0 is held.
+//! along its shortest diagonal. Rejected, with one line: no cells, non-finite numbers, invalid node
+//! indices, inverted or flat cells, loose nodes, several bodies, an impossible size, no clamped
+//! nodes. Units: mm in the base frame; z ≤ 0 is clamped.
 
 use super::Vec3;
 use super::mesh::{Mesh, Section, outer_surface};
@@ -12,14 +12,14 @@ use super::natural::{EDGES, Kind};
 use crate::error::{Result, invalid};
 use std::collections::HashMap;
 
-/// Cells of the largest mesh: beyond, one factor needs more than about 4 GB.
+/// Most cells of a mesh: beyond, one factor needs more than about 4 GB.
 const MOST_CELLS: usize = 60_000;
 /// A cell with less volume than this times its longest edge cubed is flat; an equilateral one has
 /// 0.118.
 const FLAT: f64 = 1e-4;
-/// Heights that a finger may have, mm; what lies outside was written in another unit.
+/// Plausible heights of a finger, mm; others are in another unit.
 const HEIGHTS: [f64; 2] = [2.0, 2000.0];
-/// Nodes this little above the base plane are held too, as a part of the height.
+/// Nodes up to this height above the base plane are also clamped, as a part of the height.
 const ON_BASE: f64 = 1e-6;
 
 /// A mesh of 4-node (promoted) or 10-node tetrahedra, in VTK's order of nodes, refined `refine`
@@ -176,7 +176,7 @@ fn check_cells(nodes: &[Vec3], cells: &[Vec<usize>]) -> Result<()> {
     }
 }
 
-/// Volume of the parallelepiped of three edges, below zero where they turn the other way.
+/// Signed volume of the parallelepiped of three edges.
 fn triple([a, b, c]: [Vec3; 3]) -> f64 {
     a.dot(b.cross(c))
 }
@@ -233,7 +233,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::fem::mesh;
 
-    /// A block cut into six tetrahedra a brick: nodes and 4-node cells.
+    /// A block cut into six tetrahedra per brick: nodes and 4-node cells.
     pub(crate) fn cut_block(cells: [usize; 3], size: Vec3) -> (Vec<Vec3>, Vec<Vec<usize>>) {
         const SIX: [[usize; 4]; 6] = [
             [0, 1, 2, 6],
@@ -263,7 +263,7 @@ pub(crate) mod tests {
             let mesh = tetrahedra(nodes.clone(), &cells, refine).unwrap();
             assert_eq!(mesh.cells.len(), 10 * 72 * 8usize.pow(refine as u32));
             assert!((volume(&mesh) - 216.0).abs() < 1e-9);
-            // Euler: vertices − edges + faces = 2, with 3/2 edges a triangle.
+            // Euler: vertices − edges + faces = 2, with 3/2 edges per triangle.
             assert_eq!(2 * mesh.surface.len(), mesh.triangles.len() + 4);
             let held = mesh.clamped.iter().filter(|&&c| c).count();
             let across = 4 * (refine + 1) + 1;

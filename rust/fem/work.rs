@@ -1,5 +1,5 @@
-//! One thread's work on a solid: residual and tangent at a state, the factored tangent, and solves
-//! with it.
+//! The workspace of one thread for a solid: residual and tangent at a state, the factored tangent,
+//! and solves with it.
 //!
 //! The tangent is K₀ + Σ kc b bᵀ over the taut elastic cables, b = ∂L/∂x: K₀ (elements and the
 //! cables' geometric stiffness) is sparse; the stiff dense rank-one terms stay out of the pattern
@@ -15,14 +15,14 @@ use crate::algebra::dense;
 use crate::algebra::sparse::Factor;
 use crate::error::Result;
 
-/// Kept storage of one thread: residual, tangent and factor at the last assembled state.
+/// Reusable storage of one thread: residual, tangent and factor at the last assembled state.
 pub struct Work<'a> {
     pub solid: &'a Solid,
     /// Gradient of the total energy, N.
     pub residual: Vec<f64>,
     /// Elastic cables that pull at the assembled state, and their b = ∂L/∂x.
     pub taut: Vec<(usize, Vec<f64>)>,
-    /// What was added to the diagonal to make the factored tangent positive definite, N/mm.
+    /// The shift of the diagonal that makes the factored tangent positive definite, N/mm.
     pub shift: f64,
     values: Vec<f64>,
     factor: Factor,
@@ -45,8 +45,8 @@ impl<'a> Work<'a> {
         })
     }
 
-    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a cell is
-    /// inside out.
+    /// Energy, residual and K₀ at a state; infinite energy (and undefined results) if a cell is
+    /// inverted.
     pub fn assemble(&mut self, x: &[Vec3], load: &Load) -> f64 {
         let solid = self.solid;
         self.residual.fill(0.0);
@@ -104,7 +104,7 @@ impl<'a> Work<'a> {
         pulling.iter().eq(self.taut.iter().map(|(c, _)| c))
     }
 
-    /// Take the dead forces on the first `nodes` from the residual.
+    /// Subtract the dead forces on the first `nodes` from the residual.
     fn add_dead(&mut self, nodes: usize, load: &Load) {
         for n in 0..nodes {
             let force = self.solid.dead_force(n, load);
@@ -157,8 +157,8 @@ impl<'a> Work<'a> {
         });
     }
 
-    /// Factor the assembled tangent, with a shift of its diagonal where it is indefinite; false
-    /// when nothing helps.
+    /// Factor the assembled tangent, with a shift of its diagonal if it is indefinite; false on
+    /// failure.
     pub fn refactor(&mut self) -> bool {
         let pattern = &self.solid.pattern;
         let mean = pattern.mean_diagonal(&self.values);
@@ -213,9 +213,8 @@ impl<'a> Work<'a> {
         rhs
     }
 
-    /// Solve with K₀ alone: the tension of every cable stays as it is. Where K₀ is indefinite, a
-    /// body that its cables hold up would fall over at constant tension; the shift then bounds the
-    /// answer.
+    /// Solve with K₀ alone: the tension of every cable is constant. If K₀ is indefinite, a body
+    /// supported by its cables is unstable at constant tension; the shift then bounds the response.
     pub fn solve_slack(&mut self, mut rhs: Vec<f64>) -> Vec<f64> {
         self.factor.solve(&self.solid.pattern, &mut rhs);
         rhs

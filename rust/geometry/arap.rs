@@ -2,10 +2,11 @@
 //!
 //!   E(p, R) = Σ_i Σ_j w_ij |(p_i − p_j) − R_i (r_i − r_j)|² + Σ_k c_k |p_k − q_k|²
 //!
-//! over the edges at each vertex (spokes; Sorkine & Alexa 2007). The local step takes for each
-//! vertex the rotation nearest to Σ_j w_ij (p_i − p_j)(r_i − r_j)ᵀ, followed from the step before;
-//! the global one solves (2L + C) p = b, with the same matrix for all coordinates and all rounds as
-//! long as the weights c stay: its factor is made once. Neither step raises the energy. Units: mm.
+//! over the edges at each vertex (spokes; Sorkine & Alexa 2007). The local step finds for each
+//! vertex the rotation nearest to Σ_j w_ij (p_i − p_j)(r_i − r_j)ᵀ, followed from the previous
+//! step. The global step solves (2L + C) p = b, with the same matrix for all coordinates and all
+//! rounds while the weights c are constant: it is factored once. Neither step increases the energy.
+//! Units: mm.
 
 use super::laplacian::Edges;
 use super::rotation::{LANES, NO_TURN, Quaternion, follow, rotation};
@@ -14,7 +15,7 @@ use crate::algebra::{Mat3, Vec3, outer};
 use crate::error::{Result, invalid};
 use std::sync::Arc;
 
-/// Rounds in which a rotation is followed: from one global step to the next it hardly turns.
+/// Rounds of following a rotation: it hardly turns between global steps.
 const ROUNDS: usize = 6;
 
 /// A surface at rest, with the pattern of its system.
@@ -25,14 +26,14 @@ pub struct Arap {
     pattern: Arc<Pattern<1>>,
 }
 
-/// Where the vertices are, and how each has turned.
+/// The positions of the vertices, and their rotations.
 #[derive(Debug, Clone)]
 pub struct Pose {
     pub places: Vec<Vec3>,
     pub turns: Vec<Quaternion>,
 }
 
-/// A surface whose vertices are held with certain strengths.
+/// A surface with vertices constrained by certain strengths.
 pub struct Held<'a> {
     arap: &'a Arap,
     strength: Vec<f64>,
@@ -58,7 +59,7 @@ impl Arap {
         })
     }
 
-    /// The same surface that rests at other places (N, 3); its edges keep their weights.
+    /// The same surface with other rest positions (N, 3); its edges keep their weights.
     pub fn resting_at(&self, rest: Vec<Vec3>) -> Arap {
         Arap {
             rest,
@@ -84,7 +85,7 @@ impl Arap {
         }
     }
 
-    /// Hold the vertices with `strength` (N,), 0 for those that go where the others want them.
+    /// Constrain the vertices with `strength` (N,), 0 for free ones.
     pub fn held(&self, strength: Vec<f64>) -> Result<Held<'_>> {
         let n = self.rest.len();
         if strength.len() != n || strength.iter().any(|c| !(*c >= 0.0 && c.is_finite())) {
@@ -119,7 +120,7 @@ impl Arap {
         })
     }
 
-    /// Turn each vertex as its neighbours have moved.
+    /// Fit the rotation of each vertex to the motion of its neighbours.
     pub fn local(&self, pose: &mut Pose) {
         let Pose { places, turns } = pose;
         for (first, some) in turns.chunks_mut(LANES).enumerate() {
@@ -170,8 +171,7 @@ impl Arap {
 }
 
 impl Held<'_> {
-    /// One local and one global step towards `goals` (N, 3), of which those of no strength do not
-    /// matter.
+    /// One local and one global step towards `goals` (N, 3); those without strength are ignored.
     pub fn step(&mut self, pose: &mut Pose, goals: &[Vec3]) {
         let (arap, n) = (self.arap, self.arap.rest.len());
         arap.local(pose);
@@ -284,7 +284,7 @@ mod tests {
         let strength: Vec<f64> = (0..n).map(|i| 0.1 + 0.01 * i as f64).collect();
         let mut held = arap.held(strength.clone()).unwrap();
         held.step(&mut pose, &goals);
-        // The gradient of the energy by the places vanishes there, by finite differences.
+        // The gradient of the energy by the positions vanishes there, by finite differences.
         for i in (0..n).step_by(7) {
             for c in 0..3 {
                 let at = |step: f64| {

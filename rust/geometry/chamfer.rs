@@ -1,17 +1,17 @@
-//! The Chamfer distance between a template and a cloud: how far each point of one is from the
-//! other, on average.
+//! The Chamfer distance between a template and a cloud: the mean distance of the points of one to
+//! the other.
 //!
 //! `there + back`, there = Σ_i w_i d(a_i, B) / Σ w_i, back = Σ_j v_j d(b_j, A) / Σ v_j: the
-//! unsquared sum of both mean distances (mm). Weights say what counts: a template's points that no
-//! camera sees have no partner, and w leaves them out; with one of the sums switched off it is
-//! one-sided. Its gradient by the template's points holds the pairs: where the nearest neighbour
-//! changes, the distance has a kink, and where a pair touches, its share of the gradient is zero.
+//! unsquared sum of both mean distances (mm). w excludes template points hidden from all cameras,
+//! which have no partner; without one of the sums, the distance is one-sided. Its gradient by the
+//! template's points is at constant pairs: if the nearest neighbour changes, the distance has a
+//! kink, and if a pair touches, its share of the gradient is zero.
 
 use super::nearest::{Nearest, both_ways};
 use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 
-/// What was measured.
+/// The result.
 #[derive(Debug, Clone)]
 pub struct Chamfer {
     pub there: f64,
@@ -103,7 +103,7 @@ fn mean(what: &str, distance: &[f64], weights: &[f64]) -> Result<f64> {
 mod tests {
     use super::*;
 
-    /// Points anywhere within 80 mm, no two of them at nearly the same distance from a third.
+    /// Random points within 80 mm, no two of them at nearly the same distance from a third.
     fn set(count: usize, seed: u64) -> Vec<Vec3> {
         let mut state = seed;
         let mut next = || {

@@ -1,5 +1,5 @@
-//! Points in the order of Morton's curve, which fills space: what is near along it lies near as a
-//! rule (Morton 1966).
+//! Points in the order of Morton's space-filling curve: neighbours along it are usually close in
+//! space (Morton 1966).
 
 use crate::algebra::Vec3;
 
@@ -20,7 +20,7 @@ const APART: [u16; CELLS] = {
 /// The box about both sets.
 #[inline(always)]
 pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
-    // Four points at once, as numbers: as many as fill wide vectors.
+    // Four points at once, as plain numbers, to fill wide vectors.
     let (mut low, mut high) = ([f64::INFINITY; 12], [f64::NEG_INFINITY; 12]);
     for points in [a, b] {
         let (fours, rest) = points.as_chunks::<4>();
@@ -42,8 +42,8 @@ pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
     (of(low, Vec3::min), of(high, Vec3::max))
 }
 
-/// Points in single precision about the middle of a box, where it is finest, along Morton's curve;
-/// and which they were.
+/// Points in single precision about the middle of a box, where precision is highest, along Morton's
+/// curve, with their indices.
 pub struct Ordered {
     pub points: Vec<[f32; 3]>,
     pub order: Vec<u32>,
@@ -109,8 +109,8 @@ mod tests {
         }
         let place = |i: u32| ordered.order.iter().position(|o| *o == i);
         assert!((1..CELLS as u32).all(|i| place(i) < place(i - 1)));
-        // Half of the cube across x lies before all of the other half across z, since z counts
-        // most.
+        // Half of the cube across x comes before all of the other half across z, because z is the
+        // most significant.
         let [x, y, z] = [18, 19, 20].map(place);
         assert!(x < y && y < z && place(16) < x && z < place(0));
     }

@@ -2,8 +2,8 @@
 //! at an edge.
 //!
 //! (L f)_i = Σ_j w_ij (f_i − f_j), the stiffness of linear elements (Pinkall & Polthier 1993,
-//! doi:10.1080/10586458.1993.10504266). Weights are not let fall below `LEAST`: obtuse triangles
-//! make negative ones, and energies that nothing bounds.
+//! doi:10.1080/10586458.1993.10504266). Weights are at least `LEAST`: obtuse triangles would give
+//! negative ones, and unbounded energies.
 
 use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 
 /// The least weight of an edge.
 pub const LEAST: f64 = 1e-3;
-/// A triangle flatter than this share of its longest edge squared has no angles.
+/// A triangle with less area than this share of its longest edge squared has no angles.
 const FLAT: f64 = 1e-12;
 
-/// The edges of a surface: for each vertex its neighbours, rising, and their weights.
+/// The edges of a surface: the neighbours of each vertex, ascending, and their weights.
 #[derive(Debug, Clone)]
 pub struct Edges {
     pub starts: Vec<usize>,
@@ -96,7 +96,7 @@ mod tests {
         let edges = Edges::new(&rest, &[[0, 1, 2], [0, 2, 3]]).unwrap();
         let of_first: Vec<_> = edges.of(0).collect();
         assert_eq!(edges.len(), 4);
-        // Each side stands opposite one angle of 45°, the diagonal opposite two of 90°.
+        // Each side is opposite one angle of 45°, the diagonal opposite two of 90°.
         assert_eq!(of_first.iter().map(|e| e.0).collect::<Vec<_>>(), [1, 2, 3]);
         for ((_, weight), wanted) in of_first.iter().zip([0.5, LEAST, 0.5]) {
             assert!((weight - wanted).abs() < 1e-12);

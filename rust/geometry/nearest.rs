@@ -1,29 +1,28 @@
 //! Nearest neighbours between two sets of points, both ways in one pass over pairs.
 //!
-//! A template has hundreds of points and a cloud thousands: with wide vectors pairs are quicker
-//! than any tree, up to some ten million of them. Both sets are put in order along a curve that
-//! fills space, and cut into groups that lie close together; groups whose boxes are farther apart
-//! than what all their points have already found are passed over. Squared distances in single
-//! precision about the middle of both sets choose the nearest, and its distance is then taken in
-//! double. Units are those of the points. Limit: of two candidates whose distances differ by less
-//! than 1e-6 of the extent either may be called the nearest.
+//! A template has hundreds of points and a cloud thousands: with wide vectors, all pairs are faster
+//! than any tree, up to about ten million pairs. Both sets are ordered along a space-filling curve
+//! and cut into compact groups. Pairs of groups are skipped if their boxes are farther apart than
+//! the distances found so far. Squared distances in single precision about the middle of both sets
+//! select the nearest point; its distance is then computed in double precision. Units are those of
+//! the points. Limit: if the distances of two candidates differ by less than 1e-6 of the extent,
+//! either may be selected.
 
 use super::curve::{Ordered, bounds};
 use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use crate::shape::modes::wide;
 
-/// Points of the second set that are looked at together.
+/// Points of the second set per tile.
 const TILE: usize = 64;
-/// Points of the first set that are looked at together: as many as stay in registers.
+/// Points of the first set per tile: as many as fit in registers.
 const ROWS: usize = 4;
-/// Numbers that are worked on at once.
+/// Numbers processed at once.
 const LANES: usize = 8;
-/// Shares of what is bounded that are looked at first: the nearest boxes lower the bound for the
-/// others.
+/// Shares of the bounds that are processed first: the nearest boxes lower the bound for the others.
 const SHARES: [f32; 2] = [0.1, 1.0];
 
-/// For each point of a set the nearest of another: which, and how far.
+/// For each point of a set, the nearest of another: index and distance.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Nearest {
     pub index: Vec<u32>,
@@ -53,7 +52,7 @@ pub fn both_ways(a: &[Vec3], b: &[Vec3]) -> Result<(Nearest, Nearest)> {
 }
 
 impl Nearest {
-    /// For each point in turn the nearest, and how far it is.
+    /// For each point, the nearest and its distance.
     pub fn pairs(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.index
             .iter()
@@ -68,7 +67,7 @@ fn found(from: &[Vec3], to: &[Vec3], index: Vec<u32>) -> Nearest {
     Nearest { index, distance }
 }
 
-/// For each point of either set which of the other is nearest.
+/// For each point of either set, the index of the nearest of the other.
 #[inline(always)]
 fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
     let (low, high) = bounds(a, b);
@@ -81,7 +80,7 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
     let mut gaps = vec![f32::INFINITY; most];
     let (mut there, mut back) = (vec![0; a.len()], vec![0; b.len()]);
     let mut at: Vec<Tile> = Vec::with_capacity(tiles.len());
-    // The nearest along the curve: of the point before, which lies near by.
+    // The nearest along the curve: that of the previous point, which is close.
     let mut near = 0;
     for (t, points) in second.points.chunks(TILE).enumerate() {
         let mut tile = Tile::new(points);
@@ -130,13 +129,13 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
     (there, back)
 }
 
-/// Whether any of `LANES` gaps is within a bound: most are not, and are passed over together.
+/// Whether any of `LANES` gaps is within a bound: most are not, and are skipped together.
 #[inline(always)]
 fn any_within(gaps: &[f32], bound: f32) -> bool {
     (0..LANES).fold(false, |any, k| any | (gaps[k] <= bound))
 }
 
-/// The boxes about every so many points of a set.
+/// The bounding boxes of groups of points of a set.
 struct Boxes {
     low: [Vec<f32>; 3],
     high: [Vec<f32>; 3],
@@ -176,8 +175,8 @@ impl Boxes {
         )
     }
 
-    /// Squared gaps between all the boxes and another: no pair of their points is nearer, also as
-    /// rounded.
+    /// Squared gaps between all boxes and another: a lower bound for their points, rounding
+    /// included.
     #[inline(always)]
     fn gaps(&self, (low, high): ([f32; 3], [f32; 3]), gaps: &mut [f32]) {
         let count = gaps.len();
@@ -272,7 +271,7 @@ impl Tile {
         any.then(|| nearest.iter().copied().fold(f32::INFINITY, f32::min))
     }
 
-    /// Which point of the tile is at a squared distance.
+    /// The index of the tile's point at a squared distance.
     #[inline(always)]
     fn place(&self, of: &[f32; 3], distance: f32) -> usize {
         (0..TILE).rev().fold(0, |place, k| {

@@ -2,24 +2,24 @@
 //!
 //!   min Σ_(i,j) w_ij |(v_i − v_j) − R_i (v_i⁰ − v_j⁰)|² + λ Σ_i |v_i − Π(v_i)|²
 //!
-//! with Π(v) the point of the cloud nearest to v. Every vertex asks for its nearest point, also
-//! those that no camera saw: a cloud of one side pulls the other through the body, also from the
-//! exact truth. λ, the rounds and the cotangent weights are not in the paper. mm.
+//! with Π(v) the point of the cloud nearest to v. Every vertex is pulled to its nearest point, also
+//! hidden ones: a cloud of one side pulls the other through the body, even from the exact truth. λ,
+//! the rounds and the cotangent weights are not in the paper. mm.
 //!
-//! Where we differ: given handle vertices, the second sum runs over these alone, and the first
-//! carries the others along. The paper sums over all and reads its handles off afterwards; with all
-//! of them as handles both are the same.
+//! Difference: with given handle vertices, the second sum runs over these alone, and the first
+//! moves the others along. The paper sums over all vertices and extracts its handles afterwards;
+//! with all vertices as handles, both are equal.
 
 use super::arap::Arap;
 use super::nearest::both_ways;
 use crate::algebra::Vec3;
 use crate::error::Result;
 
-/// Settled when no vertex moves by more in a round, mm.
+/// Converged if no vertex moves by more in a round, mm.
 const SETTLED: f64 = 1e-3;
 
-/// Fit a surface to a `cloud` from where it rests, with λ (N,) for each vertex, 0 for what is no
-/// handle, for at most so many `rounds`: the vertices (N, 3), and how many rounds it took.
+/// Fit a surface to a `cloud` from rest, with λ (N,) for each vertex, 0 for vertices that are not
+/// handles, in at most `rounds`; return the vertices (N, 3) and the number of rounds.
 pub fn register_as_published(
     arap: &Arap,
     cloud: &[Vec3],

@@ -1,17 +1,17 @@
-//! Registers the template of a finger to point clouds: where its vertices are, and which of them a
-//! cloud has seen.
+//! Registers the template of a finger to point clouds: the positions of its vertices, and their
+//! visibility.
 //!
 //! E(p, R) = ARAP(p, R; f(u*)) + λ N/K Σ_k ω_k [(n_k·(x_k − c_k))² + τ |x_k − c_k|²] + B Σ_base
 //! |p_i − q_i|²
 //!
-//! From the model's shape f(u*) nearest to the cloud (`start.rs`), which is also the shape at rest
-//! of the ARAP term: the surface is asked only for what the model does not know. Data go from the
-//! cloud to the surface: K points c_k, each to the nearest place x_k of the surface (a blend of
-//! three vertices) along the normal n_k of the surface there, with Tukey weights ω_k whose width
-//! falls. So what was not seen asks for nothing, and outliers let go. The base is held where the
-//! clamp holds it. Each round takes new feet, weights and rotations, then solves for all vertices
-//! at once; the plane term couples x, y and z. The roll of a round, unmarked finger about its own
-//! axis cannot be identified. mm. Published objective for comparison: `paper.rs`.
+//! It starts from the model's shape f(u*) nearest to the cloud (`start.rs`), which is also the rest
+//! shape of the ARAP term. So the surface represents only the difference from the model. Data terms
+//! go from the cloud to the surface: K points c_k, each to the nearest point x_k of the surface (a
+//! blend of three vertices) along the surface normal n_k there, with Tukey weights ω_k of
+//! decreasing width. So hidden parts have no data term, and outliers lose their weight. The base is
+//! fixed at the clamp. Each round updates nearest points, weights and rotations, then solves for
+//! all vertices at once; the plane term couples x, y and z. The roll of a round, unmarked finger
+//! about its own axis cannot be identified. mm. Published objective for comparison: `paper.rs`.
 
 use super::arap::Arap;
 use super::robust::{OF_MEDIAN, median, tukey};
@@ -21,30 +21,30 @@ use crate::algebra::sparse::{Factor, Pattern};
 use crate::algebra::{Mat3, Vec3, outer};
 use crate::error::{Result, invalid};
 
-/// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many
-/// times its noise.
+/// Width of the Tukey weights, mm: the first, and the last for a noisy cloud; else a multiple of
+/// its noise.
 const WIDE: f64 = 3.0;
 const NARROW: f64 = 1.5;
 const OF_NOISE: f64 = 3.0;
-/// Rounds in which the width halves.
+/// Rounds per halving of the width.
 const HALVES: f64 = 8.0;
-/// Least width, mm: no template is truer.
+/// Least width, mm: the accuracy of templates.
 const LEAST: f64 = 0.3;
-/// How much a point counts along the surface, of what it counts across.
+/// Weight of a point along the surface, relative to across.
 const ALONG: f64 = 0.05;
-/// Settled when the vertices move by less in a round, mm RMS.
+/// Converged if the vertices move by less in a round, mm RMS.
 const SETTLED: f64 = 1e-2;
 
-/// How a registration is done.
+/// The settings of a registration.
 #[derive(Debug, Clone, Copy)]
 pub struct Recipe {
-    /// λ: how much the cloud counts against the stiffness of the surface.
+    /// λ: weight of the cloud relative to the stiffness of the surface.
     pub cloud: f64,
     /// Points of the cloud that are used.
     pub points: usize,
     /// Most rounds.
     pub rounds: usize,
-    /// B: how hard the base is held.
+    /// B: weight of the fixed base.
     pub base: f64,
 }
 
@@ -59,12 +59,12 @@ impl Default for Recipe {
     }
 }
 
-/// A finger's surface, ready to be registered.
+/// A finger's surface, prepared for registration.
 pub struct Template {
     pub arap: Arap,
-    /// The triangles that a camera may see: points never lie on the walls of a cavity.
+    /// The triangles that may be visible: points are never on the walls of a cavity.
     pub triangles: Vec<[usize; 3]>,
-    /// The vertices that the clamp holds.
+    /// The clamped vertices.
     pub base: Vec<usize>,
     pattern: Pattern<3>,
 }
@@ -74,21 +74,21 @@ pub struct Template {
 pub struct Registered {
     /// The vertices (N, 3).
     pub places: Vec<Vec3>,
-    /// Points that speak for each vertex (N,), by their weights.
+    /// Supporting points of each vertex (N,), by their weights.
     pub support: Vec<f64>,
     /// RMS distance from the cloud to the surface, by the weights, and noise of the cloud along the
     /// normals.
     pub residual_mm: f64,
     pub noise_mm: f64,
-    /// Share of the cloud that counts.
+    /// Share of the cloud that is used.
     pub used: f64,
     pub rounds: usize,
-    /// Whether it settled before the rounds were over.
+    /// Whether it converged within the rounds.
     pub settled: bool,
 }
 
 impl Template {
-    /// Of vertices (N, 3) without load, triangles, and the vertices that do not move.
+    /// From vertices (N, 3) without load, triangles, and fixed vertices.
     pub fn new(rest: Vec<Vec3>, triangles: Vec<[usize; 3]>, base: Vec<usize>) -> Result<Template> {
         if let Some(far) = base.iter().find(|v| **v >= rest.len()) {
             return Err(invalid(format!(
@@ -119,7 +119,7 @@ impl Template {
         self.len() == 0
     }
 
-    /// The matrix of the surface and of its held base alone.
+    /// The matrix of the surface and its fixed base alone.
     fn still(&self, base: f64) -> Vec<f64> {
         let mut values = vec![0.0; self.pattern.len()];
         let edges = self.arap.edges();

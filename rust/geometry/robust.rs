@@ -1,4 +1,4 @@
-//! How much a point counts that lies so far off, and how far points of a cloud lie off usually. mm.
+//! Robust weights of points by their distance, and the usual distance of a cloud's points. mm.
 
 /// Tukey's biweight: (1 − (d/c)²)² up to c, nothing beyond (Beaton & Tukey 1974,
 /// doi:10.1080/00401706.1974.10489171).
@@ -11,16 +11,16 @@ pub fn tukey(distance: f64, cut: f64) -> f64 {
     }
 }
 
-/// What Tukey's weight is the slope of, 1 from `cut` on: 1 − (1 − (d/c)²)³.
+/// The cost of Tukey's weight, 1 from `cut` on: 1 − (1 − (d/c)²)³.
 pub fn tukey_cost(distance: f64, cut: f64) -> f64 {
     let part = (distance / cut).min(1.0);
     1.0 - (1.0 - part * part).powi(3)
 }
 
-/// The standard deviation of normal numbers whose sizes have this median.
+/// The standard deviation of normal numbers with this median absolute value.
 pub const OF_MEDIAN: f64 = 1.4826;
 
-/// The median of some numbers, in place; 0 of none.
+/// The median of some numbers, in place; 0 for none.
 pub fn median(numbers: &mut [f64]) -> f64 {
     if numbers.is_empty() {
         return 0.0;

@@ -1,14 +1,14 @@
 //! The rotation nearest to a 3×3 matrix A: R that maximises tr(RᵀA), the rotation of its polar
 //! decomposition.
 //!
-//! From the rotation of the step before it is followed by Newton's method, ten times cheaper than a
+//! Newton's method follows it from the rotation of the previous step, ten times cheaper than a
 //! singular value decomposition. With P = A Rᵀ, v the axis of its skew part and M = tr(P) I −
 //! sym(P), a turn of R by φ about the unit axis n gives tr(P) − nᵀMn (1 − cos φ) + n·v sin φ. So
-//! from the axis of M⁻¹v the best angle is known in closed form, φ = atan2(n·v, nᵀMn), and no turn
-//! makes it worse. Near the maximum each round cubes the error. Where M is not positive definite
-//! the axis is v or that of M's lowest eigenvalue λ, about which half a turn gains −2λ: whichever
-//! gains more. So a saddle is left at once, and as tr(RᵀA) has one maximum, its other places
-//! without slope being saddles and its minimum, every start leads there.
+//! for the axis of M⁻¹v the best angle has a closed form, φ = atan2(n·v, nᵀMn), and no turn lowers
+//! the trace. Near the maximum each round cubes the error. If M is not positive definite, the axis
+//! is v or that of M's lowest eigenvalue λ, about which half a turn gains −2λ: the one with the
+//! larger gain. So a saddle is left immediately. tr(RᵀA) has one maximum; its other stationary
+//! points are saddles and its minimum, so every start converges to the maximum.
 
 use crate::algebra::{Mat3, Vec3};
 use crate::shape::modes::wide;
@@ -19,9 +19,9 @@ use std::ops::{Add, Mul, Sub};
 pub type Quaternion = [f64; 4];
 
 pub const NO_TURN: Quaternion = [1.0, 0.0, 0.0, 0.0];
-/// Matrices that are looked at together.
+/// Matrices processed together.
 pub const LANES: usize = 4;
-/// Squared sine of a turn after which no other is needed: cubed it is round-off.
+/// Squared sine of the last turn: cubed, it is round-off.
 const NEAR: f64 = 1e-10;
 /// Share of the highest eigenvalue of M below which a lowest one is round-off.
 const FLAT: f64 = 1e-12;
@@ -36,7 +36,7 @@ impl Lanes {
         Lanes(self.0.map(of))
     }
 
-    /// This where it is so, else the other.
+    /// This value where the mask is set, else the other.
     #[inline(always)]
     fn or(self, other: Lanes, so: [bool; LANES]) -> Lanes {
         Lanes(std::array::from_fn(|k| {
@@ -131,7 +131,7 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
     let half = Lanes::from(-0.5);
     let (f, g, h) = (half * (xy + yx), half * (yz + zy), half * (zx + xz));
     let (mx, my, mz) = (yy + zz, zz + xx, xx + yy);
-    // The adjugate of M, which is M⁻¹ but for its determinant.
+    // The adjugate of M, which is M⁻¹ up to the determinant.
     let (ax, ay, az) = (my * mz - g * g, mx * mz - h * h, mx * my - f * f);
     let (af, ag, ah) = (h * g - f * mz, f * h - g * mx, f * g - h * my);
     let determinant = mx * ax + f * af + h * ah;
@@ -155,8 +155,8 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
     let slope = x * v[0] + y * v[1] + z * v[2];
     let dd = x * x + y * y + z * z;
     let root = (along * along + slope * slope * dd).map(f64::sqrt);
-    // Half the angle has the tangent slope·|d| / (along + root) = (root − along) / (slope·|d|):
-    // that which cancels nothing.
+    // The tangent of half the angle is slope·|d| / (along + root) = (root − along) / (slope·|d|);
+    // use the form without cancellation.
     let ahead = along.0.map(|along| along >= 0.0);
     let (whole, part) = (
         (along + root).or(slope * dd, ahead),
@@ -175,8 +175,8 @@ fn nearer(a: &[[Lanes; 3]; 3], q: [Lanes; 4]) -> ([Lanes; 4], Lanes) {
     (next.map(|part| part * size), part * part * dd * size * size)
 }
 
-/// The axis to turn about where `m` is not positive definite: `v`, or that of its lowest
-/// eigenvalue. Rare: cells turned inside out.
+/// The rotation axis if `m` is not positive definite: `v`, or that of its lowest eigenvalue. Rare:
+/// inverted cells.
 #[cold]
 #[inline(never)]
 fn off_saddle(m: Mat3, v: Vec3) -> Vec3 {
@@ -239,8 +239,8 @@ mod tests {
             .sum()
     }
 
-    /// What no rotation's likeness is above: the sum of the singular values, the least of them with
-    /// the sign of the determinant.
+    /// The upper bound of tr(RᵀA): the sum of the singular values, the least of them with the sign
+    /// of the determinant.
     fn highest(a: &[[f64; 3]; 3]) -> f64 {
         let values = Mat::from_fn(3, 3, |i, c| a[c][i])
             .singular_values()
@@ -267,7 +267,7 @@ mod tests {
                     prop_assert!((found[c][i] - r[c][i]).abs() < 1e-8);
                 }
             }
-            // From near by two rounds are enough for all of double precision.
+            // From a near start, two rounds reach double precision.
             let near = columns(follow_one(&a, product(turn(Vec3::new(0.3, -0.5, 0.8), 0.01), turn(axis, angle)), 2));
             for c in 0..3 {
                 for i in 0..3 {
@@ -311,7 +311,7 @@ mod tests {
             1.8170538299717645,
         );
         assert!((likeness(&a, follow_one(&a, q, 8)) - highest(&a)).abs() < 1e-12);
-        // Half a turn from the maximum nothing slopes.
+        // Half a turn from the maximum, the gradient is zero.
         let stretched = [[3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]];
         for axis in Vec3::AXES {
             let q = turn(axis, std::f64::consts::PI);

@@ -1,10 +1,9 @@
-//! Where a registration starts: the command whose shape, as the model predicts it, is nearest to a
-//! cloud.
+//! The start of a registration: the command whose predicted shape is nearest to a cloud.
 //!
-//! Every candidate command is asked how far the cloud is from its vertices; the best are moved by
-//! Gauss-Newton on the distance from points to the surface, along its normals, with Tukey weights
-//! whose width falls from WIDE to NARROW. The start with the least robust cost wins. The shape is
-//! that of the model: commands are a means, not a measurement. mm.
+//! Every candidate command is rated by the distance of the cloud from its vertices. The best are
+//! refined by Gauss-Newton on the distance from points to the surface, along its normals, with
+//! Tukey weights of a width from WIDE down to NARROW. The start with the least robust cost is
+//! returned. Its command is not a measurement. mm.
 
 use super::nearest::both_ways;
 use super::robust::{tukey, tukey_cost};
@@ -20,26 +19,25 @@ const NARROW: f64 = 0.8;
 /// Tukey's cut over the width.
 pub const CUT: f64 = 2.5;
 const STEPS: usize = 12;
-/// Points of the cloud that are looked at, when candidates are compared and when they are moved.
+/// Points of the cloud for comparing candidates, and for refining them.
 const COMPARED: usize = 300;
 const MOVED: usize = 600;
-/// Candidates that are moved.
+/// Candidates that are refined.
 const BEST: usize = 3;
-/// Shapes farther apart are others, mm RMS.
+/// Least distance of different shapes, mm RMS.
 const OTHER: f64 = 3.0;
-/// Damping where the cloud does not identify a command, as a share of the largest curvature.
+/// Damping for commands that the cloud does not identify, as a share of the largest curvature.
 const DAMPING: f64 = 1e-6;
 
-/// A command, its shape, and how well it fits: mean Tukey cost, 0 to 1.
+/// A command, its shape, and its mean Tukey cost, 0 to 1.
 #[derive(Debug, Clone)]
 pub struct Start {
     pub command: Vec<f64>,
     pub places: Vec<Vec3>,
     pub cost: f64,
-    /// By how much larger than the template the cloud is, about the origin: the scale that fits
-    /// best with the command.
+    /// Scale of the cloud relative to the template, about the origin, fitted with the command.
     pub scale: f64,
-    /// The next best of another shape: its cost, and how far its vertices are, mm RMS.
+    /// The next best different shape: its cost, and the distance of its vertices, mm RMS.
     pub other: Option<(f64, f64)>,
 }
 
@@ -89,13 +87,13 @@ pub fn start(
     Ok(best)
 }
 
-/// How far two shapes are apart, mm RMS over the vertices.
+/// Distance of two shapes, mm RMS over the vertices.
 fn apart(one: &[Vec3], other: &[Vec3]) -> f64 {
     let squares = one.iter().zip(other).map(|(p, q)| p.distance_squared(*q));
     (squares.sum::<f64>() / one.len().max(1) as f64).sqrt()
 }
 
-/// Evenly spread points of a cloud, at most so many.
+/// Evenly spread points of a cloud, up to a number.
 pub fn spread(cloud: &[Vec3], most: usize) -> Vec<Vec3> {
     let count = cloud.len().min(most);
     (0..count).map(|k| cloud[k * cloud.len() / count]).collect()

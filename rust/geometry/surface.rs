@@ -1,24 +1,23 @@
-//! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the
-//! vertices move. mm.
+//! The nearest point of a triangle surface: parry's bounding tree, refitted as the vertices move.
+//! mm.
 
 use crate::algebra::Vec3;
 use crate::error::{Result, invalid};
 use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 
-/// A ray starts so far off the surface, mm, so that its own triangle does not block it.
+/// Offset of a ray's start from the surface, mm, so its own triangle does not block it.
 const OFF: f64 = 1e-3;
 
-/// From where it is asked which triangles can be seen at all: so many directions about z, at these
-/// heights above the horizon, rad.
+/// Views for the visibility of triangles: directions about z, at these elevations, rad.
 const AROUND: usize = 24;
 const ABOVE: [f64; 3] = [0.02, 0.5, 1.0];
 
-/// The place of a surface that is nearest to a point.
+/// The point of a surface nearest to a point.
 #[derive(Debug, Clone, Copy)]
 pub struct Foot {
     pub triangle: usize,
-    /// Of the three corners; their sum is 1.
+    /// Weights of the three corners; their sum is 1.
     pub weights: [f64; 3],
     pub place: Vec3,
     pub distance: f64,
@@ -69,8 +68,8 @@ impl Surface {
         1.0 / normal.length().max(f64::MIN_POSITIVE) * normal
     }
 
-    /// Whether nothing of the surface stands between a place of it and an eye: `normal` points away
-    /// from the body there.
+    /// Whether the surface does not occlude one of its points from an eye; `normal` points outward
+    /// there.
     pub fn sees(&self, eye: Vec3, place: Vec3, normal: Vec3) -> bool {
         let towards = eye - place;
         if towards.dot(normal) <= 0.0 {
@@ -81,9 +80,8 @@ impl Surface {
         !self.mesh.intersects_local_ray(&ray, 1.0)
     }
 
-    /// The triangles that can be seen from the side or above (z), from far away, whatever the order
-    /// of their corners: not the walls of a cavity, nor what stands on the table. All, where none
-    /// is.
+    /// The triangles visible from the side or above (z), from far away, for any order of their
+    /// corners: not the walls of a cavity, nor the bottom. All, if none is visible.
     pub fn shown(&self) -> Vec<usize> {
         let looks: Vec<Vec3> = (0..AROUND)
             .flat_map(|k| ABOVE.map(|up| (k as f64 / AROUND as f64 * std::f64::consts::TAU, up)))
@@ -108,7 +106,7 @@ impl Surface {
         }
     }
 
-    /// The place nearest to a point.
+    /// The point nearest to a given point.
     pub fn foot(&self, of: Vec3) -> Foot {
         let (found, (triangle, location)) =
             self.mesh.project_local_point_and_get_location(of, false);

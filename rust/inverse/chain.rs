@@ -1,35 +1,33 @@
-//! What must be commanded now so that a certain command acts: the chain of effects, inverted one
-//! sample at a time.
+//! The command for a target effective command: the chain of effects, inverted one sample at a time.
 //!
-//! Play and slack have no slope, so nothing is divided by one: each command is moved away from the
-//! last one until what would act (one sample of the chain, remembering nothing) has passed what is
-//! requested, and that bracket is closed by halving and by secants. Of all commands that do, the
-//! nearest to the last one is taken, so that inside a play nothing moves. Commands that act on each
-//! other are taken in turns until they agree. A delay and a lag cannot be inverted, what they ask
-//! for lies in the past: they are left out here and previewed along a known path. After `new`
-//! nothing is allocated. Limits: what acts must not fall while its command rises (or the other way
-//! round); a user's own effect is refused. Pinned by chain_tests.rs and
-//! tests/model/test_kinematics.py.
+//! Play and slack have no slope, so no slope is used as a divisor. Each command is moved away from
+//! the last one until the effective command (one sample of the chain, without updating its memory)
+//! has passed the target. Bisection and secants then close this bracket. Of all solutions, the one
+//! nearest to the last command is used, so nothing moves inside a play. Coupled commands are solved
+//! in turns until they agree. A delay and a lag cannot be inverted, because they depend on earlier
+//! commands: they are omitted here and previewed along a known path. After `new`, nothing is
+//! allocated. Limits: the effective command must be monotone in its command; a user-defined effect
+//! is rejected. Pinned by chain_tests.rs and tests/model/test_kinematics.py.
 
 use crate::effects::{Chain, Context};
 use crate::error::{Result, invalid};
 
-/// mm within which the effective command equals the target: a hundredth of a tick.
+/// Tolerance of the effective command, mm: a hundredth of a tick.
 const CLOSE: f64 = 2e-5;
-/// Rounds through all commands, and halvings of one bracket.
+/// Most rounds through all commands, and halvings of one bracket.
 const ROUNDS: usize = 12;
 const HALVINGS: usize = 60;
 /// Effects of this family are previewed, not inverted.
 const PREVIEWED: &str = "delay";
 
-/// A chain without its delays, what it remembers, and what it is asked.
+/// A chain without its delays, its memory, and its target.
 #[derive(Debug, Clone)]
 pub struct Inverse {
     chain: Chain,
     params: Vec<f64>,
     low: Vec<f64>,
     high: Vec<f64>,
-    /// Which command moves each number that acts, and whether both rise together.
+    /// The command of each effective command, and whether both increase together.
     by: Vec<(usize, bool)>,
     context: Context,
     state: Vec<f64>,
@@ -38,13 +36,13 @@ pub struct Inverse {
     /// The last command, mm.
     last: Vec<f64>,
     settled: bool,
-    /// mm by which what acts may be off before its command moves.
+    /// Error of the effective command before its command moves, mm.
     band: f64,
 }
 
 impl Inverse {
     /// Of a `chain` with `params` (P,), whose commands stay within `low` and `high` (C,) mm.
-    /// `context` says what the world is like; its times do not matter.
+    /// `context` has the conditions; its times are ignored.
     pub fn new(
         chain: &Chain,
         params: &[f64],
@@ -85,9 +83,9 @@ impl Inverse {
         Ok(made)
     }
 
-    /// The same with commands that stay while what acts is off by no more than `band` mm. A caller
-    /// that rounds commands needs a band as wide: else half a tick too far asks for the full
-    /// play back.
+    /// The same with constant commands while the error of the effective command is at most `band`
+    /// mm. A caller that rounds commands needs a band of this width: otherwise an excess of half a
+    /// tick crosses the full play back.
     pub fn with_band(self, band: f64) -> Inverse {
         Inverse {
             band: band.max(CLOSE),
@@ -99,8 +97,8 @@ impl Inverse {
         self.low.len()
     }
 
-    /// Whether `wanted` (C,) lies beyond what the bounds could bring about by more than half their
-    /// width: no aim, and not one that should be answered by the nearest command.
+    /// Whether `wanted` (C,) exceeds the reachable effective commands by more than half the width
+    /// of the bounds: an invalid target, which must not map to the nearest command.
     pub fn absurd(&self, wanted: &[f64]) -> bool {
         wanted.iter().zip(&self.by).any(|(mm, (c, rises))| {
             let (low, high) = if *rises {
@@ -112,7 +110,7 @@ impl Inverse {
         })
     }
 
-    /// Find which command moves which number, from large moves at rest: the largest first.
+    /// Assign commands to effective commands by large moves at rest, the largest first.
     fn match_commands(&mut self) -> Result<()> {
         let channels = self.channels();
         let rest: Vec<f64> = (0..channels)
@@ -140,7 +138,7 @@ impl Inverse {
         Ok(())
     }
 
-    /// Begin in equilibrium with `u` (C,) held forever; what acts then.
+    /// Start in equilibrium with `u` (C,) held forever; return the effective command.
     pub fn settle(&mut self, u: &[f64]) -> &[f64] {
         self.last.copy_from_slice(u);
         self.rest();
@@ -154,7 +152,7 @@ impl Inverse {
         (self.context.t, self.settled) = (0.0, true);
     }
 
-    /// `u` (C,) mm has been commanded for the last `dt` seconds; what it makes act.
+    /// Advance by `dt` seconds with the command `u` (C,) mm; return the effective command.
     pub fn passed(&mut self, u: &[f64], dt: f64) -> &[f64] {
         if !self.settled {
             return self.settle(u);
@@ -168,7 +166,7 @@ impl Inverse {
         &self.acts
     }
 
-    /// The effective command in channel `a` if `u` were commanded `dt` seconds after the last one.
+    /// The effective command of channel `a` for a command `u`, `dt` seconds after the last one.
     fn peek(&mut self, u: &[f64], dt: f64, a: usize) -> f64 {
         self.trial.copy_from_slice(&self.state);
         self.acts.copy_from_slice(u);
@@ -182,11 +180,11 @@ impl Inverse {
         self.acts[a]
     }
 
-    /// Write the command (C,) that makes `wanted` (C,) mm act `dt` seconds after the last one, the
-    /// nearest to it; returns by how much (mm) the worst channel misses, within the bounds.
+    /// Write the command (C,) nearest to the last one with the effective command `wanted` (C,) mm,
+    /// `dt` seconds later; return the error (mm) of the worst channel, within the bounds.
     pub fn command(&mut self, wanted: &[f64], dt: f64, command: &mut [f64]) -> f64 {
         if !self.settled {
-            // Nothing was commanded yet: all has been at rest forever.
+            // No command yet: everything is at rest.
             self.last.fill(0.0);
             self.rest();
         }
@@ -211,7 +209,7 @@ impl Inverse {
         })
     }
 
-    /// Move the command of number `a` that acts to the nearest place where it is `wanted`.
+    /// Move the command of effective command `a` to the nearest value that gives `wanted`.
     fn close(&mut self, wanted: f64, dt: f64, a: usize, command: &mut [f64]) {
         let (c, rises) = self.by[a];
         let (low, high) = (self.low[c], self.high[c]);
@@ -220,7 +218,7 @@ impl Inverse {
         if short.abs() <= self.band {
             return;
         }
-        // From here on `short` is positive and falls on the way to `end`.
+        // From here on, `short` is positive and decreases towards `end`.
         let sign = short.signum();
         let up = (sign > 0.0) == rises;
         let end = if up { high } else { low };
@@ -241,7 +239,7 @@ impl Inverse {
         if beyond > 0.0 {
             return; // at its bound
         }
-        // The nearest place is the target: the first at which nothing is short any more.
+        // The nearest value is the first at which nothing is missing.
         for k in 0..HALVINGS {
             let width = (far - near).abs();
             if width <= 1e-9 || (short <= CLOSE && beyond >= -CLOSE && width <= CLOSE) {

@@ -50,7 +50,7 @@ fn worst(names: &[&str]) -> f64 {
         chain.step(&params, &mut acts, &mut state, &context);
         let passed = inverse.passed(&command, DT);
         assert!((0..2).all(|c| (passed[c] - acts[c]).abs() < 1e-9));
-        // Where the figure begins aside, the way there is not looked at.
+        // If the figure starts aside, the approach is not evaluated.
         let far = (0..2).map(|c| (acts[c] - wanted(k)[c]).abs());
         worst = if k > 20 {
             far.fold(worst, f64::max)
@@ -69,7 +69,7 @@ fn every_channel_effect_is_inverted_alone() {
     for effect in REGISTRY.iter().filter(channel) {
         let name = effect.declaration.name;
         let worst = worst(&[name]);
-        // What a dead zone or a saturation leaves out cannot be had.
+        // The parts removed by a dead zone or a saturation are not reachable.
         let allowed = if name == "saturation" {
             3.0
         } else {
@@ -99,7 +99,7 @@ fn effects_together_are_inverted_too() {
 
 #[test]
 fn without_compensation_the_same_effects_are_far_off() {
-    // The proof that the tests above can fail.
+    // Shows that the tests above can fail.
     for name in ["backlash", "hysteresis", "creep", "gain"] {
         let (chain, params) = chain(&[name]);
         let mut state = chain.init(&params, &[0.0, 0.0]).unwrap();
@@ -125,7 +125,7 @@ fn inside_a_play_nothing_moves_and_a_still_goal_stays_still() {
     inverse.command(&[1.0, 0.0], DT, &mut command);
     let acts = inverse.passed(&command, DT)[0];
     assert!((command[0] - 1.2).abs() < 1e-4 && (acts - 1.0).abs() < 2.0 * CLOSE);
-    // 10 nm of noise asks for no move, and a target 0.01 mm back takes the full play.
+    // 10 nm of noise causes no move, and a target 0.01 mm back crosses the full play.
     let before = command;
     inverse.command(&[acts + 1e-5, 1e-5], DT, &mut command);
     assert_eq!(command, before);

@@ -1,9 +1,9 @@
-//! Inverse kinematics: the effective command for a place of the tip, and the command for an
-//! effective one.
+//! Inverse kinematics: the effective command for a tip position, and the command for an effective
+//! command.
 //!
-//! `solve.rs` finds the one by bounded Levenberg–Marquardt on the tip's own slopes; `published.rs`
-//! as the paper does it; `chain.rs` the other, by bracketing one sample of the chain of effects,
-//! which the control loop does every period.
+//! `solve.rs` finds the first by bounded Levenberg–Marquardt on the tip's own slopes,
+//! `published.rs` by the method of the paper. `chain.rs` finds the second by bracketing one sample
+//! of the chain of effects, every period of the control loop.
 
 pub mod chain;
 pub mod published;
@@ -15,16 +15,16 @@ use std::sync::Arc;
 /// Outputs of a tip: x, y, z mm.
 pub const PLACE: usize = 3;
 
-/// The squared distance (mm²) between a tip and where it should be, along the axes that count.
+/// The squared distance (mm²) between a tip and its target, along the used axes.
 pub struct Distance {
     shape: Arc<dyn Shape>,
     axes: [bool; PLACE],
     place: [f64; PLACE],
     slopes: Vec<f64>,
-    /// Where both were asked last; NaN where they were not.
+    /// The last evaluated command; NaN if none.
     known: Vec<f64>,
     work: Work,
-    /// How often the tip was asked.
+    /// Number of evaluations of the tip.
     pub asked: usize,
 }
 

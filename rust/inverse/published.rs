@@ -1,27 +1,26 @@
-//! Inverse kinematics as the paper does it, to compare with.
+//! Inverse kinematics by the method of the paper, for comparison.
 //!
 //! A coarse grid for the first waypoint only, then Nelder–Mead (1965) and a short polish by Adam
-//! (Kingma & Ba 2015) on the slopes of the model; every further waypoint begins where the last one
-//! ended. The paper gives no numbers: those below are ours. Commands are held within their bounds
-//! by clamping, as the paper's would be. Pinned by solve_tests.rs and
-//! tests/model/test_kinematics.py.
+//! (Kingma & Ba 2015) on the slopes of the model; every further waypoint starts at the end of the
+//! previous one. The paper gives no numbers: those below are ours. Clamping keeps commands within
+//! their bounds, as in the paper. Pinned by solve_tests.rs and tests/model/test_kinematics.py.
 
 use super::solve::{Found, Reach};
 use super::{Distance, PLACE};
 
-/// Nodes of the coarse grid along each command, and how many there are at most.
+/// Nodes of the coarse grid along each command, and their largest number.
 const NODES: usize = 11;
 const MOST: usize = 20_000;
-/// Of the range: the first simplex of the first waypoint and of the others.
+/// Initial simplex of the first waypoint and of the others, as a share of the range.
 const SIMPLEX: (f64, f64) = (0.1, 0.02);
-/// Rounds of Nelder–Mead, and the spread of distances (mm²) and of commands (mm) at which it ends.
+/// Most rounds of Nelder–Mead, and the spread of distances (mm²) and of commands (mm) that ends it.
 const ROUNDS: usize = 200;
 const SPREAD: (f64, f64) = (1e-8, 1e-4);
 /// Steps of Adam and their size, as a share of the range.
 const STEPS: usize = 20;
 const RATE: f64 = 1e-3;
 
-/// The effective commands for each of `targets` (T, 3), one after the other.
+/// The effective commands for each of `targets` (T, 3), in sequence.
 pub fn path(reach: &Reach, targets: &[f64]) -> Vec<Found> {
     let mut found: Vec<Found> = vec![];
     for target in targets.chunks_exact(PLACE) {

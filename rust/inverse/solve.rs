@@ -1,14 +1,14 @@
-//! Where the tip can go within bounds, and what must act so that it is there.
+//! The reachable tip positions within bounds, and their effective commands.
 //!
 //! Levenberg–Marquardt on the exact slopes of the tip (Marquardt 1963; damping after Nielsen 1999,
-//! IMM-REP-1999-05), commands held within their bounds by an active set: one that stands at a bound
-//! and is pushed beyond it stays there. A path goes on from its last waypoint. A single point, and
-//! a waypoint that is not reached, begin at the nearest of many places that were looked at
-//! beforehand, several far apart ones, so that a fold of the workspace is no trap. What cannot be
-//! reached ends at the nearest point found, with its distance. A finger bent far by one pair of
-//! tendons has slack in the others, where slopes are zero: hence the many starts. Limit: where
-//! tendons fall slack the tip of an interpolated sweep folds back by micrometres within some tenths
-//! of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and
+//! IMM-REP-1999-05), with an active set for the bounds: a command at a bound that is pushed beyond
+//! it stays there. A path continues from its last waypoint. A single point, and a waypoint that is
+//! not reached, start at several distant ones of the nearest precomputed positions, so a fold of
+//! the workspace is not a trap. For an unreachable target, the result is the nearest point found,
+//! with its distance. A finger bent far by one pair of tendons has slack in the others, where
+//! slopes are zero: hence the many starts. Limit: where tendons become slack, the tip of an
+//! interpolated sweep folds back by micrometres within a few tenths of a mm of command; targets in
+//! such a fold are missed by micrometres. Pinned by solve_tests.rs and
 //! tests/model/test_kinematics.py.
 
 use super::{Distance, PLACE};
@@ -17,29 +17,27 @@ use crate::error::{Result, invalid};
 use crate::shape::Shape;
 use std::sync::Arc;
 
-/// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as
-/// much.
+/// Distance of a reached target, mm: a servo tick moves a tip by more than a hundred times as much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a
-/// step.
+/// Distance and step that end a search, mm; the distance is known to about 1e-5 in single
+/// precision.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
-/// Damping at the begin of a search, as a share of the largest slope: at a start, at the waypoint
-/// before.
+/// Initial damping of a search, as a share of the largest slope: from a start, from the previous
+/// waypoint.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds from each start of a search that begins again: to a place within reach it takes three
-/// or four.
+/// Rounds from each start of a restarted search: a reachable target needs three or four.
 const BRIEF: usize = 12;
-/// Starts of a search that begins again, and how far apart they are, as a share of the ranges.
+/// Starts of a restarted search, and their least distance, as a share of the ranges.
 const STARTS: usize = 8;
 const APART: f64 = 0.1;
-/// Places that are looked at beforehand: a grid for few commands, else points that fill space.
+/// Precomputed positions: a grid for few commands, else space-filling points.
 const GRID: [usize; 4] = [1, 33, 17, 9];
 const FILLING: usize = 1024;
 
-/// A tip within bounds of what acts.
+/// A tip within bounds of the effective commands.
 pub struct Reach {
     shape: Arc<dyn Shape>,
     low: Vec<f64>,
@@ -54,17 +52,17 @@ pub struct Reach {
 pub struct Found {
     /// Effective command (C,) mm.
     pub u: Vec<f64>,
-    /// Where the tip then is.
+    /// The tip position there.
     pub place: [f64; PLACE],
-    /// mm to the target, along the axes that count.
+    /// Distance to the target along the used axes, mm.
     pub distance: f64,
-    /// How often the tip was asked.
+    /// Number of evaluations of the tip.
     pub asked: usize,
 }
 
 impl Reach {
     /// A tip `shape` (three outputs) whose commands stay within `low` and `high` (C,); only the
-    /// `axes` of a target count.
+    /// `axes` of a target are used.
     pub fn new(
         shape: Arc<dyn Shape>,
         low: Vec<f64>,
@@ -114,7 +112,7 @@ impl Reach {
         self.low.len()
     }
 
-    /// Commands (S, C) that were looked at beforehand, and where the tip is there (S, 3).
+    /// Precomputed commands (S, C) and their tip positions (S, 3).
     pub fn looked_at(&self) -> (&[f64], &[f64]) {
         (&self.samples, &self.places)
     }
@@ -144,7 +142,7 @@ impl Reach {
         };
         for start in starts {
             let found = search.from(&start, target, ANEW, BRIEF);
-            // A waypoint leaves its branch for what is really nearer, not for a tie.
+            // A waypoint leaves its branch only for a clearly nearer solution.
             if best
                 .as_ref()
                 .is_none_or(|best| found.distance < best.distance - REACHED)
@@ -163,7 +161,7 @@ impl Reach {
         best
     }
 
-    /// The same for one target after the other (T, 3), each from where the last one was found.
+    /// The same for targets (T, 3) in sequence, each from the previous solution.
     pub fn path(&self, targets: &[f64], from: Option<&[f64]>) -> Vec<Found> {
         let mut found: Vec<Found> = Vec::with_capacity(targets.len() / PLACE);
         let mut search = Search::new(self);
@@ -175,7 +173,7 @@ impl Reach {
         found
     }
 
-    /// The nearest places that were looked at, far apart from each other.
+    /// The nearest precomputed positions that are distant from each other.
     fn starts(&self, target: &[f64; PLACE]) -> Vec<Vec<f64>> {
         let away = |place: &[f64]| -> f64 {
             let axes = (0..PLACE).filter(|i| self.axes[*i]);
@@ -234,7 +232,7 @@ fn sampled(low: &[f64], high: &[f64]) -> Vec<f64> {
     points
 }
 
-/// A search and its room.
+/// A search and its storage.
 struct Search<'a> {
     reach: &'a Reach,
     tip: Distance,
@@ -298,7 +296,7 @@ impl Search<'_> {
             if longest <= CLOSE {
                 break;
             }
-            // By how much the linearised distance falls.
+            // The fall of the linearised distance.
             let promised: f64 = (0..channels)
                 .map(|a| {
                     let bent: f64 = (0..channels)
@@ -307,8 +305,8 @@ impl Search<'_> {
                     -moved(a) * (2.0 * gradient[a] + bent)
                 })
                 .sum();
-            // With slopes at once: most trials are taken, and a pass that reads a network's weights
-            // gives both.
+            // With slopes: most trials are accepted, and one pass over a network's weights gives
+            // both.
             let there = self
                 .tip
                 .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
@@ -324,7 +322,7 @@ impl Search<'_> {
                 (now, (gradient, normal), next) = (there, next, (gradient, normal));
                 place = self.tip.place;
             } else {
-                // There already, and no nearer: what is left is the round-off of a model in single
+                // Reached, without further gain: the rest is round-off of a model in single
                 // precision.
                 if now.sqrt() <= REACHED {
                     break;
@@ -345,7 +343,7 @@ impl Search<'_> {
         }
     }
 
-    /// Write the next trial; false where there is nowhere to go.
+    /// Write the next trial; false if there is no step.
     fn step(&mut self, u: &[f64], gradient: &[f64], normal: &[f64], damping: f64) -> bool {
         let (low, high) = (&self.reach.low, &self.reach.high);
         let channels = u.len();
@@ -356,8 +354,7 @@ impl Search<'_> {
             !held
         }));
         self.trial.copy_from_slice(u);
-        // Commands whose step ends beyond a bound stop there; the others are solved again without
-        // them.
+        // Commands with a step beyond a bound stop there; the others are solved again without them.
         while !self.free.is_empty() {
             let n = self.free.len();
             let rows = &mut self.system[..n * (n + 1)];
@@ -367,7 +364,7 @@ impl Search<'_> {
                     row[k] = normal[a * channels + b];
                 }
                 row[r] += damping;
-                // What those that stopped already do.
+                // The contribution of the stopped commands.
                 let held = (0..channels).filter(|b| !self.free.contains(b));
                 let known: f64 = held
                     .map(|b| normal[a * channels + b] * (self.trial[b] - u[b]))

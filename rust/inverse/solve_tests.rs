@@ -1,4 +1,4 @@
-//! Bounded searches on shapes whose answers are known.
+//! Bounded searches on shapes with known solutions.
 
 use super::super::published;
 use super::{REACHED, Reach};
@@ -7,8 +7,7 @@ use std::sync::Arc;
 
 const ALL: [bool; 3] = [true; 3];
 
-/// A finger that bends with constant curvature: angles 0.1 rad a mm of each of two commands, 80 mm
-/// long.
+/// A finger that bends with constant curvature: 0.1 rad per mm of each of two commands, 80 mm long.
 struct Arc3;
 
 impl Shape for Arc3 {
@@ -26,7 +25,7 @@ impl Shape for Arc3 {
     }
 }
 
-/// Six commands of which pairs do the same: x, y, z.
+/// Six commands in redundant pairs: x, y, z.
 struct Redundant;
 
 impl Shape for Redundant {
@@ -44,7 +43,7 @@ impl Shape for Redundant {
     }
 }
 
-/// One command that comes back: sin.
+/// One periodic command: sin.
 struct Fold;
 
 impl Shape for Fold {
@@ -150,7 +149,7 @@ fn many_commands_share_the_work() {
 #[test]
 fn a_fold_is_no_trap() {
     let reach = Reach::new(Arc::new(Fold), vec![-3.0], vec![3.0], ALL).unwrap();
-    // From u = −2.5 the way down leads to the wrong side of a hill.
+    // From u = −2.5, descent leads to the wrong side of a hill.
     for target in [1.07, -1.07, 0.9] {
         let found = reach.solve(&[target, 0.0, 0.0], Some(&[-2.5]));
         assert!(found.distance <= REACHED, "{target}: {found:?}");

@@ -4,7 +4,7 @@
 use super::Step;
 use super::layers::Linear;
 
-/// x ↦ scale·x + shift, number by number, which waits for a linear layer.
+/// x ↦ scale·x + shift, elementwise, to be folded into a linear layer.
 pub(super) struct Waiting {
     pub scale: Vec<f64>,
     pub shift: Vec<f64>,
@@ -39,7 +39,8 @@ pub(super) fn folded(
     Linear::new(columns, &weights, &bias)
 }
 
-/// What waits after the last of `steps`: s (W x + b) + t as one layer, else a step of its own.
+/// Fold the pending map into the last of `steps`: s (W x + b) + t as one layer, else add a separate
+/// step.
 pub(super) fn settle(steps: &mut Vec<Step>, after: Option<Waiting>) {
     let Some(after) = after else { return };
     let Some(Step::Linear(layer)) = steps.last_mut() else {

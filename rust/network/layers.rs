@@ -1,18 +1,18 @@
-//! Layers at work on a few columns side by side: commands, or one command and its tangents.
+//! Layers applied to a few columns side by side: commands, or one command and its tangents.
 //!
-//! Weights are packed [rows/32][columns][32], so that one pass reads them once, in order; a number
-//! of each column is broadcast against them, and all sums of a block stay in registers (`GROUP`).
-//! Every sum goes over its inputs in order, however many columns a batch has, so that a command
-//! has the same numbers alone and in a batch.
+//! Weights are packed [rows/32][columns][32], so one pass reads them once, in order; a number of
+//! each column is broadcast against them, and all sums of a block stay in registers (`GROUP`).
+//! Every sum goes over its inputs in order for any number of columns, so a command has the same
+//! result alone and in a batch.
 
 use pulp::Simd;
 use std::f32::consts::{FRAC_1_SQRT_2, LN_2, LOG2_E};
 
-/// Columns that run side by side at most.
+/// Most columns side by side.
 pub const COLUMNS: usize = 8;
-/// Rows of a layer whose weights lie together.
+/// Rows of a block of weights.
 const BLOCK: usize = 32;
-/// Inputs of a layer that are looked at together: they lie in the nearest cache.
+/// Inputs of a layer per block: they fit in the first-level cache.
 const INPUTS: usize = 512;
 /// Numbers that a reduction sums side by side.
 const SUMS: usize = 8;
@@ -46,21 +46,20 @@ impl<const N: usize> Columns<'_, N> {
         &mut self.numbers[n * self.stride..][..width]
     }
 
-    /// How much of a constant a column gets: its slope is 0.
+    /// Factor of a constant in a column: the slope of a constant is 0.
     #[inline(always)]
     fn constant(&self, n: usize) -> f32 {
         if self.tangents && n > 0 { 0.0 } else { 1.0 }
     }
 }
 
-/// How far apart the columns of a network lie: no power of two, which would meet in one place of
-/// the cache.
+/// Distance of the columns of a network: not a power of two, which would collide in the cache.
 pub(super) fn stride(widest: usize) -> usize {
     widest.next_multiple_of(BLOCK) + BLOCK / 2
 }
 
 impl Linear {
-    /// Take `weights` (rows, columns) row by row, and as many numbers of `bias` as rows.
+    /// From `weights` (rows, columns) row by row, and `bias` (rows,).
     pub fn new(columns: usize, weights: &[f64], bias: &[f64]) -> Linear {
         let rows = bias.len();
         let mut layer = Linear {
@@ -88,12 +87,12 @@ impl Linear {
         &mut self.packed[place]
     }
 
-    /// Write W x + b of every column to `out`, beyond the last row up to the end of its block
-    /// zeros.
+    /// Write W x + b of every column to `out`, with zeros from the last row to the end of its
+    /// block.
     #[inline(always)]
     pub fn apply<S: Simd, const N: usize>(&self, simd: S, x: &Columns<N>, out: &mut Columns<N>) {
-        // As many sums as there are registers for, or as the plain loops of a processor without any
-        // can keep, and enough of them that none waits for the one before.
+        // As many sums as fit in registers (or in plain loops without vectors), and enough to hide
+        // latency.
         match (S::F32_LANES, N) {
             (16, ..=4) => self.sums::<S, N, 2, 2>(simd, x, out),
             (16, _) => self.sums::<S, N, 2, 1>(simd, x, out),
@@ -136,8 +135,7 @@ impl Linear {
         }
     }
 
-    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or added
-    /// to it.
+    /// The products of `inputs` in B blocks of rows from `b` on, written to `out` or added to it.
     #[inline(always)]
     fn group<S: Simd, const N: usize, const V: usize, const B: usize>(
         &self,
@@ -180,8 +178,8 @@ impl Linear {
     }
 }
 
-/// Some inputs of a layer: those that are not zero in all columns. Behind Relu half of them are,
-/// tangents too, and their weights are not even read.
+/// The inputs of a layer that are not zero in all columns. After Relu half of them are zero,
+/// tangents too, and their weights are not read.
 struct Inputs<const N: usize> {
     count: usize,
     places: [u32; INPUTS],
@@ -201,7 +199,7 @@ impl<const N: usize> Inputs<N> {
             let numbers: [f32; N] = std::array::from_fn(|n| columns[n][at]);
             found.places[found.count] = at as u32;
             found.numbers[found.count] = numbers;
-            // No branch: which are zero cannot be foretold.
+            // No branch: zeros are not predictable.
             found.count += usize::from(numbers.iter().fold(false, |any, v| any | (*v != 0.0)));
         }
         found
@@ -222,7 +220,7 @@ impl Activation {
                 x,
                 width,
                 #[inline(always)]
-                // At the kink the slope above it.
+                // At the kink, the slope of the side above.
                 |v| (v.max(0.0), if v >= 0.0 { 1.0 } else { 0.0 }),
             ),
             Activation::Gelu => each(
@@ -244,7 +242,7 @@ fn each<const N: usize>(x: &mut Columns<N>, width: usize, law: impl Fn(f32) -> (
     let (stride, tangents) = (x.stride, x.tangents);
     if tangents {
         let (values, rest) = x.numbers.split_at_mut(stride);
-        // Some at a time, whose slopes stay where they are used.
+        // A few at a time, so their slopes stay in the cache.
         let mut slopes = [0.0f32; BLOCK];
         for (b, values) in values[..width].chunks_mut(BLOCK).enumerate() {
             for (value, slope) in values.iter_mut().zip(&mut slopes) {

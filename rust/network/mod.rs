@@ -6,12 +6,11 @@
 //! 2016, arXiv:1607.06450) as a_k. Constants before and after a linear layer are folded into it in
 //! double precision when the file is read (`onnx.rs`, `fold.rs`); the layers then run in single
 //! precision, several commands side by side, or one command with its slopes (a tangent for each
-//! channel) in the same pass (`layers.rs`), with the widest vectors that this processor has, which
-//! is asked when the file is read. A pass reads the weights once and takes little longer than that.
-//! It allocates nothing: each thread keeps the room that passes work in, made when a network is
-//! read there, or in the first pass of another thread; so none waits for another. Limits: values
-//! are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the
-//! side above.
+//! channel) in the same pass (`layers.rs`), with the widest vectors of the processor, detected when
+//! the file is read. A pass reads the weights once and takes little longer than that. It allocates
+//! nothing: each thread keeps its own workspace, made when it reads a network or in its first pass;
+//! so no thread waits for another. Limits: values are accurate to about 1e-6 of the size of the
+//! outputs; at a kink of Relu, the slope is that of the side above.
 
 mod fold;
 mod layers;
@@ -28,11 +27,11 @@ use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
 
 thread_local! {
-    /// Where the numbers between layers stand, of the widest network that this thread has run.
+    /// The activations of the widest network that this thread has run.
     static ROOM: RefCell<Vec<f32>> = const { RefCell::new(vec![]) };
 }
 
-/// A layer as it stands in a file.
+/// A layer as in a file.
 pub(crate) enum Layer {
     Linear {
         columns: usize,
@@ -56,7 +55,7 @@ enum Step {
     Normalise {
         epsilon: f32,
     },
-    /// y = s x + t, number by number.
+    /// y = s x + t, elementwise.
     Affine {
         scale: Vec<f32>,
         shift: Vec<f32>,
@@ -154,7 +153,7 @@ impl Network {
         Ok(found)
     }
 
-    /// Make room for the most columns that run side by side, twice: before a layer and behind it.
+    /// Allocate for the most columns side by side, twice: before and after a layer.
     fn grow(&self, room: &mut Vec<f32>) {
         let wanted = 2 * COLUMNS * layers::stride(self.widest);
         if room.len() < wanted {
@@ -162,7 +161,7 @@ impl Network {
         }
     }
 
-    /// Numbers that were trained.
+    /// Number of trained parameters.
     pub fn parameters(&self) -> usize {
         let of = |step: &Step| match step {
             Step::Linear(layer) => layer.rows * (layer.columns + 1),
@@ -213,8 +212,8 @@ impl Network {
         rows.chain([self.channels])
     }
 
-    /// Run `N` columns, of which `first(n, c)` is input c of column n; `take(n, outputs)` is given
-    /// what comes out.
+    /// Run `N` columns; `first(n, c)` is input c of column n, and `take(n, outputs)` receives the
+    /// outputs.
     #[inline(always)]
     fn columns<const N: usize>(
         &self,
@@ -250,7 +249,7 @@ impl Network {
     /// The outputs at up to `COLUMNS` commands.
     fn some(&self, rows: &[f64], out: &mut [f64]) {
         let (channels, size, count) = (self.channels, self.size, rows.len() / self.channels);
-        // Where fewer commands are given than run, the last one runs again.
+        // If fewer commands are given than columns, the last one is repeated.
         let first = |n: usize, c: usize| rows[n.min(count - 1) * channels + c];
         let take = |n: usize, found: &[f32]| {
             if n < count {

@@ -1,19 +1,18 @@
 //! Reads the ONNX graphs that training exports, and no others: one chain of Gemm, Relu, Gelu and
 //! LayerNormalization, with Sub, Div, Mul and Add of constants between them.
 //!
-//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such
-//! a graph uses and those by which a graph would reach beyond itself ([`check`]). Anything else is
-//! refused by name.
+//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields of such a
+//! graph and those for external references ([`check`]). Anything else is rejected by name.
 
 use super::{Activation, Layer};
 use crate::error::{Result, invalid};
 use prost::Message;
 use std::collections::HashMap;
 
-/// Numbers of a network at most; the published one has 1.7 million.
+/// Most numbers of a network; the published one has 1.7 million.
 const MOST_NUMBERS: usize = 16_000_000;
 const FLOAT: i32 = 1;
-/// What the published normalisation of a layer adds to its variance.
+/// The constant that the published layer normalisation adds to the variance.
 const EPSILON: f32 = 1e-5;
 
 #[derive(Message)]
@@ -106,7 +105,7 @@ struct Constant {
     numbers: Vec<f64>,
 }
 
-/// Refuses a file whose graph reaches beyond itself, or may never end: weights in other files,
+/// Rejects a file whose graph has external references, or may never end: weights in other files,
 /// graphs within nodes (`Loop`, `If`, `Scan`), functions and operators of another domain than
 /// ONNX's own. Any other graph runs each of its nodes once.
 pub fn check(file: &[u8]) -> Result<()> {
@@ -136,7 +135,7 @@ fn sparse() -> crate::error::Error {
     invalid("the graph holds sparse constants, which are not read; export dense ones")
 }
 
-/// Refuses a constant whose numbers are in another file.
+/// Rejects a constant with its numbers in another file.
 fn inside(tensor: &Tensor) -> Result<()> {
     if tensor.data_location == 0 && tensor.external_data.is_empty() {
         return Ok(());
@@ -148,7 +147,7 @@ fn inside(tensor: &Tensor) -> Result<()> {
     )))
 }
 
-/// Refuses a node that runs a graph of its own, or is no operator of ONNX.
+/// Rejects a node with its own graph, or one that is not an ONNX operator.
 fn simple(node: &Node) -> Result<()> {
     if !matches!(&node.domain[..], "" | "ai.onnx") {
         return Err(invalid(format!(
@@ -211,7 +210,7 @@ pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
     Ok(found)
 }
 
-/// What the numbers of a tensor are, by ONNX's element types.
+/// The type of a tensor's numbers, by ONNX's element types.
 fn type_name(data_type: i32) -> String {
     let names = [
         "uint8",

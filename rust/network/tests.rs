@@ -1,5 +1,5 @@
-//! The layers against plain loops in double precision, slopes against differences, and files that
-//! are refused.
+//! The layers against plain loops in double precision, slopes against differences, and rejected
+//! files.
 
 use super::layers::normal;
 use super::{Activation, Layer, Network};
@@ -7,8 +7,8 @@ use crate::allocations::allocations;
 use crate::shape::{Shape, Work};
 use pulp::{Arch, Simd, WithSimd};
 
-/// Numbers between -size and size, about as many above 0 as below: where all are below, nothing
-/// lives behind Relu.
+/// Numbers between -size and size, about as many above 0 as below: with all below, Relu gives zeros
+/// only.
 fn numbers(seed: u64, count: usize, size: f64) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut next = || {
@@ -230,8 +230,8 @@ fn values_with_slopes_are_those_of_each() {
     }
 }
 
-/// How often this thread asks for memory in every kind of pass: one command, a batch that is no
-/// multiple of what runs side by side, slopes, and both.
+/// The allocations of this thread in every kind of pass: one command, a batch that is not a
+/// multiple of the columns side by side, slopes, and both.
 fn asked(network: &Network, values: &mut [f64], slopes: &mut [f64], rows: &[f64]) -> [usize; 4] {
     let (channels, size) = (network.channels(), network.size());
     let u = &rows[..channels];
@@ -260,7 +260,7 @@ fn no_pass_allocates_once_the_network_is_read() {
         let mut values = vec![0.0; 13 * network.size()];
         let mut slopes = vec![0.0; network.size() * network.channels()];
         assert_eq!(asked(network, &mut values, &mut slopes, &rows), [0; 4]);
-        // Another thread makes its room in its first pass, and no more.
+        // Another thread allocates only in its first pass.
         let (first, later) = std::thread::scope(|scope| {
             let other = scope.spawn(|| {
                 let first = asked(network, &mut values, &mut slopes, &rows);

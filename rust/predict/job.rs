@@ -1,5 +1,5 @@
-//! What one call of the predictor works on: parameter sets in groups that share their shapes, and
-//! what acts in each.
+//! The job of one predictor call: parameter sets in groups with shared shapes, and their effective
+//! commands.
 
 use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
@@ -12,7 +12,7 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct Body {
     pub prior: Arc<dyn Shape>,
-    /// Fields of the dead loads, of the cables, and of what large loads do beyond.
+    /// Fields of the dead loads, of the cables, and of the second order.
     pub fields: Arc<Fields>,
 }
 
@@ -22,7 +22,7 @@ pub struct Job<'a> {
     pub params: &'a [f64],
     /// Number of frames K.
     pub frames: usize,
-    /// The world (K,) at the frames, for each clock: the shift between stamps and what they show.
+    /// The conditions (K,) at the frames, for each clock: the shift of the time stamps.
     pub contexts: Vec<Vec<Context>>,
     pub cameras: Vec<Camera>,
     /// Clock of each group.
@@ -37,7 +37,7 @@ pub struct Job<'a> {
 }
 
 impl<'a> Job<'a> {
-    /// Group the sets, let the chain act and read it at the seen times.
+    /// Group the sets, apply the chain, and read it at the frame times.
     pub fn new(
         body: &Body,
         chain: &'a Chain,

@@ -1,10 +1,10 @@
-//! The loads of the body in one call, and bodies of their own for loads that recur.
+//! The loads of the body in one call, and separate bodies for recurring loads.
 //!
-//! A run declares few directions of gravity and few weights, and most shape effects add the same at
-//! every frame: hundreds of frames of a set share their coefficients. Under loads that recur the
-//! body answers as one with few loads, all dead ones and all changes of design (`answer.rs`), at a
-//! third of the price and with the same answer but for round-off. Which frames do is each set's own
-//! affair, so that a set's numbers do not depend on what is asked with it.
+//! A run declares few directions of gravity and few weights, and most shape effects are constant
+//! over the frames: hundreds of frames of a set share their coefficients. Under recurring loads the
+//! body responds like one with few loads, all dead ones and all changes of design (`answer.rs`), at
+//! a third of the cost and with the same result up to round-off. Recurrence is decided per set, so
+//! a set's result does not depend on the other sets.
 
 use super::job::Job;
 use super::{NEGLIGIBLE, Predictor, Scratch};
@@ -16,8 +16,7 @@ use crate::response::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Frames of a set that must share their loads for a body of their own to pay, and the most such
-/// bodies that are kept.
+/// Least frames with shared loads for a separate body, and most such bodies.
 const MANY: usize = 32;
 const KEPT: usize = 64;
 
@@ -28,8 +27,7 @@ fn key(loads: &Coefficients) -> Key {
     loads.map(f64::to_bits)
 }
 
-/// The body under certain loads, which are a few of its own: how much of each there is, all of it
-/// or none.
+/// The body under certain loads, combined to a few: each is present or not.
 pub struct Loaded {
     fields: Fields,
     answer: Answer,
@@ -39,7 +37,7 @@ pub struct Loaded {
 }
 
 impl Loaded {
-    /// Add to `out` what its loads do at a command.
+    /// Add the response to its loads at a command to `out`.
     pub fn add(&self, u: &[f64], scratch: &mut Scratch, out: &mut [f64]) {
         let place = &mut scratch.place[..self.answer.size()];
         let weights = &mut scratch.weights[..self.fields.count()];

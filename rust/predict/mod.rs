@@ -2,17 +2,17 @@
 //! once. Every fit calls this.
 //!
 //! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`.
-//! `u_eff(t)` comes out of the chain at the command times and is read linearly at the seen times,
-//! less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by
-//! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N),
-//! plus what the shape effects add, loads and changes of design alike; a prior whose stiffness is
-//! not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables'
-//! tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
+//! `u_eff(t)` is the output of the chain at the command times, interpolated linearly at the frame
+//! times minus the delay of their stamps. `c(t)` holds the known physics, gravity declared by the
+//! run minus the gravity the prior was solved with (g) and the weight of the declared load (N),
+//! plus the loads and changes of design of the shape effects; a prior of unknown stiffness omits
+//! the known physics, and the effects represent it. ΔT(t) is the response of the cable tensions to
+//! those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in
-//! shape and sensing parameters cost next to nothing. What loads and changes of the modulus do
-//! beyond their fields comes from `second.rs`, where the prior has it. Limits: other changes of
-//! design are answered linearly.
+//! shape and sensing parameters cost almost nothing. Second-order terms of loads and modulus come
+//! from `second.rs`, if the prior has them. Limits: the response to other changes of design is
+//! linear.
 
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
@@ -30,20 +30,20 @@ use loads::{Acting, Kept, Load};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Coefficients smaller than this (g, N) ask for no field: 1e-6 g moves no finger by a micrometre.
+/// Smaller coefficients (g, N) need no field: 1e-6 g moves no finger by a micrometre.
 const NEGLIGIBLE: f64 = 1e-6;
 
-/// A prior, its fields and what the outputs are.
+/// A prior, its fields and the kind of its outputs.
 pub struct Predictor {
     body: Body,
     answer: Answer,
     contact: Option<Arc<Contact>>,
     positions: Vec<bool>,
-    /// Whether the outputs are vectors; else they are linear forms of such, which nothing can
-    /// sense.
+    /// Whether the outputs are vectors; else they are linear forms, which sensing effects cannot
+    /// change.
     vectors: bool,
     reference: [f64; 3],
-    /// Whether the loads that a run declares are applied.
+    /// Whether declared loads are applied.
     declared: bool,
     kept: Kept,
 }
@@ -131,7 +131,7 @@ impl Predictor {
         })
     }
 
-    /// The same with stations that an obstacle can stop.
+    /// The same with stations for contact with an obstacle.
     pub fn with_contact(self, contact: Contact) -> Predictor {
         Predictor {
             contact: Some(Arc::new(contact)),
@@ -139,8 +139,8 @@ impl Predictor {
         }
     }
 
-    /// The same without the loads that a run declares: for a prior whose fields have no known
-    /// scale. Gravity still gives the effects the direction of a weight.
+    /// The same without declared loads: for a prior with fields of unknown scale. Gravity still
+    /// gives the effects the direction of a weight.
     pub fn without_declared_loads(self) -> Predictor {
         Predictor {
             declared: false,
@@ -149,8 +149,8 @@ impl Predictor {
     }
 
     /// The same with linear forms of the outputs in their place: `weights` (3V, M). M must be a
-    /// multiple of 3; forms of zeros fill up. Tables alone are seen so, as plain ones; None where
-    /// the prior or a field is something else.
+    /// multiple of 3; forms of zeros fill up. Only tables support it, as plain ones; None if the
+    /// prior or a field is of another kind.
     pub fn through(&self, weights: &[f64], forms: usize) -> Result<Option<Predictor>> {
         let zero = vec![0.0; forms];
         let plain = |shape: &Arc<dyn Shape>| -> Result<Option<Arc<dyn Shape>>> {
@@ -210,7 +210,7 @@ impl Predictor {
         self.frames(&job, sets, t_seen.len())
     }
 
-    /// Refuse a chain or a record that this prior cannot be asked with.
+    /// Reject a chain or a record that this prior does not support.
     fn agrees(&self, chain: &Chain, conditions: &Conditions, t_seen: &[f64]) -> Result<()> {
         if chain.channels() != self.body.prior.channels() {
             return Err(invalid(format!(
@@ -280,8 +280,7 @@ impl Predictor {
         Ok(out)
     }
 
-    /// Write the prior of a group at a frame to `out`; the nodes that carry its command are kept
-    /// for what follows.
+    /// Write the prior of a group at a frame to `out`; keep the stencils of its command for reuse.
     fn bend(&self, job: &Job, (group, k): (usize, usize), scratch: &mut Scratch, out: &mut [f64]) {
         let (u, prior) = (job.at(group, k), &job.bodies[group].prior);
         scratch.nodes.clear();
@@ -291,7 +290,7 @@ impl Predictor {
         }
     }
 
-    /// Add to `out` what loads a set at a frame.
+    /// Add the response to the loads of a set at a frame to `out`.
     fn load(
         &self,
         job: &Job,
@@ -313,7 +312,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// Add to `out` what loads do at the command `u` that acts.
+    /// Add the response to loads at the effective command `u` to `out`.
     fn under(
         &self,
         fields: &Fields,
@@ -346,8 +345,7 @@ impl Predictor {
         fields.add(u, nodes, weights, field, out);
     }
 
-    /// Whether a coefficient means something to this body: its field is there, or it is that of
-    /// cables.
+    /// Whether this body supports a coefficient: its field exists, or it belongs to cables.
     fn has(&self, coefficient: usize) -> bool {
         match coefficient {
             field if field < TENDON => self.body.fields.get(field).is_some(),
@@ -385,9 +383,9 @@ impl Predictor {
     }
 }
 
-/// Numbers of one frame that are in work.
+/// Workspace of one frame.
 struct Scratch {
-    /// Which nodes carry its command.
+    /// The stencils of its command.
     nodes: Nodes,
     place: Vec<f64>,
     work: answer::Scratch,

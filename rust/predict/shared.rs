@@ -6,8 +6,8 @@ use super::loads::{Acting, Load};
 use crate::error::Result;
 use rayon::prelude::*;
 
-/// What the members of a group share at all frames: the prior (K, 3V), by itself and under the
-/// loads of the first of them.
+/// Shared data of a group at all frames: the prior (K, 3V), alone and under the loads of the first
+/// member.
 pub struct Shapes {
     prior: Vec<f64>,
     loaded: Vec<f64>,
@@ -15,8 +15,8 @@ pub struct Shapes {
 }
 
 impl Shapes {
-    /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the
-    /// complete shape, loads included.
+    /// Write the shared part of a member's shape at a frame to `out` (3V,); true if it is the
+    /// complete shape, with loads.
     pub fn copy(
         &self,
         predictor: &Predictor,

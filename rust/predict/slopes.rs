@@ -1,10 +1,9 @@
-//! Effective commands, and how the frame answers small changes of it: all that a linearised
-//! screening needs.
+//! Effective commands, and the slopes of the frames over them, for linearised screening.
 //!
-//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of full
-//! frames (prior, fields, cables, sensing) over the acting command. Their steps are the caller's:
-//! where tendons fall slack under a load the true slope jumps within some hundredths of a
-//! millimetre, and says nothing about a change of half a millimetre.
+//! `acting` is the chain alone, read at the frame times. `slopes` are central differences of
+//! complete frames (prior, fields, cables, sensing) over the effective command. The caller sets
+//! their steps: where tendons become slack under a load, the true slope jumps within a few
+//! hundredths of a millimetre, and does not predict a change of half a millimetre.
 
 use super::Predictor;
 use super::job::Job;
@@ -12,7 +11,8 @@ use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 
 impl Predictor {
-    /// Effective commands (B, K, C) at seen times for parameters (B, P) on the commands `u` (T, C).
+    /// Effective commands (B, K, C) at the frame times for parameters (B, P) on the commands `u`
+    /// (T, C).
     pub fn acting(
         &self,
         chain: &Chain,
@@ -29,8 +29,8 @@ impl Predictor {
         Ok(frames.flat_map(|(g, k)| job.at(g, k)).copied().collect())
     }
 
-    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, for one
-    /// parameter set (P,).
+    /// Slopes (C, K, V, 3) of the frames over the effective command, `step` (C,) to both sides, for
+    /// one parameter set (P,).
     pub fn slopes(
         &self,
         chain: &Chain,

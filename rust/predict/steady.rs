@@ -1,9 +1,8 @@
 //! A predictor under constant conditions, as a shape: the model of inverse kinematics.
 //!
-//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u the effective command at the body; nothing is
-//! sensed. Slopes of the prior are its own. Slopes of the loads' answers are central differences
-//! over [`STEP`] to both sides, because they change slowly. Shape effects with a memory are taken
-//! at rest, without memory.
+//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u the effective command, without sensing. Slopes of
+//! the prior are its own. Slopes of the load responses are central differences over [`STEP`] to
+//! both sides, because they change slowly. Shape effects with memory are at rest, without memory.
 
 use super::Predictor;
 use super::job::Body;
@@ -27,7 +26,7 @@ struct Still {
 }
 
 /// The outputs of `predictor` under the shape and prior effects of a chain with `params` (P,), in
-/// one context: its prior where nothing loads it.
+/// one context: its prior if there are no loads.
 pub fn still(
     predictor: &Arc<Predictor>,
     chain: &Chain,
@@ -43,8 +42,7 @@ pub fn still(
             chain.channels()
         )));
     }
-    // A missing field is reported here, at home and to both sides of it; later it would be left
-    // out.
+    // A missing field is reported here, at home and to both sides of it; later it would be ignored.
     let relaxed = vec![0.0; chain.remembered()];
     let mut loaded = false;
     for side in 0..=2 * channels {
@@ -69,7 +67,7 @@ pub fn still(
 }
 
 impl Still {
-    /// Add what loads do at `u` to `out`.
+    /// Add the response to loads at `u` to `out`.
     fn load(&self, u: &[f64], out: &mut [f64], by: f64) {
         let asked =
             self.predictor

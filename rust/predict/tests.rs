@@ -1,5 +1,4 @@
-//! The predictor: frames between samples, sets that share shapes, and what it says of absent
-//! fields.
+//! The predictor: frames between samples, sets with shared shapes, and errors for missing fields.
 
 use super::*;
 use crate::shape::table::Table;

@@ -1,11 +1,11 @@
-//! How a body answers loads at a command: the weights of its fields, the changes of tension of its
-//! cables, and what large ones do beyond.
+//! The response of a body to loads at a command: the weights of its fields, the tension changes of
+//! its cables, and second-order terms.
 //!
-//! Loads (`loads.rs`) stretch the cables; the changes of tension that follow move the body as the
-//! loads do (`cables.rs`), and dead loads and changes of the modulus do more than their fields say
-//! (`second.rs`). What all three know of a command is read first (`at`): its *place*. Fields,
-//! stretches and second derivatives enter by sums, so that a body under the same loads at all
-//! commands is one with two or three loads (`under`): tens of numbers a place instead of hundreds.
+//! Loads (`loads.rs`) stretch the cables; the resulting tension changes also move the body
+//! (`cables.rs`), and dead loads and changes of the modulus have second-order terms (`second.rs`).
+//! The data of all three at a command are read first (`at`): its *place*. Fields, stretches and
+//! second derivatives enter linearly. So a body under the same loads at all commands is one with
+//! two or three loads (`under`): tens of numbers per place instead of hundreds.
 
 use crate::algebra::complementarity::Problem;
 use crate::error::Result;
@@ -14,27 +14,26 @@ use crate::response::loads::{FIELDS, LOADS, MODULI};
 use crate::response::second_order::{MOST_TENDONS, Second};
 use crate::shape::grid::Nodes;
 
-/// What a body has besides its fields.
+/// The data of a body besides its fields.
 #[derive(Clone)]
 pub struct Answer {
     pub cables: Option<Cables>,
     pub second: Option<Second>,
-    /// Number of loads and changes of design, and of how many of the first more is known than their
-    /// fields.
+    /// Number of loads and changes of design, and of the first ones with second-order terms.
     loads: usize,
     known: usize,
 }
 
-/// What is in work at a place.
+/// Workspace at a place.
 #[derive(Default)]
 pub struct Scratch {
-    /// What loads beyond their fields stretch each cable by (n,) mm.
+    /// Second-order stretch of each cable (n,) mm.
     pub beyond: Vec<f64>,
     problem: Problem,
 }
 
 impl Answer {
-    /// The answer to `loads.rs`' loads.
+    /// The response to the loads of `loads.rs`.
     pub fn new(cables: Option<Cables>, second: Option<Second>) -> Answer {
         Answer {
             loads: FIELDS.len(),
@@ -44,9 +43,8 @@ impl Answer {
         }
     }
 
-    /// The amounts (FIELDS,) that a body under `loads` (FIELDS,) takes for its few: the dead loads,
-    /// the changes of the modulus if there are any of which the second level knows, and the other
-    /// changes of design.
+    /// The amounts (FIELDS,) of the few loads of a body under `loads` (FIELDS,): the dead loads,
+    /// the changes of the modulus if the second order has them, and the other changes of design.
     pub fn few(&self, loads: &[f64]) -> Vec<Vec<f64>> {
         let ends = [0, LOADS, self.known, FIELDS.len()];
         let some = ends.windows(2).map(|w| {
@@ -73,7 +71,7 @@ impl Answer {
         })
     }
 
-    /// Number of cables that answer.
+    /// Number of responding cables.
     pub fn tendons(&self) -> usize {
         self.cables.as_ref().map_or(0, Cables::count)
     }
@@ -87,8 +85,8 @@ impl Answer {
         self.split() + self.second.as_ref().map_or(0, Second::size)
     }
 
-    /// The place at a command: what the cables are like there, then what loads and moduli that are
-    /// `there` do beyond their fields.
+    /// The place at a command: the state of the cables, then the second-order terms of the loads
+    /// and moduli in `there`.
     pub fn at(
         &self,
         u: &[f64],
@@ -113,9 +111,9 @@ impl Answer {
             .map(|known| (known, &place[..self.split()]))
     }
 
-    /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what
-    /// they do beyond. `gives` (mm/N) is the compliance of the cables of each command and side in
-    /// addition to the model's; `place` is what `at` says there.
+    /// Write the weights of the fields to `weights`: the loads, the tension changes (N), the
+    /// second-order terms. `gives` (mm/N) is the additional compliance of the cables of each
+    /// command and side; `place` is the result of `at`.
     pub fn weigh(
         &self,
         loads: &[f64],

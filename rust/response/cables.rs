@@ -1,22 +1,21 @@
-//! How cables answer a load that the prior was not solved with: some fall slack, some become taut.
+//! The response of cables to loads that the prior does not include: some become slack, some taut.
 //!
-//! At a command the prior knows the pull p of each cable in N (stiffness × stretch: its tension T
-//! where positive, how slack it is where negative). Under dead loads c (g, N) the stretches change
-//! with the loads and with the tensions,
+//! At a command, the prior has the pull p of each cable in N (stiffness × stretch: the tension T if
+//! positive, the slack if negative). Under dead loads c (g, N) the stretches change with the loads
+//! and with the tensions,
 //!
 //! `p'ᵢ = (pᵢ/kᵢ + Lᵢ·c + Σⱼ Cᵢⱼ (T'ⱼ − Tⱼ)) / (1/kᵢ + s)`, `T'ᵢ = max(0, p'ᵢ)`
 //!
-//! with L and C the stretch per unit load (or change of design) and per unit tension while all
-//! other tensions stay, and s what a cable gives beyond the model's 1/k. It is a linear
+//! with L and C the stretch per unit load (or change of design) and per unit tension at constant
+//! other tensions, and s the compliance of a cable beyond the model's 1/k. It is a linear
 //! complementarity problem with the matrix 1/k + s − C, positive definite because a pulled cable
-//! gets shorter (`complementarity.rs`). The body then moves by its fields at constant tension for c
-//! and for T' − T. Without this, fields are wrong by half their size near home, where tendons
-//! change between slack and taut. p has a kink where a cable falls slack: from there it goes with
-//! k, twenty times as steep. What is interpolated between commands is therefore the stretch that a
-//! cable would have without any tension, pᵢ/kᵢ − Σⱼ Cᵢⱼ Tⱼ, which has none; p follows from it by
-//! the same problem, without loads. On the bank's rod tensions are so 1e-3 N off at most, 2 N
-//! otherwise. Limit: L, C and the fields are those of the unloaded equilibrium; what loads do
-//! beyond is `second.rs`.
+//! becomes shorter (`complementarity.rs`). The body then moves by its fields at constant tension
+//! for c and for T' − T. Without this, fields are wrong by half their size near home, where tendons
+//! change between slack and taut. p has a kink where a cable becomes slack: from there its slope is
+//! k, twenty times as steep. So the stretch without any tension, pᵢ/kᵢ − Σⱼ Cᵢⱼ Tⱼ, which has no
+//! kink, is interpolated between commands; p follows from it by the same problem, without loads. On
+//! the bank's rod, the tension error is then at most 1e-3 N, and 2 N otherwise. Limit: L, C and the
+//! fields are those of the unloaded equilibrium; second-order terms are in `second.rs`.
 
 use crate::algebra::complementarity::Problem;
 use crate::error::{Result, invalid};
@@ -36,7 +35,7 @@ pub struct Cables {
     fields: Vec<Arc<Table>>,
     /// Number of loads that stretch them.
     loads: usize,
-    /// Which commands pull each cable, and to what share: 2c is +u of command c, 2c + 1 is −u.
+    /// The commands that pull each cable, and their shares: 2c is +u of command c, 2c + 1 is −u.
     driven: Arc<Vec<Vec<(usize, f64)>>>,
 }
 
@@ -82,14 +81,14 @@ impl Cables {
             stiffness,
             driven: Arc::new(driven(&free)),
             free: Arc::new(free),
-            // bodies under loads are made from it again and again
+            // bodies under loads are often made from it
             stretch: Arc::new(stretch.plain()?),
             fields,
             loads,
         })
     }
 
-    /// The same cables with few loads, each of which is so much (loads,) of theirs.
+    /// The same cables with few loads, each a combination (loads,) of the original ones.
     pub fn under(&self, amounts: &[&[f64]]) -> Result<Cables> {
         let (n, width, few) = (self.count(), self.loads + self.count(), amounts.len());
         let there = |amount: &&[f64]| -> Vec<(usize, f64)> {
@@ -130,17 +129,17 @@ impl Cables {
         self.stiffness.len()
     }
 
-    /// Displacements per 1 N in each cable, all other tensions as they are.
+    /// Displacements per 1 N in each cable, at constant other tensions.
     pub fn fields(&self) -> impl Iterator<Item = Arc<dyn Shape>> {
         self.fields.iter().map(|f| f.clone() as Arc<dyn Shape>)
     }
 
-    /// Numbers that `at` writes.
+    /// Number of values that `at` writes.
     pub fn size(&self) -> usize {
         self.free.size() + self.stretch.size()
     }
 
-    /// Pulls and stretches at a command, one after the other.
+    /// Pulls and stretches at a command, concatenated.
     pub fn at(&self, u: &[f64], nodes: &mut Nodes, out: &mut [f64], problem: &mut Problem) {
         let n = self.count();
         let (free, stretch) = out.split_at_mut(n);
@@ -161,9 +160,9 @@ impl Cables {
     }
 
     /// Change of each tension (n,) N under the loads, at a place that `at` wrote. `gives` (2 C,)
-    /// mm/N is the compliance of the cables that +u and −u of each command pull, in addition to the
-    /// model's; `beyond` (n,) mm is what else stretches them (empty: nothing). What `change` holds
-    /// before says which of them are taken to pull at first.
+    /// mm/N is the additional compliance of the cables that +u and −u of each command pull;
+    /// `beyond` (n,) mm is a further stretch (empty: none). The previous values of `change` define
+    /// the initial active set.
     pub fn answer(
         &self,
         place: &[f64],
@@ -188,8 +187,8 @@ impl Cables {
         place[..self.count()].iter().map(|pull| pull.max(0.0))
     }
 
-    /// Pose the problem whose answer are the tensions: 1/k + s − C (n, n), and the stretch (n,) mm
-    /// without any tension.
+    /// Set up the problem for the tensions: 1/k + s − C (n, n), and the stretch (n,) mm without any
+    /// tension.
     pub fn pose(
         &self,
         place: &[f64],
@@ -205,7 +204,7 @@ impl Cables {
                 .iter()
                 .map(|(by, share)| share * gives.get(*by).unwrap_or(&0.0));
             problem.matrix.extend(self.gives(place, i, more.sum()));
-            // What the tensions of the unloaded place take away is −C T.
+            // The contribution of the tensions of the unloaded place is −C T.
             let tensions = by_tension.iter().zip(self.before(place));
             problem.right.push(
                 place[i] / self.stiffness[i] + beyond.get(i).unwrap_or(&0.0) + dot(by_loads, loads)
@@ -226,15 +225,15 @@ impl Cables {
         row.map(move |(j, c)| f64::from(i == j) * gives - c)
     }
 
-    /// What a cable stretches by: L (loads), then C (n,).
+    /// Stretch of a cable: L (loads), then C (n,).
     fn row<'a>(&self, place: &'a [f64], i: usize) -> &'a [f64] {
         let (n, width) = (self.count(), self.loads + self.count());
         &place[n + i * width..n + (i + 1) * width]
     }
 }
 
-/// Which commands pull each cable, by the slopes of its `free` stretch, which is nearly linear;
-/// shares are squares of them. A cable that no command pulls takes the mean of all.
+/// The commands that pull each cable, by the slopes of its `free` stretch, which is nearly linear;
+/// shares are their squares. A cable without a command uses the mean of all.
 fn driven(free: &Table) -> Vec<Vec<(usize, f64)>> {
     let (n, channels) = (free.size(), free.channels());
     let ends: Vec<(f64, f64)> = free.axes().map(|a| (a[0], a[a.len() - 1])).collect();
@@ -350,7 +349,8 @@ mod tests {
 
     #[test]
     fn a_cable_falls_slack_between_two_nodes_where_it_does() {
-        // One cable, commanded by u mm, that gives 1 mm a N: p = u/(1/20 + 1), 20 u where it hangs.
+        // One cable, commanded by u mm, with 1 mm/N extra compliance: p = u/(1/20 + 1), 20 u if
+        // slack.
         let told = |u: f64| if u > 0.0 { u / 1.05 } else { 20.0 * u };
         let axis = vec![-3.0, -1.0, 2.0, 3.0, 5.0];
         let pull: Vec<f64> = axis.iter().map(|u| told(*u)).collect();

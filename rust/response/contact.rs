@@ -1,18 +1,16 @@
-//! Contact: the body is stopped by a plane or a sphere, which pushes and never pulls, without
-//! friction.
+//! Contact with a plane or a sphere, which pushes and never pulls, without friction.
 //!
-//! Some stations along the body, each a place p_i (the middle of its section) and a radius r_i,
-//! keep a gap to the obstacle:
-//!   gap_i = (2 n·d + κ d·d)/(1 + √(1 + 2κ n·d + κ² d·d)) − r_i,   d = p_i − q      (mm),
-//! q its foremost point, n the normal there, towards the body, κ its curvature (0: a plane). The
-//! obstacle pushes a station along its normal n_i with a force λ_i (N), and with the unit-force
-//! fields of the prior
-//!   gap_i = gap_i⁰ + Σ_j n_i·t_j(p_i) (T_j − T_j⁰) + Σ_k n_i·f_k(p_i) n_k λ_k ≥ 0,   λ_i ≥ 0,
+//! Some stations along the body, each a point p_i (the middle of its section) and a radius r_i,
+//! have a gap to the obstacle: gap_i = (2 n·d + κ d·d)/(1 + √(1 + 2κ n·d + κ² d·d)) − r_i, d = p_i
+//! − q (mm), q its foremost point, n the normal there, towards the body, κ its curvature (0: a
+//! plane). The obstacle pushes a station along its normal n_i with a force λ_i (N), and with the
+//! unit-force fields of the prior gap_i = gap_i⁰ + Σ_j n_i·t_j(p_i) (T_j − T_j⁰) + Σ_k n_i·f_k(p_i)
+//! n_k λ_k ≥ 0, λ_i ≥ 0,
 //!     λ_i gap_i = 0
 //! together with the condition of every cable (`cables.rs`), which the same forces stretch: one
-//! complementarity problem. Normals are those of the body that is not stopped. Limits: fields of
-//! the unloaded equilibrium, so a push of many mm is answered too far; nothing between stations
-//! touches.
+//! complementarity problem. Normals are those of the body without contact. Limits: fields of the
+//! unloaded equilibrium, so the response to a push of many mm is too large; no contact between
+//! stations.
 
 use crate::algebra::Vec3;
 use crate::algebra::complementarity::Problem;
@@ -26,8 +24,8 @@ use std::sync::Arc;
 /// The stations of a body.
 pub struct Contact {
     places: Arc<dyn Shape>,
-    /// Displacements of the stations by the fields of the prior, then of its cables and of large
-    /// loads.
+    /// Displacements of the stations by the fields of the prior, then by its cables and
+    /// second-order terms.
     fields: Vec<Option<Arc<dyn Shape>>>,
     radii: Vec<f64>,
 }
@@ -42,7 +40,8 @@ fn push(station: usize) -> usize {
 }
 
 impl Contact {
-    /// `places` gives the middles of the stations, `fields` how they move by name; `radii` (mm).
+    /// `places` are the middles of the stations, `fields` their displacements by name; `radii`
+    /// (mm).
     pub fn new(
         places: Arc<dyn Shape>,
         named: Vec<(String, Arc<dyn Shape>)>,
@@ -88,9 +87,9 @@ impl Contact {
         })
     }
 
-    /// Let the obstacle of `loads` stop the body at the command `u`: `weights` (fields, then
-    /// changes of tension) come in as they are without it, and go out with what it pushes. `cables`
-    /// with what `Cables::at` wrote and what else stretches them.
+    /// Add the obstacle of `loads` at the command `u`: `weights` (fields, then tension changes) are
+    /// input without contact and output with its pushes. `cables` come with the result of
+    /// `Cables::at` and their further stretch.
     pub fn stop(
         &self,
         u: &[f64],
@@ -156,7 +155,7 @@ impl Contact {
         for (k, (gap, normal)) in free.iter().enumerate() {
             let towards = |moved: &Vec<f64>| normal.dot(at(moved, k));
             all.extend(pulled.iter().chain(&pushed).map(towards));
-            // The gap is that of the tensions without the obstacle; the problem asks for the one
+            // The gap is that with the tensions without the obstacle; the problem needs the one
             // without any.
             let tension = |j: usize| before[j] + weights[FIELDS.len() + j];
             problem.right.push(
@@ -185,7 +184,7 @@ impl Contact {
     }
 }
 
-/// What stands in the way.
+/// The obstacle.
 struct Obstacle {
     foremost: Vec3,
     normal: Vec3,

@@ -1,5 +1,5 @@
-//! The fields of a prior: how far each load and each cable's tension moves the body, and their
-//! weighted sum at a command.
+//! The fields of a prior: displacements per load and cable tension, and their weighted sum at a
+//! command.
 //!
 //! Fields of one sweep share their grid and their modes. Their mode weights are blended together,
 //! Σ_f w_f·a_fm(u), and the modes expanded once: a sum of seven fields then costs as much as one or
@@ -14,8 +14,8 @@ use std::sync::Arc;
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// Tables that share grid and modes with the first that is there, side by side, and which they
-    /// are; those that are the same at all commands, as modes; then all others.
+    /// Tables that share grid and modes with the first one, side by side, with their indices;
+    /// constant ones, as modes; then all others.
     together: Option<TableSum>,
     alike: Vec<usize>,
     constant: Option<Modes>,
@@ -24,7 +24,7 @@ pub struct Fields {
 }
 
 impl Fields {
-    /// Take fields in order.
+    /// From fields in order.
     pub fn new(members: Vec<Option<Arc<dyn Shape>>>) -> Fields {
         let there = |f: &usize| members[*f].is_some();
         let there: Vec<usize> = (0..members.len()).filter(there).collect();
@@ -63,8 +63,8 @@ impl Fields {
         }
     }
 
-    /// The same fields of a body of which one number is multiplied; a field that has no such number
-    /// stays as it is.
+    /// The same fields with one number of the body multiplied; a field without this number does not
+    /// change.
     pub fn with_number(&self, name: &str, factor: f64) -> Fields {
         let changed = |field: &Arc<dyn Shape>| {
             let other = field.with_number(name, factor);
@@ -74,8 +74,8 @@ impl Fields {
         Fields::new(members.map(|field| field.as_ref().map(changed)).collect())
     }
 
-    /// Few fields, each a sum of the first ones with such weights, then the others; None if one of
-    /// them stands outside the grid that fields share.
+    /// Few fields, each a weighted sum of the first ones, then the others; None if one of them is
+    /// outside the shared grid.
     pub fn under(&self, loads: &[&[f64]]) -> Option<Fields> {
         let sum = |loads: &&[f64]| {
             let outside = |f: usize| loads[f] != 0.0 && !self.alike.contains(&f);
@@ -95,7 +95,7 @@ impl Fields {
         Some(Fields::new(members))
     }
 
-    /// Number of fields, absent ones included.
+    /// Number of fields, including absent ones.
     pub fn count(&self) -> usize {
         self.members.len()
     }
@@ -105,7 +105,7 @@ impl Fields {
         &self.members
     }
 
-    /// One field, if it is there.
+    /// One field, if it exists.
     pub fn get(&self, field: usize) -> Option<&dyn Shape> {
         self.members[field].as_deref()
     }
@@ -138,7 +138,7 @@ impl Fields {
         }
     }
 
-    /// Add Σ w_f·field_f to `frame` (M,), of the fields that are the same at all commands.
+    /// Add Σ w_f·field_f to `frame` (M,), over the constant fields.
     fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
         if let Some(modes) = &self.constant {
             let (mut few, mut many) = ([0.0; STACK_MODES], vec![]);

@@ -1,14 +1,13 @@
-//! Names of what moves a body besides its commands: dead loads, and changes of its
-//! design.
+//! Names of the causes that move a body besides its commands: dead loads and changes of design.
 //!
-//! Every prior answers by *fields*: displacement per unit of each at constant tension of its
-//! cables. The simulator computes them, a rod has its own, shape effects give their coefficients;
-//! all of them mean the order and the units that stand here: gravity on the full body (per 1 g)
-//! and a force on its tip (per 1 N), along the axes of the base; then, per unit, the logarithm of
-//! the modulus in each of [`HATS`] stretches of the body, and by how much that logarithm rises from
-//! the axis to the +x and the +y side; the deflection of the tip at rest towards x and y (1 mm, an
-//! even curvature); the twist of body and tendons (1° at the tip, even); the phase about z of the
-//! tendons of each command (1°); a force on a section (1 N) at some stations along the body.
+//! Every prior responds by *fields*: displacement per unit of each cause at constant cable
+//! tensions. The simulator computes them, a rod has its own, and shape effects give their
+//! coefficients. All use the order and units defined here: gravity on the full body (per 1 g) and a
+//! force on its tip (per 1 N), along the axes of the base; then, per unit, the logarithm of the
+//! modulus in each of [`HATS`] sections of the body, and its rise from the axis to the +x and the
+//! +y side; the deflection of the tip at rest towards x and y (1 mm, uniform curvature); the twist
+//! of body and tendons (1° at the tip, uniform); the phase about z of the tendons of each command
+//! (1°); a force on a section (1 N) at some stations along the body.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -58,28 +57,28 @@ pub const PUSH: usize = ROUTING + PHASES;
 
 /// Fields that are dead loads; those up to [`PUSH`] are changes of design, the rest pushes.
 pub const LOADS: usize = STIFF;
-/// Stretches of the body that have a modulus of their own.
+/// Sections of the body with their own modulus.
 pub const HATS: usize = 7;
 /// Fields of the modulus, from [`STIFF`] on.
 pub const MODULI: usize = CURVE - STIFF;
 /// Commands whose tendons have a phase.
 pub const PHASES: usize = 3;
-/// Where along the body, as shares of its height, an obstacle can push it; on the last one by the
+/// Stations where an obstacle can push the body, as shares of its height; the last one uses the
 /// force on the tip.
 pub const STATIONS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 
 /// Most commands that pull cables.
 pub const PULLING: usize = PHASES;
-/// Where the coefficients stand that are no fields: the compliance (mm/N) in addition to the
-/// model's of the cables that +u and −u of each command pull; and an obstacle: 1 if there is one,
-/// its foremost point (mm), the normal there and its curvature (1/mm).
+/// Indices of coefficients that are not fields: the additional compliance (mm/N) of the cables that
+/// +u and −u of each command pull; and an obstacle: 1 if present, its foremost point (mm), the
+/// normal there and its curvature (1/mm).
 pub const TENDON: usize = FIELDS.len();
 pub const CONTACT: usize = TENDON + 2 * PULLING;
 
 /// Coefficients of [`FIELDS`] in their units, then [`TENDON`] and [`CONTACT`].
 pub type Coefficients = [f64; CONTACT + 8];
 
-/// What a coefficient is called.
+/// The name of a coefficient.
 pub fn name(coefficient: usize) -> &'static str {
     match coefficient {
         field if field < TENDON => FIELDS[field],
@@ -96,13 +95,13 @@ pub fn weight(mass: f64, gravity: [f64; 3]) -> [f64; 3] {
     gravity.map(|g| mass * 1e-3 * STANDARD_GRAVITY * g)
 }
 
-/// Middle of a stretch, as a share of the body's height.
+/// Middle of a section, as a share of the body's height.
 pub fn middle(hat: usize) -> f64 {
     hat as f64 / (HATS - 1) as f64
 }
 
-/// How much of a stretch there is at a share of the height: cos² around its middle, all stretches
-/// together 1 everywhere.
+/// Weight of a section at a share of the height: cos² around its middle; all sections sum to 1
+/// everywhere.
 pub fn hat(hat: usize, share: f64) -> f64 {
     let away = (share.clamp(0.0, 1.0) - middle(hat)) * (HATS - 1) as f64;
     if away.abs() < 1.0 {
@@ -112,16 +111,16 @@ pub fn hat(hat: usize, share: f64) -> f64 {
     }
 }
 
-/// The length of a stretch, as a share of the body's.
+/// The length of a section, as a share of the body's.
 pub fn width(hat: usize) -> f64 {
     let ends = hat == 0 || hat == HATS - 1;
     (if ends { 0.5 } else { 1.0 }) / (HATS - 1) as f64
 }
 
-/// The part of a stretch that lies between two shares of the height, 0 to 1.
+/// The part of a section between two shares of the height, 0 to 1.
 pub fn covered(hat: usize, low: f64, high: f64) -> f64 {
     let count = (HATS - 1) as f64;
-    // ∫ cos²(π t/2) dt = t/2 + sin(π t)/2π, and no stretch reaches beyond the body.
+    // ∫ cos²(π t/2) dt = t/2 + sin(π t)/2π, and no section reaches beyond the body.
     let upto = |share: f64| {
         let t = ((share.clamp(0.0, 1.0) - middle(hat)) * count).clamp(-1.0, 1.0);
         0.5 * t + (PI * t).sin() / (2.0 * PI)

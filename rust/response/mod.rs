@@ -1,5 +1,4 @@
-//! The response of a body to loads: fields of its prior, cables that fall slack, contact,
-//! second-order terms.
+//! The response of a body to loads: fields of its prior, slack cables, contact, second-order terms.
 
 pub mod answer;
 pub(crate) mod cables;

@@ -1,22 +1,20 @@
-//! The second level: what large loads and large changes of the modulus do beyond their fields, and
-//! beyond the stretch of the cables that goes with them.
+//! Second-order terms: the response to large loads and large changes of the modulus beyond fields
+//! and cable stretches.
 //!
-//! Places x and cable lengths L are functions without kinks of λ: the dead loads c (g, N), the
-//! changes p of the logarithm of the modulus (`stiff_0 … stiff_6`, `stiff_x|y`), and the changes ΔT
-//! of the tensions (N). With their second derivatives x_kl, L_kl (`fem/bend.rs`), beyond the fields
-//! come
-//!   δx = ½ f Σ λ_k λ_l x_kl,   δL = ½ f Σ λ_k λ_l L_kl,   f = 1/(1 − ½ Σ g_k λ_k),
-//! g_k the share by which the answers to loads grow for a unit of λ_k: weight that hangs on a body
-//! stiffens it, and the terms of its series fall about as powers do, so that f stands for all that
-//! follow the second (Padé). λ takes for ΔT what the cables answer to c and p with the fields
-//! alone, which is right to second order; δL then joins their stretch (`cables.rs`), whatever else
-//! they answer. What x_kl makes of a body are a few modes, each a field of its own. Pairs among
-//! loads and tensions stand by themselves, those with a modulus in a table of their own, which
-//! costs nothing where the modulus is as it was; a body may lack it, and then answers changes of
-//! its modulus linearly. On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 %
-//! and more are missed without; a section half as stiff to 9 to 18 %, 25 to 60 % and more without
-//! (tests/model/test_second_level.py). Limits: curvature at rest, twist and routing, and pushes,
-//! stay linear with it.
+//! Positions x and cable lengths L are smooth functions of λ: the dead loads c (g, N), the changes
+//! p of the logarithm of the modulus (`stiff_0 … stiff_6`, `stiff_x|y`), and the changes ΔT of the
+//! tensions (N). With their second derivatives x_kl, L_kl (`fem/bend.rs`), the terms beyond the
+//! fields are δx = ½ f Σ λ_k λ_l x_kl, δL = ½ f Σ λ_k λ_l L_kl, f = 1/(1 − ½ Σ g_k λ_k), g_k the
+//! relative growth of the responses to loads per unit of λ_k. Weight hanging on a body stiffens it,
+//! and the terms of its series decrease about like powers, so f represents all terms after the
+//! second (Padé). λ uses for ΔT the response of the cables to c and p with the fields alone, which
+//! is correct to second order; δL is then added to their stretch (`cables.rs`). x_kl is represented
+//! by a few modes, each a field. Pairs among loads and tensions are in one table, those with a
+//! modulus in another, which costs nothing for an unchanged modulus; a body may lack it, and then
+//! responds linearly to its modulus. On the built-in finger, the error for 60 g is 8 % of the
+//! motion, and 10 to 20 % and more without these terms; for a section half as stiff it is 9 to 18
+//! %, and 25 to 60 % and more without (tests/model/test_second_level.py). Limits: curvature at
+//! rest, twist, routing and pushes stay linear.
 
 use crate::error::{Result, invalid};
 use crate::response::loads::{LOADS, MODULI};
@@ -30,9 +28,9 @@ use std::sync::Arc;
 mod part;
 use part::Part;
 
-/// The most tendons that can answer.
+/// Most responding tendons.
 pub const MOST_TENDONS: usize = 64;
-/// Least and greatest of ½ Σ g_k λ_k: beyond, loads are not in the reach of a second order.
+/// Least and greatest ½ Σ g_k λ_k: beyond, the second order is not valid.
 const GROWTH: (f64, f64) = (-0.9, 0.3);
 
 /// Second derivatives of a prior by loads, moduli and tensions, over a grid of commands.
@@ -49,9 +47,9 @@ pub struct Second {
 }
 
 impl Second {
-    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for `tendons` n that
-    /// answer (0: none does), `moduli` (nodes, Q·(m + n) + MODULI) of the pairs with a modulus, or
-    /// nothing, and `modes` (m, M).
+    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for n responding `tendons`
+    /// (0: none), `moduli` (nodes, Q·(m + n) + MODULI) of the pairs with a modulus, or nothing, and
+    /// `modes` (m, M).
     pub fn new(
         axes: Vec<Vec<f64>>,
         numbers: Vec<f64>,
@@ -106,19 +104,19 @@ impl Second {
         })
     }
 
-    /// Number of loads and moduli that it knows.
+    /// Number of its loads and moduli.
     pub fn known(&self) -> usize {
         self.loads + self.moduli
     }
 
-    /// The same under a single load, which is `amount` (loads + moduli,) of its own, and a single
-    /// change of the modulus likewise, if there is any.
+    /// The same under a single load, the combination `amount` (loads + moduli,) of its own, and
+    /// likewise a single change of the modulus, if any.
     pub fn under(&self, amount: &[f64]) -> Second {
         let moduli = usize::from(amount[self.loads..].iter().any(|p| *p != 0.0));
         let plan = Part::both(1, moduli, self.tendons);
         let mut parts = plan.clone();
         let (block, few) = (self.block(), 1 + moduli);
-        // The cause that a cause of many becomes, and how much of it there is.
+        // The combined cause of each cause, and its amount.
         let becomes = |k: usize| match k.checked_sub(self.known()) {
             Some(tendon) => (few + tendon, 1.0),
             None => (usize::from(k >= self.loads), amount[k]),
@@ -151,7 +149,7 @@ impl Second {
             };
             for (p, (k, l)) in part.pairs.iter().enumerate() {
                 let ((a, x), (b, y)) = (becomes(*k), becomes(*l));
-                // Of two causes that become one, both orders count.
+                // For two causes combined into one, both orders count.
                 let orders = if a == b && k != l { 2.0 } else { 1.0 };
                 if let (Some(to), true) = (place((a, b)), x * y != 0.0) {
                     add(to, p * block, block, orders * x * y);
@@ -190,7 +188,7 @@ impl Second {
         self.modes.size()
     }
 
-    /// Number of tendons n that answer.
+    /// Number of responding tendons n.
     pub fn tendons(&self) -> usize {
         self.tendons
     }
@@ -200,7 +198,7 @@ impl Second {
         self.modes.count()
     }
 
-    /// The modes, as fields that are alike at all commands.
+    /// The modes, as constant fields.
     pub fn fields(&self) -> Result<Vec<Arc<dyn Shape>>> {
         let size = self.outputs();
         let constant = |mode: &[f64]| {
@@ -214,13 +212,13 @@ impl Second {
         self.modes.count() + self.tendons
     }
 
-    /// Numbers that `at` writes.
+    /// Number of values that `at` writes.
     pub fn size(&self) -> usize {
         self.parts.iter().map(|part| part.size(self.block())).sum()
     }
 
-    /// The numbers at a command, of those pairs only whose loads and moduli are `there`; without a
-    /// modulus the second part of `out` is left as it is.
+    /// The values at a command, only for pairs with loads and moduli in `there`; without a modulus,
+    /// the second part of `out` is unchanged.
     pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
         let carry = nodes.of(&self.grid, u);
         let acts = |cause: usize| cause >= self.known() || there[cause];
@@ -232,9 +230,8 @@ impl Second {
         }
     }
 
-    /// What λ (loads, moduli, then changes of tension) does beyond its fields, at what `at` wrote:
-    /// the weights (m,) of the modes, and how far (mm) each cable (n,) is stretched; both are
-    /// added.
+    /// Add the second-order terms of λ (loads, moduli, then tension changes) for the values of
+    /// `at`: the weights (m,) of the modes, and the stretch (mm) of each cable (n,).
     pub fn beyond(&self, here: &[f64], amount: &[f64], weights: &mut [f64], stretch: &mut [f64]) {
         let [plain, with] = &self.parts;
         let (first, second) = here.split_at(plain.size(self.block()));

@@ -1,4 +1,4 @@
-//! Some of the pairs of causes of `second.rs`: which they are, and their numbers at a command.
+//! Some of the pairs of causes of `second.rs`, and their values at a command.
 
 use crate::shape::grid::Carry;
 use crate::shape::modes::{accumulate, wide};
@@ -10,7 +10,8 @@ pub(super) struct Part {
     /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of
     /// its own causes.
     pub(super) numbers: Vec<f64>,
-    /// Pairs of causes, and whose growth it has: numbers among loads, then moduli, then tensions.
+    /// Pairs of causes, and the causes with a growth: indices among loads, then moduli, then
+    /// tensions.
     pub(super) pairs: Vec<(usize, usize)>,
     pub(super) own: Vec<usize>,
 }
@@ -38,12 +39,12 @@ impl Part {
         ]
     }
 
-    /// Numbers of a node, for blocks of so many a pair.
+    /// Number of values of a node, for a block size per pair.
     pub(super) fn size(&self, block: usize) -> usize {
         self.pairs.len() * block + self.own.len()
     }
 
-    /// The numbers at a command, of those pairs only whose causes act.
+    /// The values at a command, only for pairs with active causes.
     pub(super) fn at(
         &self,
         block: usize,

@@ -1,13 +1,13 @@
-//! A chain of segments of constant curvature: where a point of it is, and how it moves when a
-//! segment bends or grows.
+//! A chain of segments of constant curvature: positions of its points, and their slopes over
+//! bending and length.
 //!
 //! A segment of length L with bending vector v = (v_x, v_y) (rad; it bends towards v by β = |v|)
 //! carries the frame at its start to its end by
 //!   p' = p + R · L · (c·v, s),   R' = R · exp[φ]ₓ,   φ = (−v_y, v_x, 0),   c = (1 − cos β)/β²,   s
 //!     = sin β/β,
 //! without twist. A point at the share f of it is the end of a segment of length f·L bent by f·v.
-//! Units: mm and rad. All quotients have series near the straight pose, so that nothing is lost at
-//! β = 0.
+//! Units: mm and rad. All quotients have series near the straight pose, so they are accurate at β =
+//! 0.
 
 use crate::algebra::{Mat3, Vec3};
 
@@ -47,13 +47,13 @@ impl Quotients {
     }
 }
 
-/// Where a segment of length 1 bent by `v` ends, in the frame of its start.
+/// End of a segment of length 1 bent by `v`, in the frame of its start.
 fn chord(v: [f64; 2]) -> Vec3 {
     let q = Quotients::new(v[0] * v[0] + v[1] * v[1]);
     Vec3::new(q.c * v[0], q.c * v[1], q.s)
 }
 
-/// How `chord` moves with v_x and with v_y.
+/// Slopes of `chord` over v_x and v_y.
 fn chord_slopes(v: [f64; 2]) -> [Vec3; 2] {
     let q = Quotients::new(v[0] * v[0] + v[1] * v[1]);
     [0, 1].map(|axis| {
@@ -78,21 +78,20 @@ fn rotation(v: [f64; 2]) -> (Mat3, [Vec3; 2]) {
     (turn, turning)
 }
 
-/// How a point moves per unit of the base's tilt (2,), of each segment's bending (2S,) and of each
-/// one's length (S,).
+/// Slopes of a point over the base's tilt (2,), each segment's bending (2S,) and length (S,).
 pub(super) struct Slopes {
     pub(super) tilt: [Vec3; 2],
     pub(super) bends: Vec<Vec3>,
     pub(super) lengths: Vec<Vec3>,
 }
 
-/// The frames at the joints of a chain: the base as it is tilted, then the end of each segment.
+/// The frames at the joints of a chain: the tilted base, then the end of each segment.
 pub(super) struct Chain<'a> {
     bends: &'a [f64],
     lengths: &'a [f64],
     points: Vec<Vec3>,
     turns: Vec<Mat3>,
-    /// Turning of all that is beyond a joint, per unit of tilt_x, tilt_y, then of each segment's
+    /// Rotation of everything beyond a joint, per unit of tilt_x, tilt_y, then of each segment's
     /// v_x, v_y.
     turnings: Vec<Vec3>,
 }
@@ -131,7 +130,7 @@ impl<'a> Chain<'a> {
         self.points[k] + self.turns[k] * local
     }
 
-    /// Room for the slopes of a point.
+    /// Storage for the slopes of a point.
     pub(super) fn room(&self) -> Slopes {
         Slopes {
             tilt: [Vec3::ZERO; 2],
@@ -140,7 +139,7 @@ impl<'a> Chain<'a> {
         }
     }
 
-    /// How that point moves.
+    /// The slopes of that point.
     pub(super) fn slopes(&self, k: usize, f: f64, out: &mut Slopes) {
         out.bends.fill(Vec3::ZERO);
         out.lengths.fill(Vec3::ZERO);
@@ -197,7 +196,7 @@ mod tests {
         for square in [8.999e-4, 9.001e-4f64] {
             let (q, beta) = (Quotients::new(square), square.sqrt());
             let (sin, cos) = beta.sin_cos();
-            // What the quotients themselves lose: round-off 1e-16 over β², β² and β⁴.
+            // Round-off of the quotients: 1e-16 over β², β² and β⁴.
             assert!((q.s - sin / beta).abs() < 1e-15);
             assert!((q.c - (1.0 - cos) / square).abs() < 1e-12);
             assert!((q.t - (beta - sin) / (square * beta)).abs() < 1e-11);

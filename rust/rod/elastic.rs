@@ -1,18 +1,18 @@
-//! The elastic-tendon rod: segments of constant curvature, bent by tendons that stretch and, where
-//! they are cables, go slack.
+//! The elastic-tendon rod: segments of constant curvature, bent by tendons that stretch and, if
+//! they are cables, become slack.
 //!
 //! For a command u (C,) the bending vectors θ = θ⁰ + φ (2S numbers, rad) minimise
 //!   Σ_s ½ κ_s |φ_s|² + Σ_j ½ w_j δ_j²,   δ_j = d_j u_{c(j)} + p_j − r_j n_j · Σ_{s ≤ e(j)} φ_s
 //!     (mm).
 //! Tendon j ends in segment e(j), runs at radius r_j (mm) on the side n_j = (cos α_j, sin α_j), is
-//! drawn in by d_j mm per unit of command c(j) and by p_j when nothing is commanded; it bends every
-//! segment that it passes. δ is how far it is stretched, and w is 1 where δ > 0, else `slack`: 1
-//! for rods that push as well (two-sided), 0 for cables. κ (mm²) is bending stiffness over tendon
-//! stiffness: a shape shows only their ratio. The sum is strictly convex and piecewise quadratic:
-//! Newton's method with halved steps ends at the minimum after a few changes of which tendons pull.
-//! Then a chain of arcs (`arc.rs`) from a base point, tilted, carries the markers. Slopes are
-//! exact; where a tendon is just taut they are those of one side. Limits: no twist, no shear, no
-//! friction; loads only as `elastic_field.rs` adds them. `elastic_tests.rs` pins all of it.
+//! shortened by d_j mm per unit of command c(j) and by p_j at command 0; it bends every segment
+//! that it passes. δ is its stretch, and w is 1 if δ > 0, else `slack`: 1 for two-sided tendons,
+//! which also push, 0 for cables. κ (mm²) is bending stiffness over tendon stiffness: a shape shows
+//! only their ratio. The sum is strictly convex and piecewise quadratic: Newton's method with
+//! halved steps reaches the minimum after a few changes of the set of pulling tendons. Then a chain
+//! of arcs (`arc.rs`) from a tilted base point carries the markers. Slopes are exact; where a
+//! tendon is just taut, they are one-sided. Limits: no twist, no shear, no friction; loads only by
+//! `elastic_field.rs`. Pinned by `elastic_tests.rs`.
 
 use super::arc::Chain;
 use super::layout::Layout;
@@ -34,7 +34,7 @@ pub struct ElasticRod {
     reach: Vec<f64>,
 }
 
-/// A minimum of the energy: φ, how far each tendon is stretched (mm), and the Hessian (mm²).
+/// A minimum of the energy: φ, the stretch of each tendon (mm), and the Hessian (mm²).
 pub(super) struct Equilibrium {
     pub(super) bent: Vec<f64>,
     pub(super) stretch: Vec<f64>,
@@ -71,8 +71,7 @@ impl ElasticRod {
         self.numbers[self.layout.first.stiffness + i / 2]
     }
 
-    /// The same rod whose tendons push `factor` times as hard; none if they do not push at all, and
-    /// have nothing to lose.
+    /// The same rod with tendons that push `factor` times as hard; None if they do not push.
     pub(super) fn slacker(&self, name: &str, factor: f64) -> Option<ElasticRod> {
         let mut rod = self.clone();
         rod.numbers[0] = (rod.numbers[0] * factor).clamp(0.0, 1.0);
@@ -94,7 +93,7 @@ impl ElasticRod {
         if stretch > 0.0 { 1.0 } else { self.numbers[0] }
     }
 
-    /// How far each tendon is drawn in beyond the resting rod, mm.
+    /// Shortening of each tendon relative to the resting rod, mm.
     fn drawn(&self, u: &[f64]) -> Vec<f64> {
         let pretension = &self.numbers[self.layout.first.pretension..];
         let tendons = self.layout.tendons.iter().zip(pretension);
@@ -145,7 +144,7 @@ impl ElasticRod {
         let mut energy = self.energy(&bent, &stretch);
         let mut hessian = self.hessian(&stretch);
         for _ in 0..STEPS {
-            // the minimum, if the tendons that pull stay the same
+            // the minimum, if the set of pulling tendons does not change
             let mut goal = vec![0.0; bent.len()];
             for (j, drawn) in drawn.iter().enumerate() {
                 let weight = self.weight(stretch[j]);
@@ -175,8 +174,7 @@ impl ElasticRod {
         }
     }
 
-    /// Go from `bent` towards `goal`, by half as far until the energy falls; stay where it does
-    /// not.
+    /// Step from `bent` towards `goal`, halved until the energy falls; no step if it does not.
     fn descend(
         &self,
         bent: &[f64],
@@ -211,15 +209,15 @@ impl ElasticRod {
         Chain::new(base, tilt, bends, self.lengths())
     }
 
-    /// Bending (2S,) rad of the segments and stretch (tendons,) mm at a command; a stretch below 0
-    /// is how slack a cable is.
+    /// Bending (2S,) rad of the segments and stretch (tendons,) mm at a command; a negative stretch
+    /// is the slack of a cable.
     pub fn state(&self, u: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let equilibrium = self.equilibrium(u);
         (self.bends(&equilibrium), equilibrium.stretch)
     }
 }
 
-/// What a marker does when θ moves by `turn` (2S,), given its `slopes` by θ.
+/// Displacement of a marker for a change `turn` (2S,) of θ, given its `slopes` over θ.
 pub(super) fn along(slopes: &[Vec3], turn: &[f64]) -> Vec3 {
     slopes
         .iter()

@@ -1,17 +1,16 @@
-//! How a load, or a change of its body, moves the markers of an elastic rod: in its own modes,
+//! Marker displacements of an elastic rod by a load or a change of its body, in its own modes,
 //! against its bending and its taut tendons.
 //!
 //! A force F (N) at a point x of the rod adds (∂x/∂θ)ᵀ·F to the balance of moments, so to first
-//! order
-//!   δp = (1/k) · (∂p/∂θ) · H⁻¹ · (∂x/∂θ)ᵀ · F     (mm),
-//! H (mm²) the Hessian of `elastic.rs` in units of the tendon stiffness k. A tip force acts at the
-//! last marker; a weight of 1 N is spread evenly along the segments (three Gauss points each). k
-//! (N/mm) is not known from shapes: 1/k is one nominal number, and amounts of load are only
-//! meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to that balance,
-//! ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to
-//! θ⁰, which no tendon feels; it is 1 mm at the end of a straight rod. Tendons turned about the
-//! axis pull off it: the slopes of `elastic_slopes.rs` by their angles. Limits: tendons that
-//! pull are those of the unloaded pose; arcs have no sides and no twist.
+//! order δp = (1/k) · (∂p/∂θ) · H⁻¹ · (∂x/∂θ)ᵀ · F (mm), H (mm²) the Hessian of `elastic.rs` in
+//! units of the tendon stiffness k. A tip force acts at the last marker; a weight of 1 N is uniform
+//! along the segments (three Gauss points each). Shapes do not determine k (N/mm): 1/k is a nominal
+//! number, and amounts of load are only meaningful as displacement. A modulus larger by the factor
+//! 1 + a(s) adds −ā·κ·φ to that balance, ā the mean of a over a segment, without a known stiffness.
+//! A uniform curvature at rest adds to θ⁰, without an effect on tendons; it is 1 mm at the end of a
+//! straight rod. For tendons turned about the axis, see the slopes of `elastic_slopes.rs` over
+//! their angles. Limits: the pulling tendons are those of the unloaded pose; arcs have no sides and
+//! no twist.
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
@@ -27,14 +26,14 @@ const GAUSS: [(f64, f64); 3] = [
     (0.887_298_334_620_741_7, 5.0 / 18.0),
 ];
 
-/// What moves the rod, per unit.
+/// The cause of a displacement, per unit.
 #[derive(Debug, Clone, Copy)]
 enum Cause {
     /// A load along one axis of the base frame.
     Load(Load, usize),
-    /// The logarithm of the modulus in one of the stretches of `loads.rs`.
+    /// The logarithm of the modulus in one of the sections of `loads.rs`.
     Stretch(usize),
-    /// An even curvature at rest towards x or y.
+    /// A uniform curvature at rest towards x or y.
     Curve(usize),
     /// The tendons of a command turned about the axis by 1°.
     Routing(usize),
@@ -124,7 +123,7 @@ impl Shape for ElasticField {
         let bends = self.rod.bends(&equilibrium);
         let chain = self.rod.chain(&bends);
         let mut slopes = chain.room();
-        let mut turn = vec![0.0; bends.len()]; // by how much the segments bend more
+        let mut turn = vec![0.0; bends.len()]; // additional bending of the segments
         let total: f64 = self.rod.lengths().iter().sum();
         match self.cause {
             Cause::Load(load, axis) => {

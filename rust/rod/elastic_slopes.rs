@@ -1,5 +1,5 @@
-//! How the markers of an elastic rod move with each of its numbers: what a fit needs, exact, one
-//! equilibrium a command.
+//! Exact slopes of an elastic rod's markers over each of its numbers, for fits; one equilibrium per
+//! command.
 //!
 //! At the minimum H·dφ = −∂(gradient), so one factorisation serves all numbers. With δ, w and g of
 //! `elastic.rs`: stiffness κ_s: −φ_s · pretension: w·g · slack: Σ_{δ ≤ 0} δ·g · angle, radius
@@ -76,8 +76,7 @@ impl ElasticRod {
         }
         turns
     }
-    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` off the axis moves along
-    /// `aside` (mm).
+    /// −∂(gradient) (2S,) per mm of shift of tendon `j` along `aside`.
     fn moved(&self, equilibrium: &Equilibrium, j: usize, aside: [f64; 2]) -> Vec<f64> {
         let (stretch, row) = (equilibrium.stretch[j], self.row(j));
         let passed = 2 * (self.layout.tendons[j].end + 1);
@@ -91,7 +90,7 @@ impl ElasticRod {
             .collect()
     }
 
-    /// −∂(gradient) (2S,) per rad by which the tendons of a command are turned about the axis.
+    /// −∂(gradient) (2S,) per rad of rotation of a command's tendons about the axis.
     pub(super) fn turning(&self, equilibrium: &Equilibrium, channel: usize) -> Vec<f64> {
         let first = self.layout.first;
         let mut force = vec![0.0; 2 * self.layout.segments];

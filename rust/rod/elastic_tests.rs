@@ -16,7 +16,7 @@ fn tendons() -> Vec<Tendon> {
     (0..9).map(tendon).collect()
 }
 
-/// Nine tendons, three a segment, all numbers different; `slack` as given.
+/// Nine tendons, three per segment, all numbers different; `slack` as given.
 fn rod(slack: f64) -> ElasticRod {
     let layout = Layout::new(SEGMENTS, 9, tendons(), &[1.0, 2.5, 3.0]).expect("a layout");
     let mut numbers = vec![slack];
@@ -79,7 +79,7 @@ proptest! {
     fn slopes_match_finite_differences(u in command(), slack in prop::sample::select(vec![0.0, 0.3, 1.0])) {
         let rod = rod(slack);
         let (channels, size, width) = (9, 9, rod.layout().width());
-        // No tendon so close to slack that a step changes its side.
+        // No tendon is so close to slack that a step changes its side.
         prop_assume!(rod.state(&u).1.iter().all(|x| x.abs() > 1e-3));
         let (mut by_command, mut out, mut by_number) =
             (vec![0.0; size * channels], vec![0.0; size], vec![0.0; size * width]);
@@ -107,7 +107,7 @@ proptest! {
         }
         for p in 0..width {
             if p == 0 && (slack == 0.0 || slack == 1.0) {
-                continue; // at its bounds a step to both sides does not exist
+                continue; // at its bounds there is no step to both sides
             }
             let numeric = differences(&|step, out| {
                 let mut moved = rod.numbers.clone();
@@ -144,7 +144,7 @@ fn a_pair_has_its_closed_forms() {
     for paid in [-2.0, -50.0] {
         assert!((bend(0.0, [3.0, paid]) - 12.0 / 24.0).abs() < 1e-12);
     }
-    // In between: the slack one pushes with its share.
+    // In between: the slack tendon pushes with its share.
     assert!((bend(0.25, [3.0, -2.0]) - (12.0 + 0.25 * 8.0) / (24.0 + 0.25 * 16.0)).abs() < 1e-12);
     // Both paid out: straight for cables, at rest.
     assert!(bend(0.0, [-3.0, -1.0]).abs() < 1e-15);
@@ -188,7 +188,7 @@ fn a_load_moves_markers_as_the_energy_says() {
     // Spread evenly: the point at f moves by f²·L/2 per rad, a third of it on average.
     field("gravity_y").eval(&[-1.0, -1.0], &mut shift);
     assert!((shift[1] - expected / 3.0).abs() < 1e-9);
-    // A taut tendon holds against it: κ + r² in place of κ.
+    // A taut tendon resists: κ + r² in place of κ.
     field("tip_force_y").eval(&[-1.0, -1.0], &mut shift);
     let free = shift[1];
     let taut = pair(0.0, 8.0, 4.0);

@@ -1,14 +1,13 @@
-//! How a load bends the rod: marker displacements under one unit of weight or of tip force.
+//! Marker displacements of the rod under one unit of weight or of tip force.
 //!
 //! A load turns every cross-section by its bending moment. With c = 1/(E·I) (N⁻¹·mm⁻²) the markers
-//! move, to first order, by
-//!   δp_i = c ∫_0^{s_i} [M(s)]_⊥ × (p_i − c(s)) ds      (mm),
-//! M(s) = (p_tip − c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a weight
-//! W spread evenly, ⊥ = without the part along the chord (twist is stiff). The centreline c(s) is
-//! the chords, on which the integrand is a cubic at most, so Simpson's rule is exact. Motors that
-//! hold keep every tendon's length, hence each chord's mean bending: the share `lock` of the mean
-//! of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c
-//! is one nominal number and amounts of load are only meaningful as displacement.
+//! move, to first order, by δp_i = c ∫_0^{s_i} [M(s)]_⊥ × (p_i − c(s)) ds (mm), M(s) = (p_tip −
+//! c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a uniform weight W, ⊥ =
+//! without the part along the chord (twist is stiff). The centreline c(s) consists of the chords,
+//! on which the integrand is at most cubic, so Simpson's rule is exact. Holding motors keep every
+//! tendon's length, hence each chord's mean bending: they carry the share `lock` of the mean of
+//! [M]_⊥ over the chord. The shape does not determine the robot's stiffness: c is a nominal number,
+//! and amounts of load are only meaningful as displacement.
 
 use super::Rod;
 use crate::algebra::Vec3;
@@ -16,10 +15,10 @@ use crate::error::{Result, invalid};
 use crate::response::loads::{FIELDS, GRAVITY, LOADS, TIP_FORCE};
 use crate::shape::Shape;
 
-/// What bends the rod.
+/// The kind of load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Load {
-    /// A weight of 1 N spread evenly along the rod.
+    /// A uniform weight of 1 N along the rod.
     Weight,
     /// A force of 1 N at the last marker.
     TipForce,
@@ -50,7 +49,7 @@ pub struct RodField {
 }
 
 impl RodField {
-    /// `name` is `gravity_x|y|z` (all of the weight turned along the axis) or `tip_force_x|y|z`;
+    /// `name` is `gravity_x|y|z` (the complete weight along the axis) or `tip_force_x|y|z`;
     /// `compliance` c in N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g
     /// when W (N) is the robot's weight. `lock` is the share of each chord's mean bending moment
     /// that its tendons carry: 0 free, 1 of fixed length.
@@ -82,7 +81,7 @@ impl RodField {
         match self.load {
             Load::TipForce => (chords.points[chords.points.len() - 1] - at).cross(force),
             Load::Weight => {
-                // First moment of what hangs beyond: the rest of this chord about its middle, then
+                // First moment of the weight beyond: the rest of this chord about its middle, then
                 // full chords.
                 let rest = chords.lengths[k] * (1.0 - s);
                 let mut arm = rest * (chords.at(k, 0.5 * (1.0 + s)) - at);

@@ -1,4 +1,4 @@
-//! What is fixed about an elastic-tendon rod: segments, commands, tendons, markers; and the order
+//! The fixed layout of an elastic-tendon rod: segments, commands, tendons, markers, and the order
 //! of its numbers.
 
 use crate::error::{Result, invalid};
@@ -7,8 +7,7 @@ const MOST_SEGMENTS: usize = 32;
 const MOST_TENDONS: usize = 64;
 const MOST_MARKERS: usize = 1000;
 
-/// Which segment a tendon ends in (from 0), the command that draws it in (from 0), and by how many
-/// mm per unit.
+/// The end segment of a tendon (from 0), the command that shortens it (from 0), and mm per unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tendon {
     pub end: usize,
@@ -27,7 +26,7 @@ pub struct Layout {
     pub(super) first: First,
 }
 
-/// Where the first number of each kind stands; the order of `Layout::labels`. Slack is number 0.
+/// Index of the first number of each kind, in the order of `Layout::labels`. Slack is number 0.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct First {
     pub angle: usize,
@@ -105,7 +104,7 @@ impl Layout {
         })
     }
 
-    /// The names of a rod's numbers, in the order in which they are given.
+    /// The names of a rod's numbers, in order.
     pub fn labels(&self) -> Vec<String> {
         let (n, s) = (self.tendons.len(), self.segments);
         let kinds = [
@@ -124,22 +123,22 @@ impl Layout {
         std::iter::once("slack".to_string()).chain(each).collect()
     }
 
-    /// How many segments S.
+    /// Number of segments S.
     pub fn segments(&self) -> usize {
         self.segments
     }
 
-    /// How many tendons.
+    /// Number of tendons.
     pub fn tendons(&self) -> usize {
         self.tendons.len()
     }
 
-    /// How many numbers a rod has.
+    /// Number of parameters of a rod.
     pub fn width(&self) -> usize {
         self.first.end
     }
 
-    /// Refuse numbers of another count, or beyond what any rod has.
+    /// Reject a wrong number of parameters, or implausible values.
     pub(super) fn check(&self, numbers: &[f64]) -> Result<()> {
         if numbers.len() != self.width() {
             return Err(invalid(format!(

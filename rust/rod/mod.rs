@@ -1,20 +1,19 @@
-//! The rod priors, for a robot that has no simulator, and how loads bend them: `elastic` where its
-//! tendons are known, else what stands here, a chain of chords whose bending angles are a
-//! polynomial of the commands.
+//! The rod priors, for robots without a simulator, and their response to loads: `elastic` if the
+//! tendons are known, else the chain of chords defined here, whose bending angles are a polynomial
+//! of the commands.
 //!
-//! Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
-//! base point p_0. In the base frame (z along the rest axis) chord k has the angle vector
-//!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β,
+//! Marker p_k (k = 1..K, base to tip) is the end of chord d_k = p_k − p_{k−1} below the base point
+//! p_0. In the base frame (z along the rest axis) chord k has the angle vector v_k = β ·
+//! d_xy/|d_xy|, β = atan2(|d_xy|, d_z) (rad), so that d_k = |d_k| · (v_k·sin β/β,
 //!     cos β).
 //! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree
 //! 1..5, monomials in graded order, intercept first), and every chord length (mm) is a quadratic of
 //! the 2K angles. In a `pulled` rod the polynomial is one of the pulls of two cables a command,
-//! max(q, 0) and max(−q, 0), all C of the first before those of the second: a cable that falls
-//! slack no longer counts, which puts a kink at the centre. In a `splined` rod B-splines take the
-//! place of the monomials. Evaluation is closed form and smooth through the straight pose (β = 0).
-//! Limits: β beyond π folds back; outside the fitted commands a cubic grows fast and nothing is
-//! clamped. Fitting is done in `softmap_edge/rod/`. `polynomial` holds the polynomials, `field`
-//! what loads do to the rod.
+//! max(q, 0) and max(−q, 0), all C of the first before those of the second: a slack cable has no
+//! effect, which causes a kink at the centre. In a `splined` rod, B-splines replace the monomials.
+//! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds
+//! back; outside the fitted commands a cubic grows fast, without clamping. Fitting is in
+//! `softmap_edge/rod/`. `polynomial` has the polynomials, `field` the response to loads.
 
 mod arc;
 mod elastic;
@@ -162,7 +161,7 @@ impl Rod {
         }
     }
 
-    /// Hand the markers at `u` to `take`, base to tip.
+    /// Pass the markers at `u` to `take`, base to tip.
     fn markers(&self, u: &[f64], mut take: impl FnMut(usize, Vec3)) {
         let (variables, chords) = (self.variables(), self.chords());
         with_few(variables + 3 * chords, |work| {

@@ -9,7 +9,7 @@ use crate::shape::modes::accumulate;
 /// Largest number of monomials that a rod accepts: 9 channels to the cubic are 219.
 const MOST_MONOMIALS: usize = 5000;
 
-/// Highest degree: an S-shaped answer of one command needs the fifth.
+/// Highest degree: an S-shaped response to one command needs the fifth.
 const MOST_DEGREE: usize = 5;
 
 /// Outputs that are summed at a time.
@@ -25,7 +25,7 @@ pub struct Monomials {
 }
 
 impl Monomials {
-    /// List the monomials; refuses degree 0, no variables and more than 5000 terms.
+    /// List the monomials; rejects degree 0, no variables and more than 5000 terms.
     pub fn new(variables: usize, degree: usize) -> Result<Self> {
         if variables == 0 || degree == 0 || degree > MOST_DEGREE {
             return Err(invalid(format!(
@@ -105,18 +105,18 @@ pub struct Splines {
     intervals: usize,
 }
 
-/// Splines of an axis that are not 0 at a place.
+/// Non-zero splines of an axis at a position.
 const LOCAL: usize = 4;
 
-/// Of splines: 4 to the power of 7 are more than 5000 terms.
+/// Most variables of splines: 4 to the power of 7 exceeds 5000 terms.
 const MOST_VARIABLES: usize = 6;
 
-/// First spline of an axis that is not 0 at a place, and the values and slopes of it and the next
+/// First non-zero spline of an axis at a position, and the values and slopes of it and the next
 /// three.
 type Place = (usize, [f64; LOCAL], [f64; LOCAL]);
 
 impl Splines {
-    /// Refuses no variables, no intervals and more than 5000 terms.
+    /// Rejects no variables, no intervals and more than 5000 terms.
     pub fn new(variables: usize, intervals: usize) -> Result<Self> {
         let found = Self {
             variables,
@@ -274,7 +274,7 @@ impl Polynomial {
         with_few(self.terms.count(), |phi| self.sum(x, phi, out));
     }
 
-    /// Write the terms to `phi`, and the values to `out`, as many at a time as stay in registers.
+    /// Write the terms to `phi`, and the values to `out`, as many at a time as fit in registers.
     #[inline(always)]
     fn sum(&self, x: &[f64], phi: &mut [f64], out: &mut [f64]) {
         self.terms.values(x, phi);
@@ -289,7 +289,7 @@ impl Polynomial {
         }
     }
 
-    /// Numbers that `slopes` works in.
+    /// Size of the workspace of `slopes`.
     pub(super) fn work(&self) -> usize {
         self.terms.count() * (1 + self.terms.variables())
     }

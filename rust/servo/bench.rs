@@ -1,6 +1,6 @@
-//! Shared code of the loop's tests, here (`control_tests.rs`) and without the crate's insides
-//! (`tests/allocations.rs`): two XL330 at 2000 ticks, ready to be driven, a plan of 280 ticks a mm,
-//! and limits that suit both.
+//! Shared code of the loop's tests, in the crate (`control_tests.rs`) and outside it
+//! (`tests/allocations.rs`): two XL330 at 2000 ticks, ready to drive, a plan of 280 ticks per mm,
+//! and limits for both.
 
 use softmap_servo::bus::{Bus, Port};
 use softmap_servo::control::Plan;
@@ -13,7 +13,7 @@ use softmap_servo::registers::{X_SERIES, mode, model};
 pub const IDS: [u8; 2] = [1, 2];
 pub const BAUD: u32 = 1_000_000;
 
-/// Commands in mm to ticks, 280 a mm about home.
+/// Commands in mm to ticks, 280 per mm about home.
 pub struct Linear;
 
 impl Plan for Linear {
@@ -31,7 +31,7 @@ impl Plan for Linear {
     fn passed(&mut self, _ticks: &[i32], _period: f64) {}
 }
 
-/// A thousand ticks about home either way, `period` s a turn of the loop.
+/// A thousand ticks about home on either side, with the period of the loop, s.
 pub fn limits(period: f64) -> Limits {
     let axis = Axis {
         home: 2000,
@@ -69,7 +69,7 @@ pub fn limits(period: f64) -> Limits {
     limits.checked().unwrap()
 }
 
-/// Two servos that pull a load of 0.4 mA a tick from home.
+/// Two servos with a load of 0.4 mA per tick from home.
 pub fn emulator() -> Emulator {
     let motion = Motion {
         delay: 0.01,
@@ -80,12 +80,12 @@ pub fn emulator() -> Emulator {
     Emulator::new(servos.to_vec(), BAUD, 5)
 }
 
-/// The drive once they are set up.
+/// The drive after set-up.
 pub fn drive<P: Port>(mut bus: Bus<P>) -> Drive<P> {
     for id in IDS {
         let driven = (X_SERIES.operating_mode, mode::CURRENT_BASED_POSITION);
         for (register, value) in [driven, (X_SERIES.return_delay, 0)] {
-            // At a pseudo-terminal of a busy computer an answer may come late.
+            // At a pseudo-terminal of a busy computer, an answer may be late.
             let heard = (0..20).any(|_| bus.write(id, register.address, &[value]).is_ok());
             assert!(heard, "servo {id} does not answer");
         }

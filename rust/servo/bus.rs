@@ -1,27 +1,27 @@
-//! A half-duplex bus of servos: one question at a time, answers matched to it, each servo's result
-//! by itself.
+//! A half-duplex bus of servos: one request at a time, matched answers, a separate result for each
+//! servo.
 //!
-//! Rules, each from a fault that is seen in practice: input is discarded before a question is sent;
-//! after a time-out the bus listens for one worst reply time before it asks again, so that a late
-//! answer is never taken for the next one; an answer counts only with the id, length and
-//! instruction that were asked for; a silent servo does not take the others' answers with it; what
-//! was not heard is never 0. All deadlines are of a monotonic clock that the port brings.
+//! Rules, each from a fault observed in practice. Input is discarded before a request. After a
+//! time-out, the bus listens for one worst reply time before the next request, so a late answer is
+//! never taken for the next one. An answer is valid only with the requested id, length and
+//! instruction. A silent servo does not affect the answers of others. A missing value is never 0.
+//! All deadlines use the monotonic clock of the port.
 
 use crate::decoder::{Decoder, fast_slots};
 use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, HIGHEST_ID, LONGEST, Packet, instruction};
 use crate::registers::{ALERT, STATUS_ERRORS, X_SERIES};
 
-/// Bytes to and from a bus, and the clock that deadlines are of.
+/// Bytes to and from a bus, and the clock of deadlines.
 pub trait Port {
-    /// ns since some start; never goes back.
+    /// ns since some start; never decreases.
     fn now(&self) -> u64;
     /// Sleep until `until`; not at all if it has passed.
     fn wait(&mut self, until: u64);
     /// Send all of `bytes`, or fail by `until`.
     fn send(&mut self, bytes: &[u8], until: u64) -> Result<(), PortFault>;
-    /// Wait for bytes until `until`; 0 of them if none came.
+    /// Wait for bytes until `until`; 0 if none arrived.
     fn receive(&mut self, into: &mut [u8], until: u64) -> Result<usize, PortFault>;
-    /// Forget what was received and not read.
+    /// Discard received bytes that were not read.
     fn discard(&mut self) -> Result<(), PortFault>;
 }
 
@@ -36,7 +36,7 @@ pub enum PortFault {
     System(i32),
 }
 
-/// Why a question has no answer.
+/// Why a request has no answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
     #[error("no answer")]
@@ -65,21 +65,20 @@ pub struct Answer {
     pub alert: bool,
 }
 
-/// How questions went.
+/// Counts of request results.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     pub asked: u64,
     pub silent: u64,
     pub damaged: u64,
     pub skipped: u64,
-    /// Answers that came after their time.
+    /// Answers after their deadline.
     pub late: u64,
-    /// Answers that this bus did not ask for: to requests of another program, or of a second servo
-    /// with the same id.
+    /// Unrequested answers: to another program, or from a second servo with the same id.
     pub unasked: u64,
 }
 
-/// Number of unanswered requests that are remembered: an answer may come late.
+/// Number of unanswered requests that are stored: an answer may be late.
 const REMEMBERED: usize = 32;
 
 /// The ids and sizes in bytes of answers that are still due.
@@ -108,7 +107,7 @@ impl Debts {
         self.0[place].count = self.0[place].count.saturating_add(1);
     }
 
-    /// Remove such an answer from those that are due; whether it was one of them.
+    /// Remove such an answer from those that are due; return whether it was one of them.
     fn pay(&mut self, id: u8, size: usize) -> bool {
         let owed = |one: &&mut Owed| (one.id, one.size) == (id, size) && one.count > 0;
         self.0.iter_mut().find(owed).is_some_and(|one| {
@@ -118,23 +117,22 @@ impl Debts {
     }
 }
 
-/// At most so many reads of waiting bytes before a request: a sender without pause cannot block
-/// requests.
+/// Most reads of waiting bytes before a request, so a continuous sender cannot block requests.
 const MOST_READS: usize = 64;
 
-/// ns that a servo waits for each lower id when everybody is asked.
+/// Wait of a servo per lower id after a broadcast request, ns.
 const PAUSE: u64 = 3_000_000;
 
-/// ns that a servo takes to answer beyond its return delay, and an adapter to hand bytes over.
+/// Answer time of a servo beyond its return delay, plus transfer time of an adapter, ns.
 pub const SLACK: u64 = 2_000_000;
 
 /// A bus at a port.
 pub struct Bus<P> {
     port: P,
     baud: u32,
-    /// ns between question and answer besides the wire.
+    /// ns between request and answer, without wire time.
     slack: u64,
-    /// Until when answers to older questions may still come.
+    /// Deadline of late answers to older requests.
     quiet: u64,
     decoder: Decoder,
     counts: Counts,
@@ -142,7 +140,7 @@ pub struct Bus<P> {
 }
 
 impl<P: Port> Bus<P> {
-    /// A bus at `port`; `slack` is the longest return delay and hand-over in ns (`SLACK`).
+    /// A bus at `port`; `slack` is the longest return delay plus transfer time in ns (`SLACK`).
     pub fn new(port: P, baud: u32, slack: u64) -> Bus<P> {
         Bus {
             port,
@@ -167,7 +165,7 @@ impl<P: Port> Bus<P> {
         }
     }
 
-    /// ns that `bytes` take on the wire: ten bits each.
+    /// Wire time of `bytes`, ns: ten bits each.
     pub fn wire(&self, bytes: usize) -> u64 {
         bytes as u64 * 10_000_000_000 / u64::from(self.baud)
     }
@@ -179,7 +177,7 @@ impl<P: Port> Bus<P> {
         Ok((u16::from_le_bytes([data[0], data[1]]), data[2]))
     }
 
-    /// Ask every servo for its model number and firmware; each answers after those of lower ids.
+    /// Ask every servo for its model number and firmware; each answers after the lower ids.
     pub fn ping_all(&mut self, mut found: impl FnMut(u8, u16, u8)) -> Result<(), Fault> {
         let mut buffer = [0; LONGEST];
         let packet = Packet::new(&mut buffer, BROADCAST, instruction::PING).finish()?;
@@ -193,7 +191,7 @@ impl<P: Port> Bus<P> {
         loop {
             let received = self.port.receive(&mut some, until)?;
             if received == 0 {
-                // Bytes of an incomplete packet count as unread as well.
+                // Bytes of an incomplete packet also count as unread.
                 self.decoder.skipped += self.decoder.waiting().len() as u64;
                 self.decoder.clear();
                 return Ok(());
@@ -217,7 +215,7 @@ impl<P: Port> Bus<P> {
         self.send(packet)
     }
 
-    /// Switch the torque of everybody off, whether or not it answers.
+    /// Switch the torque of all servos off, whether or not they answer.
     pub fn release(&mut self) -> Result<(), Fault> {
         self.write_all(X_SERIES.torque_enable.address, &[0])
     }
@@ -244,7 +242,7 @@ impl<P: Port> Bus<P> {
         self.ask(id, instruction::REBOOT, &[], &mut [])
     }
 
-    /// Set the present position back to within one turn; while the servo stands only.
+    /// Reset the present position to within one turn; only at standstill.
     pub fn clear_turns(&mut self, id: u8) -> Heard {
         self.ask(id, instruction::CLEAR, &[&CLEAR_TURNS], &mut [])
     }
@@ -269,10 +267,11 @@ impl<P: Port> Bus<P> {
         self.send(packet)
     }
 
-    /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what
-    /// came of it.
+    /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` has the result of
+    /// each.
     ///
-    /// `fast` asks for all answers in one packet, which servos of `FAST_FIRMWARE` and later know.
+    /// `fast` requests all answers in one packet, which servos with `FAST_FIRMWARE` or later
+    /// support.
     pub fn sync_read(
         &mut self,
         ids: &[u8],
@@ -308,7 +307,7 @@ impl<P: Port> Bus<P> {
         found
     }
 
-    /// Ask one servo, its answer's data into `data`.
+    /// Send a request to one servo, and read its answer into `data`.
     fn ask(&mut self, id: u8, instruction: u8, parameters: &[&[u8]], data: &mut [u8]) -> Heard {
         let mut buffer = [0; LONGEST];
         let mut packet = Packet::new(&mut buffer, id, instruction);
@@ -359,7 +358,7 @@ impl<P: Port> Bus<P> {
         Ok(self.port.send(packet, until)?)
     }
 
-    /// Count the received answers that no request waits for.
+    /// Count received answers without a pending request.
     fn count_unasked(&mut self) {
         while let Some(packet) = self.decoder.next(LONGEST) {
             // An answer of all servos in one packet was read in place.

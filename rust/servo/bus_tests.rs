@@ -1,5 +1,5 @@
-//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it;
-//! ports that are none.
+//! The bus on emulated servos: silent, late or damaged answers do not affect the others; invalid
+//! ports.
 
 use super::*;
 use crate::emulator::pty::Terminal;
@@ -21,7 +21,7 @@ fn a_silent_servo_does_not_take_the_other_s_answer_with_it() {
             .unwrap();
         assert_eq!(heard[0], FINE);
         assert_eq!(heard[1], Err(Fault::Silent));
-        // In one packet nothing follows a silent servo.
+        // In one packet, nothing follows a silent servo.
         assert_eq!(heard[2], if fast { Err(Fault::Silent) } else { FINE });
         assert_eq!(data[..4], 2000i32.to_le_bytes());
         assert_eq!(data[4..8], [0xAA; 4], "no data are no zeros");
@@ -67,7 +67,7 @@ fn a_late_answer_is_never_taken_for_the_next_one() {
     let mut data = [0; 4];
     assert_eq!(bus.read(1, 132, &mut data), Err(Fault::Silent));
     bus.port().emulator.set_faults(Faults::default());
-    // The answer to the position comes now; the limit must not be it.
+    // The answer to the position arrives now; it must not be read as the limit.
     assert_eq!(bus.read(1, X_SERIES.max_position.address, &mut data), FINE);
     assert_eq!(i32::from_le_bytes(data), 4095);
 }
@@ -232,7 +232,7 @@ fn a_terminal_that_slept_takes_it_for_no_silence_of_the_master() {
 fn unrequested_answers_are_counted_and_late_ones_are_distinguished() {
     let mut bus = bus(&[1, 2]);
     assert_eq!(bus.ping(1), Ok((1200, 46)));
-    // Another program on the same wire: its answers are waiting when the next question is sent.
+    // Another program on the same wire: its answers are waiting before the next request.
     let mut buffer = [0; LONGEST];
     let foreign = crate::packet::packet(&mut buffer, 1, instruction::WRITE, &[65, 0, 1]).unwrap();
     let now = bus.port().seconds();
@@ -240,7 +240,7 @@ fn unrequested_answers_are_counted_and_late_ones_are_distinguished() {
     bus.port().pass(0.01);
     assert_eq!(bus.ping(2), Ok((1200, 46)));
     assert_eq!((bus.counts().unasked, bus.counts().late), (1, 0));
-    // An answer that comes after its time was asked for.
+    // A late answer was requested.
     bus.port().emulator.set_faults(Faults {
         slow: 0.05,
         ..Faults::default()
@@ -250,7 +250,7 @@ fn unrequested_answers_are_counted_and_late_ones_are_distinguished() {
     bus.port().pass(0.1);
     assert_eq!(bus.ping(1), Ok((1200, 46)));
     assert_eq!((bus.counts().unasked, bus.counts().late), (1, 1));
-    // Two servos with the same id that answer one after the other.
+    // Two servos with the same id that answer in sequence.
     let delay = X_SERIES.return_delay.address;
     assert_eq!(bus.write(2, delay, &[0]), FINE);
     bus.port().emulator.servos[1].set_id(1);
@@ -260,7 +260,7 @@ fn unrequested_answers_are_counted_and_late_ones_are_distinguished() {
     assert_eq!(bus.counts().unasked, 2);
 }
 
-/// A port that keeps what is sent and gives one answer to it.
+/// A port that stores the sent bytes and gives one answer.
 struct Tape {
     sent: Vec<u8>,
     answer: Vec<u8>,

@@ -1,9 +1,9 @@
-//! The control loop: hear, plan, guard, send, record, once a period at absolute times, without
+//! The control loop: receive, plan, guard, send, record, once per period at absolute times, without
 //! allocation or lock.
 //!
-//! Newest target wins. A period that is missed is counted and skipped, never made up. What the user
-//! sends are commands of the finger (mm); how they become ticks is the planner's, which also hears
-//! what was really sent (its effects remember).
+//! The newest target is used. A missed period is counted and skipped, never repeated. The user
+//! sends commands of the finger (mm); the planner converts them to ticks, and receives the ticks
+//! actually sent (its effects have memory).
 
 use crate::bus::{Counts, Fault, Port};
 use crate::drive::Drive;
@@ -11,15 +11,14 @@ use crate::guard::reversals::Reversals;
 use crate::guard::{Feedback, Guard, Input, MOST_SERVOS, Message, Output, Request};
 use crate::timing::Timing;
 
-/// s between two looks at the servos' health.
+/// s between two checks of the servos' health.
 const EXAMINE: f64 = 0.2;
 
 /// Commands to ticks.
 pub trait Plan {
-    /// Commands that it takes.
+    /// Number of its commands.
     fn channels(&self) -> usize;
-    /// The ticks (one a servo) that bring about `command` (mm) now; not finite where there are
-    /// none.
+    /// The ticks (one per servo) for `command` (mm) now; not finite if there are none.
     fn ticks(&mut self, command: &[f64], ticks: &mut [f64]);
     /// One period has passed with `ticks` (goals, or positions without torque).
     fn passed(&mut self, ticks: &[i32], period: f64);
@@ -28,9 +27,9 @@ pub trait Plan {
 /// Messages of the user since the last period.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Orders {
-    /// Something was heard.
+    /// Whether a message was received.
     pub heard: bool,
-    /// Pressed in all that was heard.
+    /// Pressed in all received messages.
     pub deadman: bool,
     /// The newest command, mm.
     pub command: Option<[f64; MOST_SERVOS]>,
@@ -40,43 +39,42 @@ pub struct Orders {
     pub emergency: bool,
 }
 
-/// Where orders come from.
+/// The source of orders.
 pub trait Mailbox {
-    /// The messages so far, without waiting.
+    /// The pending messages, without waiting.
     fn collect(&mut self) -> Orders;
 }
 
-/// All of one period: inputs and outputs of the guard. A recording of it replays bit for
-/// bit.
+/// One period: all inputs and outputs of the guard. A recording of it replays bit for bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
-    /// ns, when the servos had answered: the guard's time.
+    /// Time after the servos' answers, ns: the guard's time.
     pub now: u64,
     pub orders: Orders,
-    /// Whether a command was ever heard, and its ticks now.
+    /// Whether a command was ever received, and its ticks now.
     pub aimed: bool,
     pub targets: [f64; MOST_SERVOS],
     pub feedback: [Option<Feedback>; MOST_SERVOS],
     pub output: Output,
     pub goals: [i32; MOST_SERVOS],
-    /// ns by which the period began late, and that it took.
+    /// Lateness and duration of the period, ns.
     pub late: u64,
     pub took: u64,
     /// The bus failed.
     pub fault: Option<Fault>,
-    /// Periods that were missed so far.
+    /// Missed periods so far.
     pub overruns: u64,
     /// Counts of answers so far.
     pub counts: Counts,
 }
 
-/// Where entries go.
+/// The receiver of entries.
 pub trait Record {
     /// Take one, without waiting.
     fn take(&mut self, entry: &Entry);
 }
 
-/// The loop and what it is made of.
+/// The loop and its parts.
 pub struct Control<P, L, M, R> {
     pub drive: Drive<P>,
     pub guard: Guard,
@@ -85,7 +83,7 @@ pub struct Control<P, L, M, R> {
     pub record: R,
     timing: Timing,
     channels: Vec<Reversals>,
-    /// The newest command as it was sent, and as it is aimed at, mm.
+    /// The newest command as sent, and as target, mm.
     wanted: Option<[f64; MOST_SERVOS]>,
     command: Vec<f64>,
     targets: Vec<f64>,
@@ -97,7 +95,7 @@ pub struct Control<P, L, M, R> {
 }
 
 impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
-    /// Put a loop together; its first period begins when it is first stepped.
+    /// Assemble a loop; its first period begins with the first step.
     pub fn new(
         drive: Drive<P>,
         guard: Guard,
@@ -130,12 +128,12 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         &self.timing
     }
 
-    /// How the bus failed in the last period.
+    /// The failure of the bus in the last period.
     pub fn fault(&self) -> Option<Fault> {
         self.fault
     }
 
-    /// Wait for the next period and do it.
+    /// Wait for the next period and run it.
     pub fn step(&mut self) -> Output {
         let begun = self.begin();
         let late = begun - self.due;
@@ -147,12 +145,12 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
             Err(failed) => fault = Some(failed),
         }
-        // No answer is younger than that: were it stamped before it was asked for, whatever stands
-        // between would make all that follow look old.
+        // No answer is younger than that: a stamp before the request would make all later answers
+        // look old.
         let now = self.drive.bus().port().now();
         self.since_examined += period;
         let due = self.since_examined >= EXAMINE || self.drive.alert();
-        // Two waits for answers that do not come would not fit into a period.
+        // Two time-outs would not fit into a period.
         if due && self.drive.heard().iter().all(Result::is_ok) {
             self.since_examined = 0.0;
             fault = fault.or(self.drive.examine().err());
@@ -208,7 +206,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         output
     }
 
-    /// Wait until a period is due, skip those that are missed; the time.
+    /// Wait until a period is due, skip missed ones, and return the time.
     fn begin(&mut self) -> u64 {
         let port = self.drive.bus().port();
         let now = port.now();
@@ -227,8 +225,8 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         begun
     }
 
-    /// The ticks of the newest command, its reversals within their budget; the planner's effects go
-    /// on meanwhile.
+    /// The ticks of the newest command, with limited reversals; the planner's effects advance
+    /// meanwhile.
     fn aim(&mut self, period: f64) {
         let Some(wanted) = &self.wanted else { return };
         let budget = &self.guard.limits().budget;

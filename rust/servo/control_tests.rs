@@ -123,7 +123,7 @@ fn each_fault_of_a_servo_ends_without_torque_in_its_time() {
     }
 }
 
-/// The cap (mA) and the watchdog of the first servo, as it has them.
+/// The cap (mA) and the watchdog in the first servo.
 fn kept(bench: &mut Bench) -> (i32, u8) {
     let servo = &bench.emulator().servos[0];
     let cap = servo.read(X_SERIES.goal_current.address, 2).unwrap();
@@ -173,7 +173,7 @@ fn an_encoder_that_stands_is_released_before_it_pulls_far() {
     assert!((bench.angles()[0] - 2000.0).abs() < 60.0);
 }
 
-/// Periods in which the wire damages a share of the answers.
+/// Run periods in which the wire damages a share of the answers.
 const DAMAGED: usize = 100_000;
 
 #[test]
@@ -207,7 +207,7 @@ fn with_junk_and_damage_no_deadline_is_missed_and_data_stay_young() {
     assert!(counts.damaged > 4 * DAMAGED as u64 / 100, "{counts:?}");
     assert!((2..=10).contains(&oldest), "{oldest} periods");
 
-    // The hard maximum: nothing is heard any more.
+    // The hard maximum: nothing is received any more.
     bench.emulator().set_faults(Faults {
         drop: 1.0,
         ..Faults::default()
@@ -225,7 +225,7 @@ fn reversals_are_counted_by_time_whatever_the_rate_of_commands() {
     let mut bench = engaged();
     let begun = bench.channels[0].turned;
     for tick in 0..2000 {
-        // A hand that trembles by 0.4 mm five times a second, heard 33 times a second.
+        // A hand that trembles by 0.4 mm at 5 Hz, received 33 times per second.
         if tick % 6 == 0 {
             bench.drive_to([
                 1.0 + 0.2 * (f64::from(tick) * PERIOD * 5.0 * std::f64::consts::TAU).sin(),
@@ -236,7 +236,7 @@ fn reversals_are_counted_by_time_whatever_the_rate_of_commands() {
         }
         bench.step();
     }
-    // 10 s at 5 a second and 5 at once; the hand turns 100 times.
+    // 10 s at 5 per second and 5 at once; the hand turns 100 times.
     let turned = bench.channels[0].turned - begun;
     assert!((45..=56).contains(&turned), "{turned}");
 }

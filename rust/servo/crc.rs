@@ -22,7 +22,7 @@ const TABLE: [u16; 256] = {
     table
 };
 
-/// The checksum of `bytes` behind those whose checksum is `before`, 0 at the start of a packet.
+/// The checksum of `bytes` after bytes with the checksum `before`, 0 at the start of a packet.
 pub fn crc(before: u16, bytes: &[u8]) -> u16 {
     bytes.iter().fold(before, |value, byte| {
         (value << 8) ^ TABLE[usize::from((value >> 8) as u8 ^ byte)]

@@ -1,20 +1,20 @@
-//! Packets of Dynamixel Protocol 2.0, found in a stream of bytes that may hold anything.
+//! Find packets of Dynamixel Protocol 2.0 in a stream of arbitrary bytes.
 //!
-//! A header is accepted only once its full packet is there and the checksum agrees; else the
-//! search goes on one byte behind it, so that junk never hides what follows. As no packet holds a
-//! header (byte stuffing), a packet that another one begins in was cut short and is given up at
-//! once. A length beyond what is expected is no packet. Nothing is allocated, and no byte is looked
-//! at twice without reason. Pinned by the tests below: any bytes, cut anywhere.
+//! A header is accepted only if its packet is complete and the checksum agrees. Otherwise the
+//! search continues one byte after it, so junk never hides later packets. Because of byte stuffing,
+//! no packet contains a header; a packet with another header in it was truncated and is dropped
+//! immediately. A length above the expected one is not a packet. Nothing is allocated. Pinned by
+//! the tests below: any bytes, cut anywhere.
 
 use crate::crc::crc;
 use crate::packet::{BROADCAST, HEAD, HEADER, LONGEST, instruction::STATUS};
 
 /// Bytes of the shortest packet: head, instruction, checksum.
 const SHORTEST: usize = HEAD + 3;
-/// Bytes that are kept at most: the longest packet, and what a read brings beyond it.
+/// Most stored bytes: the longest packet, plus the rest of a read.
 const ROOM: usize = 2 * LONGEST;
 
-/// A packet as it was received, its parameters without stuffing.
+/// A received packet, with its parameters without stuffing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Received<'a> {
     pub id: u8,
@@ -23,7 +23,7 @@ pub struct Received<'a> {
 }
 
 impl<'a> Received<'a> {
-    /// As an answer: its error byte and what follows.
+    /// As an answer: its error byte and data.
     pub fn status(&self) -> Option<(u8, &'a [u8])> {
         match self.parameters.split_first() {
             Some((error, data)) if self.instruction == STATUS => Some((*error, data)),
@@ -32,16 +32,16 @@ impl<'a> Received<'a> {
     }
 }
 
-/// Bytes received, and where reading goes on.
+/// Received bytes, and the read position.
 #[derive(Debug, Clone)]
 pub struct Decoder {
     bytes: [u8; ROOM],
     start: usize,
     end: usize,
     plain: [u8; LONGEST],
-    /// Bytes that belonged to no packet.
+    /// Bytes outside packets.
     pub skipped: u64,
-    /// Packets whose checksum was wrong, or that were cut short.
+    /// Packets with a wrong checksum, or truncated ones.
     pub damaged: u64,
 }
 
@@ -60,16 +60,16 @@ impl Default for Decoder {
 
 /// The beginning of the received bytes.
 enum Found {
-    /// A packet of so many bytes.
+    /// A packet of this many bytes.
     Packet(usize),
-    /// More bytes have to come first.
+    /// More bytes are needed.
     Open,
-    /// So many bytes belong to nothing.
+    /// This many bytes are junk.
     Junk(usize),
 }
 
 impl Decoder {
-    /// Take in what was received; the oldest bytes give way where there is no room.
+    /// Add received bytes; the oldest are dropped if there is no space.
     pub fn push(&mut self, bytes: &[u8]) {
         let bytes = &bytes[bytes.len().saturating_sub(ROOM)..];
         let kept = (self.end - self.start).min(ROOM - bytes.len());
@@ -79,12 +79,12 @@ impl Decoder {
         (self.start, self.end) = (0, kept + bytes.len());
     }
 
-    /// Forget what was received.
+    /// Discard all received bytes.
     pub fn clear(&mut self) {
         (self.start, self.end) = (0, 0);
     }
 
-    /// Bytes received and not read yet.
+    /// Received bytes that are not read yet.
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.start..self.end]
     }
@@ -138,8 +138,7 @@ impl Decoder {
     }
 }
 
-/// Where the first header begins, or may begin once more has come; `bytes.len()` where nothing
-/// does.
+/// Start of the first complete or possible header; `bytes.len()` if there is none.
 fn header(bytes: &[u8]) -> usize {
     let begins = |at: &usize| {
         let some = (bytes.len() - at).min(HEADER.len());
@@ -148,7 +147,7 @@ fn header(bytes: &[u8]) -> usize {
     (0..bytes.len()).find(begins).unwrap_or(bytes.len())
 }
 
-/// Whether the last two bytes are the checksum of those before.
+/// Whether the last two bytes are the checksum of the others.
 fn sound(packet: &[u8]) -> bool {
     let (body, sum) = packet.split_at(packet.len() - 2);
     crc(0, body).to_le_bytes() == sum
@@ -170,14 +169,14 @@ fn unstuff(bytes: &[u8], out: &mut [u8]) -> usize {
     count
 }
 
-/// What a fast sync read brought from each servo, its place in `ids` first: error byte and `size`
+/// The results of a fast sync read for each servo, with its index in `ids`: error byte and `size`
 /// bytes of data.
 ///
 ///   FF FF FD 00 · FE · length · 55 · (error · id · data · CRC) · (error · id · data · CRC) …
 ///
-/// Each checksum is that of all bytes before it, so that the servos before one that is silent are
-/// still heard. Places are fixed and nothing is stuffed. A slot whose checksum or id is wrong ends
-/// the reading: what follows has no checksum.
+/// Each checksum covers all bytes before it, so servos before a silent one are still read. Slots
+/// are fixed, without stuffing. A slot with a wrong checksum or id ends the reading, because the
+/// rest has no valid checksum.
 pub fn fast_slots<'a>(
     bytes: &'a [u8],
     ids: &'a [u8],

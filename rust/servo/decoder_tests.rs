@@ -77,7 +77,7 @@ proptest! {
         let found = all(&mut decoder, LONGEST);
         let ids: Vec<u8> = found.iter().map(|packet| packet.0).filter(|id| *id != 3).collect();
         prop_assert_eq!(ids, vec![4, 5]);
-        // A shorter length may meet a checksum by chance; no request was for that many bytes.
+        // A shorter length may match a checksum by chance; no request was for that many bytes.
         let believed = found.iter().find(|packet| packet.0 == 3);
         prop_assert!(believed.is_none_or(|packet| matches!(place, 5 | 6) && packet.2.len() != data.len() + 1));
     }

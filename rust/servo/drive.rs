@@ -1,24 +1,23 @@
-//! The servos of one robot on a bus: what the loop reads and writes each period, with what each
-//! model needs.
+//! The servos of one robot on a bus: the reads and writes of the loop each period, for each model.
 //!
-//! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off
-//! is written until each servo has reported that it has none. The bus watchdog runs under torque:
-//! a servo that hears nothing stops by itself. No servo answers such writes, so that a cap or a
-//! watchdog may be lost on the wire: both are read back and written again.
+//! Goals and currents are written before torque, so nothing jumps at torque on. Torque off is
+//! written until each servo has reported it. The bus watchdog runs under torque: a servo without
+//! messages stops by itself. Servos do not acknowledge these writes, so a cap or a watchdog may be
+//! lost on the wire: both are read back and written again.
 
 use crate::bus::{Answer, Bus, Fault, Heard, Port};
 use crate::guard::{Feedback, Health};
 use crate::registers::{Model, Register, X_SERIES};
 
-/// From its own clock to its temperature: what is read each period.
+/// Registers read each period: from its own clock to its temperature.
 const SENSED: (u16, usize) = (X_SERIES.realtime_tick.address, 27);
-/// From torque to the current cap: what is read less often.
+/// Registers read less often: from torque to the current cap.
 const HEALTH: (u16, usize) = (X_SERIES.torque_enable.address, 40);
-/// ms of a step of the bus watchdog.
+/// Resolution of the bus watchdog, ms.
 const WATCHDOG_STEP: f64 = 20.0;
-/// A tripped bus watchdog, as it is read.
+/// The value of a tripped bus watchdog.
 const TRIPPED: u8 = 0xFF;
-/// Looks in a row at which a servo may lack its watchdog or cap, written again after each.
+/// Successive checks at which a servo may lack its watchdog or cap, written again after each.
 const LACKS: u8 = 8;
 
 /// A servo on the bus.
@@ -42,14 +41,14 @@ pub struct Drive<P> {
     /// The last writes: whether torque is on, and the current in steps.
     torque: bool,
     currents: Vec<i16>,
-    /// Looks in a row at which a servo had another watchdog or cap than was written.
+    /// Successive checks at which a servo had another watchdog or cap than written.
     lacks: Vec<u8>,
     alert: bool,
 }
 
 impl<P: Port> Drive<P> {
-    /// Drive `members`; `fast` reads all in one answer, `watchdog` in ms is how long a servo goes
-    /// on without hearing.
+    /// Drive `members`; `fast` reads all in one answer, `watchdog` in ms is the time-out of a servo
+    /// without messages.
     pub fn new(bus: Bus<P>, members: &[Member], fast: bool, watchdog: f64) -> Drive<P> {
         let count = members.len();
         Drive {
@@ -78,18 +77,18 @@ impl<P: Port> Drive<P> {
         &self.heard
     }
 
-    /// Whether the servos should be examined now: one reported so, torque has just come on, or one
-    /// lacked what was written.
+    /// Whether to check the servos' health now: an answer had its alert bit set, torque has just
+    /// come on, or a written value was missing.
     pub fn alert(&self) -> bool {
         self.alert
     }
 
-    /// Whether each servo reported, when it was examined last, that it has no torque.
+    /// Whether each servo reported torque off at its last check.
     pub fn released(&self) -> bool {
         self.health.iter().all(without_torque)
     }
 
-    /// The ids of those that have not.
+    /// The ids of servos that have not.
     pub fn unreleased(&self) -> Vec<u8> {
         let servos = self.ids.iter().zip(&self.health);
         servos
@@ -98,12 +97,12 @@ impl<P: Port> Drive<P> {
             .collect()
     }
 
-    /// Forget what the servos reported.
+    /// Clear the reports of the servos.
     pub fn ask_again(&mut self) {
         self.health.fill(None);
     }
 
-    /// Read what each servo senses; none of a servo that was not heard.
+    /// Read the feedback of each servo; None for a servo without an answer.
     pub fn sense(&mut self) -> Result<&[Option<Feedback>], Fault> {
         self.feedback.fill(None);
         self.read(SENSED)?;
@@ -133,7 +132,7 @@ impl<P: Port> Drive<P> {
         Ok(&self.feedback)
     }
 
-    /// Read of each servo what it says of itself; it comes with the next feedback.
+    /// Read the health of each servo; it is included in the next feedback.
     pub fn examine(&mut self) -> Result<(), Fault> {
         self.read(HEALTH)?;
         self.alert = false;
@@ -154,11 +153,10 @@ impl<P: Port> Drive<P> {
                 0
             };
             self.alert |= again(self.lacks[k]);
-            // A cap below what was written is the servo's own limit: it may stay.
+            // A cap below the written one is the servo's own limit, and is accepted.
             let beyond = bare || most.is_some_and(|most| cap > most);
             let torque = bytes[at(X_SERIES.torque_enable)] == 1;
-            // One without torque is left over from a loop that died; what switches torque off
-            // clears it.
+            // Without torque, it remains from a terminated loop; torque off clears it.
             let stopped = torque && watchdog == TRIPPED;
             self.health[k] = Some(Health {
                 hardware: bytes[at(X_SERIES.hardware_error)],
@@ -169,8 +167,8 @@ impl<P: Port> Drive<P> {
         Ok(())
     }
 
-    /// Write goals (ticks) and currents (mA; of a servo that caps none the share of its PWM) under
-    /// torque, or torque off.
+    /// Write goals (ticks) and currents (mA; the share of the PWM for a servo without a current
+    /// cap) under torque, or torque off.
     pub fn command(
         &mut self,
         torque: bool,
@@ -200,14 +198,14 @@ impl<P: Port> Drive<P> {
         if !self.torque {
             self.each(X_SERIES.bus_watchdog, |_| watchdog)?;
             self.each(X_SERIES.torque_enable, |_| 1)?;
-            // Switching torque on may set the goal to where the servo stands.
+            // Switching torque on may set the goal to the present position.
             self.each(X_SERIES.goal_position, |k| goals[k])?;
             (self.torque, self.alert) = (true, true);
         }
         Ok(())
     }
 
-    /// Write the caps of those that have one.
+    /// Write the caps of servos with a cap.
     fn caps(&mut self) -> Result<(), Fault> {
         for k in 0..self.ids.len() {
             if self.currents[k] != i16::MIN {
@@ -230,8 +228,8 @@ impl<P: Port> Drive<P> {
             .sync_write(&self.ids, register.address, size, &self.data[..all])
     }
 
-    /// Read of each servo. One answer for all breaks off at a silent servo: after a silence each
-    /// answers for itself.
+    /// Read each servo. A common answer ends at a silent servo: after a silence, each answers
+    /// separately.
     fn read(&mut self, (address, size): (u16, usize)) -> Result<(), Fault> {
         let fast = self.fast && self.heard.iter().all(Result::is_ok);
         let data = &mut self.data[..self.ids.len() * size];
@@ -240,12 +238,12 @@ impl<P: Port> Drive<P> {
     }
 }
 
-/// Whether a servo has reported that it has no torque.
+/// Whether a servo has reported torque off.
 fn without_torque(health: &Option<Health>) -> bool {
     health.is_some_and(|health| !health.torque)
 }
 
-/// Whether what a servo has lacked at so many looks is to be written again.
+/// Whether to write again after a number of failed checks.
 fn again(looks: u8) -> bool {
     (1..LACKS).contains(&looks)
 }

@@ -1,4 +1,4 @@
-//! What a drive writes to a servo that has no current to cap.
+//! The writes of a drive to a servo without a current cap.
 
 use super::*;
 use crate::bench;

@@ -1,8 +1,7 @@
-//! The servo side of the robot: Dynamixel Protocol 2.0, its registers and bus, and the guard that
-//! every goal passes.
+//! The servo part of the robot: Dynamixel Protocol 2.0, its registers and bus, and the guard for
+//! every goal.
 //!
-//! But for the serial port no clock is read here and, but for the emulator, nothing is allocated
-//! once it is set up.
+//! Only the serial port reads a clock, and only the emulator allocates after set-up.
 
 // As tests/ name it, so that both can use `bench.rs`.
 #[cfg(test)]

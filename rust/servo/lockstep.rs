@@ -1,9 +1,9 @@
-//! A port of simulated servos whose time passes only in steps that the master takes
+//! A port of simulated servos whose time passes only in steps of the master
 //! (`emulator/simulated.rs` is the other end).
 //!
 //! A local socket in place of a wire. A question is (operation u8, size u16, value u64, bytes), an
 //! answer (time u64 ns, size u16, bytes), little-endian. The clock of the port is that of the
-//! servos. It stands while no program waits, so that a busy computer makes no servo late.
+//! servos. It stops while no program waits, so a busy computer does not delay servos.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -20,15 +20,15 @@ pub const HEAR: u8 = 2;
 pub const WAIT: u8 = 3;
 pub const RECEIVE: u8 = 4;
 pub const BYE: u8 = 5;
-/// Bytes before those of a question, and of an answer.
+/// Header bytes of a question, and of an answer.
 pub const ASKED: usize = 11;
 pub const ANSWERED: usize = 10;
 /// The byte that answers a greeting while another master has the port.
 pub const BUSY: u8 = b'B';
 
-/// How long a port that another master has just left is tried again.
+/// Retry time for a port that another master has just left.
 const LEAVES: Duration = Duration::from_secs(2);
-/// Between two such questions; also what a period takes once the other end is gone.
+/// Interval of such questions; also the duration of a period once the other end is lost.
 const AGAIN: Duration = Duration::from_millis(5);
 
 /// A connection to simulated servos.
@@ -62,7 +62,7 @@ impl Lockstep {
         }
     }
 
-    /// Ask, and wait for the answer; how many bytes of it came into `into`.
+    /// Send a question and wait for the answer; return its number of bytes in `into`.
     fn ask(
         &mut self,
         operation: u8,
@@ -119,7 +119,7 @@ impl Lockstep {
 
 impl Drop for Lockstep {
     fn drop(&mut self) {
-        // The port is free once this is answered; an end that is gone answers nothing.
+        // The port is free once this is answered; a lost end does not answer.
         let _ = self.ask(BYE, 0, &[], &mut []);
     }
 }
@@ -131,7 +131,7 @@ impl Port for Lockstep {
 
     fn wait(&mut self, until: u64) {
         if until > self.now && !self.gone {
-            // An end that is gone is reported by what is asked next.
+            // The next question reports a lost end.
             let _ = self.ask(WAIT, until, &[], &mut []);
         }
         if self.gone {

@@ -3,21 +3,20 @@
 //!   FF FF FD 00 · id · length (2) · instruction · parameters … · CRC (2)        length = what
 //!     follows it, low byte first
 //!
-//! Wherever instruction and parameters hold FF FF FD, another FD is put behind it (byte stuffing),
-//! so that no packet holds a header; length and CRC count what is sent. Source: ROBOTIS, "DYNAMIXEL
-//! Protocol 2.0". Pinned by the manual's packets below and by the official SDK
-//! (tests/robot/test_sdk_packets.py).
+//! After FF FF FD in instruction and parameters, another FD is inserted (byte stuffing), so no
+//! packet contains a header; length and CRC include it. Source: ROBOTIS, "DYNAMIXEL Protocol 2.0".
+//! Pinned by the manual's packets below and by the official SDK (tests/robot/test_sdk_packets.py).
 
 use crate::crc::crc;
 
 pub const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
 /// Bytes before the instruction.
 pub const HEAD: usize = 7;
-/// Everybody on the bus.
+/// The broadcast id.
 pub const BROADCAST: u8 = 0xFE;
 /// The highest id of a servo.
 pub const HIGHEST_ID: u8 = 252;
-/// Bytes of the longest packet that is written or read here; the official SDK has the same limit.
+/// Longest packet, bytes; the official SDK has the same limit.
 pub const LONGEST: usize = 1024;
 
 /// The instruction of a packet, or `STATUS` for an answer.
@@ -38,8 +37,8 @@ pub mod instruction {
     pub const BULK_WRITE: u8 = 0x93;
 }
 
-/// Parameters of `CLEAR` that set the present position back to within one turn; the last four guard
-/// against chance.
+/// Parameters of `CLEAR` that set the present position back to within one turn; the last four
+/// protect against accidents.
 pub const CLEAR_TURNS: [u8; 5] = [0x01, 0x44, 0x58, 0x4C, 0x22];
 
 /// The buffer is too small for the packet, or the packet longer than `LONGEST`.
@@ -47,7 +46,7 @@ pub const CLEAR_TURNS: [u8; 5] = [0x01, 0x44, 0x58, 0x4C, 0x22];
 #[error("the packet does not fit into {0} bytes; send fewer servos or registers at a time")]
 pub struct Full(pub usize);
 
-/// A packet that is being written.
+/// A packet under construction.
 #[derive(Debug)]
 pub struct Packet<'a> {
     buffer: &'a mut [u8],
@@ -77,7 +76,7 @@ impl<'a> Packet<'a> {
         packet
     }
 
-    /// Add one byte, stuffed where it has to be.
+    /// Add one byte, with stuffing if needed.
     pub fn byte(&mut self, byte: u8) {
         self.put(byte);
         if self.last == [0xFF, 0xFF] && byte == 0xFD {
@@ -91,12 +90,12 @@ impl<'a> Packet<'a> {
         self.bytes(&word.to_le_bytes());
     }
 
-    /// Add bytes as they are.
+    /// Add bytes without stuffing.
     pub fn bytes(&mut self, bytes: &[u8]) {
         bytes.iter().for_each(|byte| self.byte(*byte));
     }
 
-    /// Close the packet: length and checksum. Returns what is to be sent.
+    /// Close the packet with length and checksum; return the bytes to send.
     pub fn finish(mut self) -> Result<&'a [u8], Full> {
         let length = self.used + 2 - HEAD;
         if !self.full {
@@ -138,8 +137,8 @@ mod tests {
     use super::instruction::*;
     use super::*;
 
-    /// The examples of the protocol manual: id, instruction, parameters, and what stands behind FF
-    /// FF FD 00.
+    /// The examples of the protocol manual: id, instruction, parameters, and the bytes after FF FF
+    /// FD 00.
     pub(crate) const MANUAL: &[(u8, u8, &[u8], &[u8])] = &[
         (1, PING, &[], &[0x01, 0x03, 0x00, 0x01, 0x19, 0x4E]),
         (BROADCAST, PING, &[], &[0xFE, 0x03, 0x00, 0x01, 0x31, 0x42]),

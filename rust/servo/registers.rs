@@ -4,7 +4,7 @@
 //! Source: the control tables of the Dynamixel X-series in ROBOTIS' e-Manual (XL330, XC330, XL430,
 //! XM430, XM540).
 
-/// A register: where it begins and how many bytes it has.
+/// A register: its address and size in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Register {
     pub name: &'static str,
@@ -16,7 +16,7 @@ pub struct Register {
 }
 
 impl Register {
-    /// The first byte behind it.
+    /// The first address after it.
     pub const fn end(&self) -> u16 {
         self.address + self.size
     }
@@ -49,7 +49,7 @@ const fn reported(name: &'static str, address: u16, size: u16) -> Register {
 /// A layout, and all its registers in a row.
 macro_rules! layout {
     ($($name:ident)*) => {
-        /// The registers that are used here, by what they are for.
+        /// The used registers, by purpose.
         #[derive(Debug)]
         pub struct Layout {
             $(pub $name: Register,)*
@@ -185,16 +185,16 @@ pub const STATUS_ERRORS: [(u8, &str); 7] = [
     (6, "was given a value beyond a limit"),
     (7, "refuses access: read only, or torque is on"),
 ];
-/// The bit of a status that says: read the hardware error status.
+/// The alert bit of a status: read the hardware error status.
 pub const ALERT: u8 = 0x80;
 
-/// Ticks of a turn of the servo's horn.
+/// Ticks per turn of the servo's horn.
 pub const TICKS_PER_TURN: i32 = 4096;
 
 /// Ticks/s of a step of the velocity registers: 0.229 revolutions a minute.
 pub const VELOCITY_STEP: f64 = 0.229 * TICKS_PER_TURN as f64 / 60.0;
 
-/// Goals in modes that count turns lie within this many ticks either way: 256 turns.
+/// Largest goal in multi-turn modes, ticks: 256 turns.
 pub const FARTHEST_GOAL: i32 = 1_048_575;
 
 /// Baud rates by the code in register 8.
@@ -202,7 +202,7 @@ pub const BAUD_RATES: [u32; 8] = [
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,
 ];
 
-/// Goal PWM at which a servo gives all it can.
+/// Goal PWM of full power.
 pub const FULL_PWM: u16 = 885;
 
 /// Firmware from which servos answer all in one packet (fast sync read).
@@ -215,29 +215,28 @@ pub struct Model {
     pub name: &'static str,
     /// The highest code of `BAUD_RATES` that it knows.
     pub fastest: u8,
-    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5): its
-    /// PWM is capped instead.
+    /// mA per step of its current registers; 0 if it neither measures nor caps current (no mode 5):
+    /// its PWM is capped instead.
     pub current_unit: f64,
     /// Largest current limit, in steps.
     pub current_limit: u16,
-    /// °C at which it shuts down as delivered.
+    /// Factory shutdown temperature, °C.
     pub temperature_limit: u8,
-    /// Volts between which it runs as delivered.
+    /// Factory supply range, V.
     pub voltage: (f64, f64),
-    /// Fastest turn as delivered, steps of `VELOCITY_STEP`.
+    /// Factory speed limit, steps of `VELOCITY_STEP`.
     pub velocity_limit: u16,
-    /// Errors that shut it down as delivered.
+    /// Errors that shut it down by factory setting.
     pub shutdown: u8,
-    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name
-    /// in ROBOTIS' e-Manual, at 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430,
-    /// XM540).
+    /// Stall torque, N·m, and stall current, mA: "Stall Torque" under "Specifications" of the page
+    /// of its name in ROBOTIS' e-Manual, at 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V
+    /// (XL430, XM430, XM540).
     pub stall: (f64, f64),
 }
 
 impl Model {
-    /// The register that caps its torque, and its value for `most` mA. Where current cannot be
-    /// capped that is goal PWM: torque at standstill is in proportion to it, all of it at the stall
-    /// current.
+    /// The register that caps its torque, and its value for `most` mA. Without a current cap, it is
+    /// goal PWM: torque at standstill is proportional to it, with full PWM at the stall current.
     pub fn cap(&self, most: f64) -> (Register, i16) {
         if self.has_current() {
             (X_SERIES.goal_current, (most / self.current_unit) as i16)
@@ -252,7 +251,7 @@ impl Model {
         self.current_unit > 0.0
     }
 
-    /// The mode that it is driven in: turns are counted, and current is capped where that can be.
+    /// Its operating mode: multi-turn, with a current cap if possible.
     pub fn driven_in(&self) -> u8 {
         if self.has_current() {
             mode::CURRENT_BASED_POSITION
@@ -261,7 +260,7 @@ impl Model {
         }
     }
 
-    /// Ticks/s of its fastest turn as delivered.
+    /// Factory speed limit, ticks/s.
     pub fn fastest_turn(&self) -> f64 {
         f64::from(self.velocity_limit) * VELOCITY_STEP
     }

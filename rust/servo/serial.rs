@@ -14,7 +14,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 use crate::bus::{Port, PortFault};
 
-/// Why a port could not be opened: what is wrong, and what to do.
+/// Why a port could not be opened, and the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum OpenFault {
     #[error("{0}: no such port; `softmap servo scan` lists those there are")]
@@ -76,7 +76,7 @@ impl Serial {
         }
     }
 
-    /// Wait for `what` until `until`: whether it came.
+    /// Wait for `what` until `until`; return whether it occurred.
     fn ready(&self, what: PollFlags, until: u64) -> Result<bool, PortFault> {
         loop {
             let left = until.saturating_sub(monotonic());
@@ -98,8 +98,8 @@ impl Serial {
 
 impl Drop for Serial {
     fn drop(&mut self) {
-        // A port that somebody keeps open besides, as the emulator does, is free again; one that is
-        // gone needs it not.
+        // A port that another program keeps open, as the emulator does, is free again; a lost port
+        // does not need it.
         let _ = ioctl_tiocnxcl(&self.file);
     }
 }
@@ -136,7 +136,7 @@ impl Port for Serial {
     fn receive(&mut self, into: &mut [u8], until: u64) -> Result<usize, PortFault> {
         loop {
             match read(&self.file, &mut *into) {
-                // A terminal whose other side is closed reads as empty for ever.
+                // A terminal with a closed other end always reads as empty.
                 Ok(0) => return Err(PortFault::Gone),
                 Ok(count) => return Ok(count),
                 Err(Errno::AGAIN) => {

@@ -1,12 +1,11 @@
-//! How well a loop kept its time: counts of what went late, without allocation.
+//! Timing of a loop: counts of lateness, without allocation.
 
-/// Counts of what went late.
+/// Counts of lateness.
 #[derive(Debug, Clone)]
 pub struct Timing {
     pub ticks: u64,
     pub overruns: u64,
-    /// Ticks by how late they began, and commands by their age: four bins to each doubling, from 1
-    /// µs on.
+    /// Ticks by lateness, and commands by age: four bins per doubling, from 1 µs on.
     pub late: [u64; BINS],
     pub age: [u64; BINS],
 }

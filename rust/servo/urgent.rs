@@ -1,7 +1,7 @@
 //! Real-time priority for the calling thread, where the system grants it.
 
-/// Run before all ordinary threads from now on, the higher `priority` first; 0 is ordinary again.
-/// Whether it was granted.
+/// Run before all ordinary threads, higher `priority` first; 0 is ordinary again. Returns whether
+/// it was granted.
 pub fn urgent(priority: i32) -> bool {
     let policy = if priority > 0 {
         libc::SCHED_FIFO

@@ -1,11 +1,10 @@
-//! Cubic interpolation along one axis with even or uneven nodes: which nodes carry a value, and
-//! with what weights.
+//! Cubic interpolation along one axis with uniform or non-uniform nodes: stencils and weights.
 //!
 //! Hermite pieces whose node slopes come from the parabola through three neighbouring nodes
-//! (one-sided at the borders). On even spacing this is cubic convolution (R. Keys, "Cubic
+//! (one-sided at the borders). On uniform spacing this is cubic convolution (R. Keys, "Cubic
 //! convolution interpolation for digital image processing", 1981, doi:10.1109/TASSP.1981.1163711),
-//! which knows even spacing only. C1, exact for quadratics, error O(h³); beyond the ends the value
-//! goes on along the border's slope. Pinned by the tests of `table.rs` and the one at the foot.
+//! which requires uniform spacing. C1, exact for quadratics, error O(h³); beyond the ends the value
+//! continues along the border's slope. Pinned by the tests of `table.rs` and the one below.
 
 /// The nodes that one axis contributes at one command: first node, how many, and their weights.
 #[derive(Clone, Copy)]
@@ -15,25 +14,24 @@ pub struct Stencil {
     pub weights: [f64; 4],
 }
 
-/// The stencil of an axis that is not there.
+/// The stencil of a missing axis.
 pub const NO_AXIS: Stencil = Stencil {
     first: 0,
     count: 1,
     weights: [1.0, 0.0, 0.0, 0.0],
 };
 
-/// The nodes of one axis, rising, and how the slope at each follows from the values at its
-/// neighbours.
+/// The nodes of one axis, ascending, and the weights of their slopes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
     nodes: Vec<f64>,
     slopes: Vec<(usize, [f64; 3])>,
-    /// Cells for a mm of command, were they even.
+    /// Cells per mm of command, if uniform.
     density: f64,
     pieces: Vec<Piece>,
 }
 
-/// One cell: the nodes that carry it, and their weights as cubics of the share of its width.
+/// One cell: its stencil, and the weights as cubics of the share of its width.
 #[derive(Debug, Clone, PartialEq)]
 struct Piece {
     first: usize,
@@ -44,7 +42,7 @@ struct Piece {
 }
 
 impl Axis {
-    /// Take at least two rising nodes.
+    /// From at least two ascending nodes.
     pub fn new(nodes: Vec<f64>) -> Axis {
         let slopes = (0..nodes.len()).map(|i| node_slope(&nodes, i)).collect();
         let last = nodes.len() - 1;
@@ -102,8 +100,8 @@ impl Axis {
         &self.nodes
     }
 
-    /// The cell that holds `u`, the border's beyond the ends; where nodes are even, it is the first
-    /// one looked at.
+    /// The cell that contains `u`, or the border cell beyond the ends; for uniform nodes, it is the
+    /// first one tested.
     fn cell(&self, u: f64) -> usize {
         let (axis, last) = (&self.nodes, self.nodes.len() - 2);
         let mut cell = (((u - axis[0]) * self.density) as usize).min(last);
@@ -116,7 +114,7 @@ impl Axis {
         cell
     }
 
-    /// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
+    /// Weights of the (at most four) nodes of the stencil at `u`, for the value or its derivative.
     pub fn stencil(&self, u: f64, derivative: bool) -> Stencil {
         let axis = &self.nodes;
         let last = axis.len() - 1;

@@ -1,8 +1,7 @@
-//! A tensor grid of commands: its axes, and which of its nodes carry a value between them, by cubic
-//! pieces (`cubic.rs`).
+//! A tensor grid of commands: its axes, and the stencils of its cubic pieces (`cubic.rs`).
 //!
-//! Nodes are counted with the last axis fastest. Outside, values go on linearly from the border in
-//! each axis.
+//! Nodes are counted with the last axis fastest. Outside, values continue linearly from the border
+//! in each axis.
 
 use crate::error::{Result, invalid};
 use crate::memory::room;
@@ -11,26 +10,25 @@ use crate::shape::modes::accumulate;
 use std::hash::{BuildHasher, Hash, Hasher, RandomState};
 use std::sync::{Arc, LazyLock};
 
-/// The most channels a tensor grid can have; beyond, the number of nodes explodes.
+/// Most channels of a tensor grid; beyond, it has too many nodes.
 pub const MAX_CHANNELS: usize = 3;
 
-/// One stencil an axis.
+/// One stencil per axis.
 pub type Stencils = [Stencil; MAX_CHANNELS];
 
-/// Rising axes.
+/// Ascending axes.
 #[derive(Debug, Clone)]
 pub struct Grid {
     axes: Arc<[Axis]>,
-    /// What stands for the axes where grids are compared: those with other nodes have another
-    /// (SipHash, 64 bits, with keys of this process, so that no file can be made to meet
-    /// another's).
+    /// Hash of the axes for comparing grids (SipHash, 64 bits, with keys of this process, so a file
+    /// cannot be made to collide with another).
     mark: u64,
 }
 
 /// The keys of `Grid::mark`.
 static KEYS: LazyLock<RandomState> = LazyLock::new(RandomState::new);
 
-/// Grids that are kept at a command.
+/// Most cached grids per command.
 const KEPT: usize = 4;
 
 impl PartialEq for Grid {
@@ -39,7 +37,7 @@ impl PartialEq for Grid {
     }
 }
 
-/// Which nodes of several grids carry one command; those of a grid are found once.
+/// The stencils of several grids at one command, cached by grid.
 #[derive(Default)]
 pub struct Nodes {
     marks: [u64; KEPT],
@@ -53,7 +51,7 @@ impl Nodes {
         self.known = 0;
     }
 
-    /// What carries the command `u`, which is the same until `clear`, on a grid.
+    /// The stencil of a grid at the command `u`, which must not change until `clear`.
     pub fn of(&mut self, grid: &Grid, u: &[f64]) -> &Carry {
         let known = self.marks[..self.known]
             .iter()
@@ -70,7 +68,7 @@ impl Nodes {
 }
 
 impl Grid {
-    /// Take `axes` (rising, ≥ 2 nodes each); none at all make one node.
+    /// From `axes` (ascending, ≥ 2 nodes each); no axes make one node.
     pub fn new(axes: Vec<Vec<f64>>) -> Result<Grid> {
         if axes.len() > MAX_CHANNELS {
             return Err(invalid(format!(
@@ -130,7 +128,7 @@ impl Grid {
         u
     }
 
-    /// The stencils at a command, or those of the slope by one of its channels.
+    /// The stencils at a command, or those of the slope over one channel.
     pub fn stencils(&self, u: &[f64], derivative: Option<usize>) -> Stencils {
         let mut stencils = [NO_AXIS; MAX_CHANNELS];
         for (c, axis) in self.axes.iter().enumerate() {
@@ -155,12 +153,11 @@ impl Grid {
     }
 }
 
-/// The most nodes that carry a command, and how many numbers of theirs are summed at a time: as
-/// many as stay in registers.
+/// Most nodes of a stencil, and values summed at a time: as many as fit in registers.
 const MOST_NODES: usize = 64;
 const AT_ONCE: usize = 8;
 
-/// The nodes that carry a command, and the share of each.
+/// The nodes of a stencil, and the share of each.
 pub struct Carry {
     nodes: [(usize, f64); MOST_NODES],
     count: usize,

@@ -1,8 +1,8 @@
 //! The interface of every family of shapes: commands in, numbers out, slopes on request.
 //!
 //! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a
-//! field). The table, the rod and whatever comes later implement this trait; what consumes a shape
-//! need not know which one it is (`fields.rs` asks for tables, to sum them faster).
+//! field). The table, the rod and all other families implement this trait, so users of a shape do
+//! not depend on its family (`fields.rs` asks for tables, to sum them faster).
 
 pub(crate) mod cubic;
 pub(crate) mod grid;
@@ -16,8 +16,7 @@ use crate::shape::modes::accumulate;
 use crate::shape::table::Table;
 use std::sync::Arc;
 
-/// Room that a shape works in and keeps for the next time: what asks at every tick of a loop
-/// allocates at the first alone.
+/// Reusable workspace of a shape: a loop allocates only at its first tick.
 #[derive(Debug, Default)]
 pub struct Work {
     pub doubles: Vec<f64>,
@@ -59,8 +58,8 @@ pub trait Shape: Send + Sync {
         None
     }
 
-    /// Both at once: the outputs (M,) and the slopes (M, C). Families that a control loop asks
-    /// allocate nothing here once `work` has grown; of the rods, those with elastic tendons do.
+    /// Both at once: the outputs (M,) and the slopes (M, C). Families used in a control loop do not
+    /// allocate here once `work` has grown; elastic rods do.
     fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], _work: &mut Work) {
         self.eval(u, values);
         self.jacobian(u, slopes);
@@ -88,7 +87,7 @@ pub trait Shape: Send + Sync {
     }
 }
 
-/// A prior and what was learned on top of it: out = prior(u) + residual(u).
+/// A prior and its learned residual: out = prior(u) + residual(u).
 pub struct Sum {
     prior: Arc<dyn Shape>,
     residual: Arc<dyn Shape>,

@@ -1,9 +1,7 @@
-//! A few modes over many numbers, `mean + Σ_m a_m·mode_m`: what a table and a scattered family
-//! share.
+//! A few modes over many numbers, `mean + Σ_m a_m·mode_m`, shared by tables and scattered families.
 //!
-//! How the weights a_m follow from a command is the family's own business (`table.rs`,
-//! `scattered.rs`); here they are expanded to the M numbers, and the result is seen through linear
-//! maps (vertices → features).
+//! The family computes the weights a_m from a command (`table.rs`, `scattered.rs`); here they are
+//! expanded to the M numbers, and linear maps (vertices → features) are applied.
 
 use crate::error::{Result, invalid};
 use crate::memory::with_few;
@@ -11,7 +9,7 @@ use std::sync::Arc;
 
 /// Modes up to this number are blended on the stack.
 pub const STACK_MODES: usize = 64;
-/// Numbers that are summed at a time.
+/// Numbers summed at a time.
 const BLOCK: usize = 16;
 
 /// A mean (M,) and modes (m, M), row-major.
@@ -20,7 +18,7 @@ pub struct Modes {
     mean: Arc<[f64]>,
     rows: Arc<[f64]>,
     count: usize,
-    /// Whether mode m is the number m itself, so that nothing is left to expand.
+    /// Whether mode m is the number m itself, so no expansion is needed.
     plain: bool,
 }
 
@@ -45,7 +43,7 @@ impl Modes {
         })
     }
 
-    /// No mean, and mode m is the number m itself.
+    /// Without a mean, and mode m is the number m itself.
     pub fn plain(size: usize) -> Result<Modes> {
         let unit = |i: usize| f64::from(i / size == i % size);
         Modes::new(vec![0.0; size], (0..size * size).map(unit).collect())
@@ -100,7 +98,7 @@ impl Modes {
                 weights.len()
             )));
         }
-        // A feature sees few of the vertices, and a vertex enters few features.
+        // A feature depends on few vertices, and a vertex on few features.
         let weighed: Vec<Vec<(usize, f64)>> = weights
             .chunks_exact(to)
             .map(|row| {
@@ -172,7 +170,7 @@ impl Modes {
         });
     }
 
-    /// Few weights live on the stack.
+    /// A few weights are on the stack.
     #[inline(always)]
     fn add(&self, out: &mut [f64], weigh: impl FnOnce(&mut [f64])) {
         if self.plain {
@@ -191,14 +189,14 @@ impl Modes {
     }
 }
 
-/// Work with the widest vectors that this processor has; each number comes out the same as without.
-/// Closures on the way must be `#[inline(always)]`, else they are compiled for narrow ones.
+/// Use the widest vectors of this processor; each number is the same as without. Closures on the
+/// way must be `#[inline(always)]`, else they are compiled for narrow ones.
 #[inline(always)]
 pub(crate) fn wide<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)
 }
 
-/// `sum += factor·row`; a plain loop, so that `wide` sees through it.
+/// `sum += factor·row`; a plain loop, so `wide` can vectorise it.
 #[inline(always)]
 pub(crate) fn accumulate(sum: &mut [f64], row: &[f64], factor: f64) {
     let count = sum.len().min(row.len());

@@ -1,13 +1,13 @@
 //! Any shape seen through a linear map: out = Wᵀ shape(u) + offset, W (M, M2).
 //!
 //! Tables and networks have a `project` of their own, which folds the map into their numbers. This
-//! serves every other family, as the rods: inverse kinematics asks it for the tip alone.
+//! is for every other family, such as the rods: inverse kinematics evaluates only the tip.
 
 use crate::error::{Result, invalid};
 use crate::shape::{Shape, Work};
 use std::sync::Arc;
 
-/// A shape and the map through which it is seen.
+/// A shape and its linear map.
 pub struct Projected {
     shape: Arc<dyn Shape>,
     weights: Arc<Vec<f64>>,
@@ -15,7 +15,7 @@ pub struct Projected {
 }
 
 impl Projected {
-    /// See `shape` (M outputs) through `weights` (M, M2), row after row, plus `offset` (M2,).
+    /// Map `shape` (M outputs) by `weights` (M, M2), row by row, plus `offset` (M2,).
     pub fn new(shape: Arc<dyn Shape>, weights: Vec<f64>, offset: Vec<f64>) -> Result<Projected> {
         if weights.len() != shape.size() * offset.len() {
             return Err(invalid(format!(

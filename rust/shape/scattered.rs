@@ -1,21 +1,21 @@
-//! A shape family known at scattered commands: a few modes, each a sum of radial basis functions
-//! and a linear tail.
+//! A shape family from scattered commands: a few modes, each a sum of radial basis functions and a
+//! linear tail.
 //!
 //! `shape(u) = mean + Σ_m a_m(u)·mode_m`, `a_m(u) = b_m + Σ_c t_mc·q_c + Σ_i w_mi·φ(|q − q_i|)`,
 //! with q = u/scale by channel, nodes q_i, and the polyharmonic kernel φ(r) = r or r³ (J. Duchon,
 //! "Splines minimizing rotation-invariant semi-norms in Sobolev spaces", 1977,
-//! doi:10.1007/BFb0086566). r keeps the kinks that tendons make when they go slack, r³ is C². When
-//! the weights annihilate linear functions, as those of a fit do, the family grows linearly far
-//! out; nothing is clamped. Units: commands in, whatever was fitted out. The fit, its smoothing and
-//! its held-out error are `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) a
-//! command. Pinned by the tests at the foot.
+//! doi:10.1007/BFb0086566). r keeps the kinks of tendons that become slack, r³ is C². If the
+//! weights annihilate linear functions, as those of a fit do, the family grows linearly far out,
+//! without clamping. Units: commands in, the fitted quantity out. The fit, its smoothing and its
+//! held-out error are in `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) per
+//! command. Pinned by the tests below.
 
 use crate::error::{Result, invalid};
 use crate::memory::with_few;
 use crate::shape::Shape;
 use crate::shape::modes::{Modes, accumulate};
 
-/// No scale is smaller, in command units: a division by it must stay finite.
+/// Least scale, in command units: a division by it must stay finite.
 const SMALLEST_SCALE: f64 = 1e-9;
 
 /// The kernel of a scattered family.
@@ -46,7 +46,7 @@ impl Kernel {
         }
     }
 
-    /// φ'(r)/r, and 0 at the tip of the cone φ = r, where no slope is better than another.
+    /// φ'(r)/r, and 0 at the tip of the cone φ = r, where the slope is undefined.
     fn slope_over_r(self, r: f64) -> f64 {
         match self {
             Kernel::Linear if r > 0.0 => 1.0 / r,

@@ -2,10 +2,10 @@
 //! the nodes.
 //!
 //! `shape(u) = mean + Σ_m a_m(u)·mode_m`, where `a_m` is interpolated from its values at the grid
-//! nodes by the cubic pieces of `cubic.rs`, axis by axis. Units: mm of command in, whatever was
-//! tabulated out. C1; outside the grid the family continues linearly from the border in each axis.
+//! nodes by the cubic pieces of `cubic.rs`, axis by axis. Units: mm of command in, the tabulated
+//! quantity out. C1; outside the grid the family continues linearly from the border in each axis.
 //! Limits: at most three channels; kinks of the tabulated family are rounded over one cell. Pinned
-//! by the tests at the foot.
+//! by the tests below.
 
 use crate::error::{Result, invalid};
 use crate::memory::zeros;
@@ -25,8 +25,8 @@ pub struct Table {
 }
 
 impl Table {
-    /// Build a table from `axes` (rising, ≥ 2 nodes each), `coefficients` (n_1·…·n_C, m) with the
-    /// last axis fastest, `mean` (M,) and `modes` (m, M), all row-major. No axes at all make a
+    /// Build a table from `axes` (ascending, ≥ 2 nodes each), `coefficients` (n_1·…·n_C, m) with
+    /// the last axis fastest, `mean` (M,) and `modes` (m, M), all row-major. No axes make a
     /// constant family (C = 0).
     pub fn new(
         axes: Vec<Vec<f64>>,
@@ -76,7 +76,7 @@ impl Table {
         self.modes.rows()
     }
 
-    /// Whether another has this grid and these modes, and neither a mean.
+    /// Whether another table has this grid and these modes, and neither has a mean.
     pub fn shares(&self, other: &Table) -> bool {
         let alike = self.grid == other.grid && self.modes.are(&other.modes);
         alike && self.mean().iter().all(|m| *m == 0.0)
@@ -87,7 +87,7 @@ impl Table {
         &self.grid
     }
 
-    /// The outputs (M,) where the command is carried so.
+    /// The outputs (M,) for a stencil of the command.
     pub fn eval_at(&self, carry: &Carry, out: &mut [f64]) {
         wide(
             #[inline(always)]
@@ -115,8 +115,7 @@ impl Table {
         })
     }
 
-    /// The same family with its outputs themselves in the place of modes: cheaper where they are
-    /// fewer.
+    /// The same family with its outputs in place of modes: cheaper if they are fewer.
     pub fn plain(&self) -> Result<Table> {
         let (size, count) = (self.size(), self.count());
         let mut values = zeros("a table (nodes, outputs)", &[self.grid.nodes(), size])?;
@@ -137,8 +136,8 @@ impl Table {
         })
     }
 
-    /// A table of what `map` makes (`size` numbers) of each node's command and the shape there; a
-    /// linear map of it makes the same between them.
+    /// A table of `map` (`size` numbers) of each node's command and shape; exact between nodes for
+    /// a linear map.
     pub fn mapped(
         &self,
         size: usize,
@@ -164,7 +163,7 @@ impl Table {
     }
 }
 
-/// Tables without means on one grid with one set of modes, whose weighted sum expands the modes
+/// Tables without means on one grid with one set of modes; their weighted sum expands the modes
 /// once.
 #[derive(Debug, Clone)]
 pub struct TableSum {
@@ -202,7 +201,7 @@ impl TableSum {
         &self.tables[0].grid
     }
 
-    /// Add Σ_t w_t·table_t to `out` (M,) where the command is carried so, w in the order of the
+    /// Add Σ_t w_t·table_t to `out` (M,) for a stencil of the command, w in the order of the
     /// tables.
     pub fn add(&self, carry: &Carry, weights: impl Iterator<Item = f64>, out: &mut [f64]) {
         let shared = &self.tables[0];

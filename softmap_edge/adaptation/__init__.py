@@ -1,1 +1,1 @@
-"""Adapt a model to its robot: calibrate, add the effects found, learn the rest as a residual."""
+"""Adapt a model to its robot: calibrate it, add the effects found, then learn a residual."""

@@ -1,14 +1,14 @@
-"""Adapt a model to recordings: physics first, a residual on what physics leaves.
+"""Adapt a model to recordings: add physics first, then learn a residual of the remaining error.
 
     clouds ─registration─> vertices     ticks ─calibration─> commands
-    diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both
-        together
+    diagnose ─> add the missing effects ─> learn a residual ─> validate each step alone and both
+    together
 
-A residual is a function of the command alone. It cannot learn how a command was reached, and it
-replaces physics only under the conditions of its runs. So it comes last, and stays only where it
-surely lowers the error on blocks that were left out. Alternatives to what is added are reported:
-they fit these runs as well. Calibration is fitted without the effects, so that gain, offset or
-coupling found after it may be a correction of it. Units: mm. Pinned by
+A residual is a function of the command alone. It cannot represent the history of the command, and
+it replaces physics only under the conditions of its runs. So it is learned last, and kept only if
+it clearly lowers the error on held-out blocks. Alternatives to the added effects are reported,
+because they fit these runs equally well. The calibration is fitted without the effects, so a gain,
+offset or coupling found later may correct the calibration. Units: mm. Pinned by
 tests/adaptation/test_adaptation.py.
 """
 
@@ -36,18 +36,19 @@ if TYPE_CHECKING:
 SCHEMA = "softmap.adaptation/1"
 WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")
 FAULT = "measurement_fault"
-# standard errors by which a residual lowers the error on left-out blocks; a smaller gain is noise
+# standard errors by which a residual must lower the held-out error; less is noise
 SURE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Adaptation:
-    """What an adaptation found: the new `model`, and the report of each step.
+    """The result of an adaptation: the new `model`, and the report of each step.
 
-    `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm
-    of the four WAYS on what taught none of them, None where one was not tried; `fall` by which
-    share the error fell. `validation` is what it was measured on, `runs` what taught; clouds are
-    vertices there. Prints itself; `to_dict()` is softmap.adaptation/1.
+    `before` is the model before the adaptation, with its calibration. `error` holds the RMS errors
+    in mm of the four WAYS on data not used for learning; None if one was not tried. `fall` is the
+    relative reduction of the error. `validation` is the data of these errors, `runs` the training
+    data; clouds are stored as vertices. It prints as text; `to_dict()` returns
+    softmap.adaptation/1.
     """
 
     model: Model
@@ -67,14 +68,14 @@ class Adaptation:
 
     @property
     def last(self) -> float:
-        """The error in mm RMS of the model as it is now."""
+        """The error of the new model, mm RMS."""
         value = self.error[WAYS[2 * self.added + (self.model.residual is not None)]]
         assert value is not None
         return value
 
     @property
     def fall(self) -> float:
-        """By which share the error fell."""
+        """The relative reduction of the error."""
         first = self.error[WAYS[0]]
         assert first is not None
         return 1.0 - self.last / first if first > 0 else 0.0
@@ -145,23 +146,22 @@ def adapt(
     physics: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Adaptation:
-    """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
+    """Calibrate a model, add its missing effects, and learn a residual of the remaining error.
 
     Args:
-        model: an earlier residual is learned again; effects that it has stay.
-        run: one recording or several of the robot, of vertices, clouds or the model's markers.
-            Ticks are calibrated with the first run that holds enough commands for it, unless the
-            model knows them already.
-        held_out: a recording for validation only, not for learning ways; without it blocks of the
-            runs are held out.
-        physics: look for missing effects; without, the residual stands in for them.
+        model: the model to adapt; its effects stay, and its residual is learned again.
+        run: one or several recordings of the robot, with vertices, clouds or the model's markers.
+            Ticks are calibrated with the first run that holds enough commands, unless the model has
+            a calibration.
+        held_out: a recording for validation only; without it, blocks of the runs are held out.
+        physics: whether to search for missing effects; if not, the residual replaces them.
         progress: called with one line per step.
 
     Returns:
         Adaptation: the new model, the report of each step, and the error of each way.
 
     Raises:
-        SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
+        SoftmapError: a measurement fault, too few frames, or runs of another robot.
     """
     say = progress or (lambda line: None)
     runs = list(run) if isinstance(run, Sequence) else [run]
@@ -201,7 +201,7 @@ def adapt(
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
     """Return the model with a residual and its report.
 
-    None and why where runs teach none, if it is not required.
+    If the runs do not support a residual and none is required, return None and the reason.
     """
     try:
         return learn_residual(model, runs)
@@ -212,7 +212,7 @@ def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None,
 
 
 def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
-    """Return a run of clouds as template vertices in the frame of their base; others as is."""
+    """Convert a run of clouds to template vertices in the base frame; return others unchanged."""
     if run.points is None:
         return run
     run, off = in_base(run, model)
@@ -225,9 +225,9 @@ def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
 def _calibrated(
     model: Model, runs: Sequence[Run], say: Callable[[str], None]
 ) -> tuple[Model, Calibrated | None]:
-    """Return the model, calibrated with the first sufficient run if needed.
+    """Calibrate the model with the first sufficient run, if needed.
 
-    It is needed if runs have ticks and it has no calibration.
+    A calibration is needed if runs have ticks and the model has none.
     """
     ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
     if model.calibration is not None or not any(run.command is None for run in ticks):
@@ -263,9 +263,9 @@ def _blocks(found: Diagnosis | None) -> str:
 
 
 def _on_blocks(found: Diagnosis | None, residual: Document) -> dict[str, float | None]:
-    """Return the errors of the ways on held-out blocks, as measured.
+    """Return the errors of the ways on held-out blocks.
 
-    The diagnosis or the residual measured them.
+    They come from the diagnosis or from the residual's cross-validation.
     """
     if found is None:
         both: list[float | None] = [

@@ -1,20 +1,20 @@
 """A residual: a smooth static function of the command, learned from a run.
 
-It is on top of a model and its effects.
+It is added to a model and its effects.
 
     points(u_eff) = prior(u_eff) + Σ cₖ·Sₖ(u_eff) + residual(u_eff),
         residual = mean + modes · a(u_eff)
 
-What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u)
-are radial basis functions of the commands that act, smoothed as much as lowers the error on what is
-left out (`sweep/scattered.py`). It does not depend on direction, speed, orientation or load: it
-stands in for every static effect under the conditions of its run, and distinguishes none of them.
-Points that the prior holds still stay where they are. A residual belongs to the effects that it was
-learned with: when those change it is dropped, and diagnoses take it out
-(`diagnosis/behind_residual.py`). Vertices laid onto clouds are complete: what was not seen is
-placed by registration (0.17 mm on two views of the virtual finger), and takes no part in
-validation. Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the
-run's commands it extrapolates. Pinned by tests/adaptation/test_residual.py.
+The model error is reduced to at most MODES modes that the commands predict. Their weights a(u) are
+radial basis functions of the effective commands, with the smoothing that minimises the held-out
+error (`sweep/scattered.py`). It does not depend on direction, speed, orientation or load. It
+represents every static effect under the conditions of its run, and distinguishes none of them.
+Points that the prior holds fixed do not move. A residual is valid only with the effects it was
+learned with: when they change it is dropped, and diagnoses remove it
+(`diagnosis/behind_residual.py`). Vertices registered to clouds are complete: registration places
+the unseen ones (0.17 mm on two views of the virtual finger). They are not used for validation.
+Units: mm. Limits: frames with a hidden tracked point are not used; beyond the run's commands the
+residual extrapolates. Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations
@@ -40,37 +40,36 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-# commands (S, C), what is missed (S, 3N) mm, points seen (S, N)
+# commands (S, C), model errors (S, 3N) mm, visible points (S, N)
 Missed = tuple[Floats, Floats, NDArray[np.bool_]]
 
-MODES = 8  # of what is missed, at most
-# of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
+MODES = 8  # modes of the model error, at most
+# least share of the mean square of a mode's weights predicted on held-out blocks; less is noise
 PREDICTED = 0.1
 NODES = 64  # of the radial basis functions
-# frames, and numbers of them (320 MB), at most that are looked at, spread evenly
+# most frames, and most numbers (320 MB), that are used, evenly spread
 ROWS, NUMBERS = 600, 40_000_000
-LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be complete
-# frames that show every point; different commands for each channel and one more
+LAID_SEEN = 0.3  # share of the vertices that a complete frame must show
+# complete frames; distinct commands per channel, and one more
 LEAST_FRAMES, LEAST_PLACES = 30, 3
-APART = 60.0  # s between runs, so that none is held out with another
-LEAST_ALIKE, WORSE = 8, 1.1  # frames at commands of other runs, and times its error, to be reported
-CLOSE = 0.002  # of half the range of the commands: nearer commands are one place
-STILL = 1e-3  # of the largest motion: points of the prior that move less are held
+APART = 60.0  # s between runs, so that no block spans two
+LEAST_ALIKE, WORSE = 8, 1.1  # frames near other runs' commands, and error ratio, to report
+CLOSE = 0.002  # of half the command range: nearer commands count as one
+STILL = 1e-3  # of the largest motion: prior points that move less are fixed
 
 
 def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Learn a residual from what a model misses on a run.
+    """Learn a residual from the error of a model on a run.
 
     Args:
-        model: prior and effects stay as they are; an earlier residual is replaced.
-        run: one run or several, with the model's own points (vertices, or the same markers) at K >=
-            30 complete frames; of vertices laid onto clouds those that were not seen count too,
-            where registration places them.
+        model: its prior and effects stay unchanged; an earlier residual is replaced.
+        run: one or several runs, with the model's own points (vertices, or the same markers) in K
+            >= 30 complete frames. Of vertices registered to clouds, unseen ones count at their
+            registered places.
 
     Returns:
-        tuple: the model with its residual, and a document with the error before and after (held out
-        on blocks), mm RMS, and how many standard errors the mean fall of its square over the blocks
-        is above 0.
+        tuple: the model with its residual, and a document with the errors before and after (mm RMS,
+        held out on blocks) and the mean fall of the squared error in standard errors.
 
     Raises:
         SoftmapError: too few complete frames or different commands, points that are not the model's
@@ -108,9 +107,9 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
 
 
 def strangers(runs: Sequence[Missed]) -> list[str]:
-    """Report which of several runs differ from the rest in their errors.
+    """Report runs whose model errors differ from those of the other runs.
 
-    What the rest teaches makes them worse.
+    A residual learned from the others increases the error on these.
     """
     notes = []
     for k, (commands, missed, seen) in enumerate(runs if len(runs) > 1 else ()):
@@ -140,7 +139,7 @@ def strangers(runs: Sequence[Missed]) -> list[str]:
 
 
 def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
-    """Return what is missed in the complete frames of each run, and the times (S,) s of all."""
+    """Return the model errors in the complete frames of all runs, and their times (S,) s."""
     if not runs:
         raise SoftmapError("no run is given; a residual is learned from at least one")
     each, times, end = list[Missed](), list[Floats](), 0.0
@@ -178,7 +177,7 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
 
 
 def _still(base: Model, commands: Floats) -> NDArray[np.bool_]:
-    """Return which of the 3N numbers belong to points that the prior keeps fixed (clamp)."""
+    """Return a mask of the 3N coordinates that the prior keeps fixed (clamp)."""
     moved = np.ptp(base.prior.evaluate(commands).reshape(len(commands), -1, 3), axis=0).max(axis=1)
     return np.repeat(moved < STILL * float(moved.max(initial=0.0)), 3)
 
@@ -191,9 +190,9 @@ def _reduced(taught: Floats, count: int) -> tuple[Floats, Floats]:
 
 
 def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
-    """Return how many modes commands predict on other blocks, at least one.
+    """Return how many modes the commands predict on held-out blocks, at least one.
 
-    It is the number up to the last mode whose weights they predict.
+    All modes up to the last predictable one count.
     """
     mean, modes = _reduced(taught, MODES)
     weights = (taught - mean) @ modes.T
@@ -232,11 +231,11 @@ def _fitted_weights(commands: Floats, weights: Floats) -> ScatteredFit:
     np.add.at(sums, place, weights)
     middle = np.zeros((len(first), commands.shape[1]))
     np.add.at(middle, place, commands)
-    order = np.argsort(first)  # as they were recorded: neighbours in time vouch for one another
+    order = np.argsort(first)  # in recording order: neighbours in time are correlated
     return fit_scattered((middle / count)[order], (sums / count)[order], NODES)
 
 
 def _rms(numbers: Floats, seen: NDArray[np.bool_] | None = None) -> float:
-    """Return the RMS distance in mm of points (S, 3N), of those that were `seen` (S, N)."""
+    """Return the RMS distance in mm of points (S, 3N), over those `seen` (S, N)."""
     squares = np.sum(numbers.reshape(len(numbers), -1, 3) ** 2, axis=2)
     return float(np.sqrt(np.mean(squares if seen is None else squares[seen])))

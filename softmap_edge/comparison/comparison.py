@@ -1,12 +1,13 @@
-"""How far a model is from a measured run, and where.
+"""Measure the error of a model on a run, and map it over the conditions of the run.
 
-By section, direction, speed, dwell, history, command and time.
+The conditions are section, direction, speed, dwell, history, command and time.
 
-    d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only rms = sqrt(mean d²);
-    tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
+    d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only
+    rms = sqrt(mean d²); tip = the same for the centroid of the tip points
+    rms of a cell = over the points of its frames
 
-Nothing is fitted here. Whether the error is held out depends on whether the run took part in making
-the model. Units: mm, s. Pinned by tests/comparison/test_compare.py.
+Nothing is fitted here. The error is held out only if the run took no part in making the model.
+Units: mm, s. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ SCHEMA = "softmap.comparison/1"
 
 @dataclass(frozen=True)
 class MemorylessFloor:
-    """The error in mm RMS below which no model without memory can go, and the data that show it.
+    """The noise floor in mm RMS of all models without memory, and the data behind it.
 
-    `poses` were visited again, in so many `passages` and `frames`.
+    It is estimated from `poses` that were visited repeatedly, in `passages` and `frames`.
     """
 
     mm: float
@@ -77,12 +78,12 @@ class Comparison:
 
     @property
     def floor_kind(self) -> str:
-        """What the noise floor was taken from."""
+        """The data behind the noise floor, in words."""
         return str(self.made_from.get("noise_floor", "origin not stated"))
 
     @property
     def floor_is_bound(self) -> bool:
-        """Whether the noise floor holds more than noise."""
+        """Whether the noise floor contains more than noise."""
         return self.floor_kind.endswith(BOUND)
 
     def to_dict(self) -> Document:
@@ -107,7 +108,7 @@ class Comparison:
         """Read a document softmap.comparison/1.
 
         Args:
-            document: what `to_dict()` gave, also after a passage through JSON.
+            document: the result of `to_dict()`, also after a JSON round trip.
 
         Returns:
             Comparison: equal to the one that was written.
@@ -144,12 +145,12 @@ class Comparison:
             ) from None
 
 
-TIMED = ("speed", "dwell", "time")  # maps of the error that a log without time lacks
+TIMED = ("speed", "dwell", "time")  # error maps that a log without time does not have
 ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
 
 
 def compare(model: Model, run: Run) -> Comparison:
-    """Measure how far a model's prediction is from a run, and where.
+    """Measure the error of a model on a run, and map it over the run's conditions.
 
     Args:
         model: predicts (K, N, 3) mm for the run by `predict(run)`.
@@ -160,8 +161,8 @@ def compare(model: Model, run: Run) -> Comparison:
         run.
 
     Raises:
-        ComparisonError: nothing is seen, or what is predicted cannot be compared with it.
-        RunError: it is a run of another robot.
+        ComparisonError: nothing is visible, or prediction and measurement do not match.
+        RunError: the run is of another robot.
     """
     run, _ = without_lost(run)
     predicted, seen, visible = aligned(model, run)
@@ -208,7 +209,7 @@ def compare(model: Model, run: Run) -> Comparison:
 def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
     """Return prediction, measurement (hidden points zero) and visibility, with equal shapes.
 
-    Raises an error that states why they do not match.
+    Raise an error with the reason if they do not match.
     """
     if len(run.t_seen) == 0:
         raise ComparisonError(
@@ -233,7 +234,7 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
             "check`"
         )
     seen = np.where(visible[..., None], seen, 0.0)
-    # a turn about the body's axis was not measured, and counts nowhere
+    # rotation about the body's axis was not measured, and is not counted
     if not roll_seen(model, run):
         off = np.where(visible[..., None], seen - predicted, 0.0)[..., None]
         predicted = (
@@ -244,7 +245,7 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
 
 
 def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
-    """RMS along an axis over what is visible; NaN where nothing is."""
+    """RMS along an axis over the visible values; NaN if there are none."""
     count = visible.sum(axis=axis)
     total = squared.sum(axis=axis)
     return np.asarray(
@@ -253,9 +254,9 @@ def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
 
 
 def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
-    """Tip centroids seen and predicted, over the tip points visible in a frame; NaN where none is.
+    """Measured and predicted tip centroids over the visible tip points of each frame, else NaN.
 
-    Markers carried on a template: the marker that moves most is the tip.
+    If markers are carried on a template, the marker that moves most is the tip.
     """
     index = np.asarray(model.tip_indices, int)
     if seen.shape[1] != len(model.rest):
@@ -299,7 +300,7 @@ def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
 
 
 def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> Document:
-    """The bin that stands out most in each condition, worst first, and the worst frame."""
+    """The most deviating bin of each condition, worst first, and the worst frame."""
     least = max(3, round(0.02 * len(squared)))
     found: list[Document] = []
     for name, rows in where.items():
@@ -316,15 +317,15 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run
 
 
 def template(model: Model, seen: Floats) -> Floats | None:
-    """The template at rest (N, 3), if the seen points are its vertices."""
+    """The template at rest (N, 3), if the measured points are its vertices."""
     complete = not model.markers and len(model.rest) == seen.shape[1]
     return np.asarray(model.rest, float) if complete else None
 
 
 def _model_digest(model: Model) -> str:
-    """A hash of what predicts.
+    """A hash of the model.
 
-    The arrays of prior and fields, template, chain, parameters and calibration.
+    It covers the arrays of prior and fields, template, chain, parameters and calibration.
     """
     sha = hashlib.sha256()
     kept: dict[str, bytes] = {}
@@ -350,12 +351,12 @@ def _made_from(kind: str, model: Model, run: Run) -> Document:
 
 
 def _length(value: float | None) -> float:
-    """Read a length; null is one that is not known, as the tip's where the tip is never seen."""
+    """Read a length; null if it is unknown, such as the tip error of a tip never seen."""
     return math.nan if value is None else float(value)
 
 
 def _memoryless(entry: Document | None) -> MemorylessFloor | None:
-    """Read the floor of models without memory; earlier documents have none."""
+    """Read the noise floor of models without memory; earlier documents have none."""
     if entry is None:
         return None
     return MemorylessFloor(

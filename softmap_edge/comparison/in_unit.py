@@ -1,4 +1,4 @@
-"""Comparisons and series of outputs other than places, with figures in their own unit for reports.
+"""Convert comparisons and series of outputs other than positions to their own unit for reports.
 
 Pinned by tests/run/test_output.py.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def comparison_in_unit(comparison: Comparison) -> Comparison:
-    """Return a comparison with its figures in the unit of its output; unchanged for places."""
+    """Return a comparison with its figures in the unit of its output; unchanged for positions."""
     output = output_of(comparison.made_from)
     if output is None:
         return comparison
@@ -42,7 +42,7 @@ def comparison_in_unit(comparison: Comparison) -> Comparison:
 
 
 def series_in_unit(series: Series) -> Series:
-    """Return the series of a run of outputs with its errors in their unit; unchanged for places."""
+    """Return the series of a run of outputs with errors in their unit; unchanged for positions."""
     output = series.output
     if output is None:
         return series

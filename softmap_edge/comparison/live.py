@@ -1,11 +1,11 @@
-"""A model's error on a running robot: newest frames, over the last seconds, and from the start.
+"""The error of a model on a running robot: now, over the last seconds, and since the start.
 
-Positions of the servos arrive period by period, frames when they are ready. The chain of effects is
-advanced by the new periods alone and keeps its memory. A frame waits for the positions of its time,
-and is then compared with the shape at the effective commands, so the error is that of the complete
-run. Effective commands are kept for `KEPT` s; a shape with memory uses no more of them. Known
-limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled
-out each time. Pinned by tests/robot/test_live.py.
+Servo positions arrive every period, frames when they are ready. The chain of effects advances by
+the new periods only and keeps its memory. A frame waits for the positions at its time, and is then
+compared with the shape at the effective commands. So the error equals that of the complete run.
+Effective commands are kept for `KEPT` s; a shape with memory uses only these. Known limit: a
+user-defined effect cannot be advanced; with one, all positions are kept and rolled out each time.
+Pinned by tests/robot/test_live.py.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ Floats = NDArray[np.float64]
 SCHEMA = "softmap.live/1"
 RECENT = 5.0  # s
 NOW = 0.5  # s
-KEPT = 60.0  # s for which is kept what acted: a frame that arrives later is left out
-# s about a frame whose acting its shape may need: a clock may be shifted by half a second
+KEPT = 60.0  # s for which effective commands are kept; later frames are dropped
+# s of effective commands about a frame: a clock may be shifted by 0.5 s
 AROUND = 1.0
-# frames that are compared at a time, the newest: what a slow computer cannot follow is left out
+# newest frames compared at once; a slow computer drops the others
 FRESH = 64
 
 
@@ -75,10 +75,10 @@ class LiveError:
 
 
 class Live:
-    """Compares `model` with what happens; `late` s is what the quickest frame takes.
+    """Compares `model` with the running robot; `late` is the least latency of a frame, s.
 
     Raises:
-        ComparisonError: the model has no calibration of the servos.
+        ComparisonError: the model has no servo calibration.
     """
 
     def __init__(self, model: Model, late: float = 0.0) -> None:
@@ -92,12 +92,12 @@ class Live:
         self._remembers = not remembering.isdisjoint(model.chain_names)
         self._model, self._clock = model, HostClock(late)
         shift = dict(model.params).get("clock_shift.late", 0.0)
-        self._ahead = max(0.0, -shift)  # s by which positions have to be ahead of a frame
-        self._begun = math.nan  # s of the host at the first period; all other times are since then
+        self._ahead = max(0.0, -shift)  # s by which positions must be ahead of a frame
+        self._begun = math.nan  # host time of the first period, s; all other times count from it
         self._t, self._acting = np.zeros(0), np.zeros((0, model.channels))
         self._waiting: deque[Frame] = deque()
-        self._first: float | None = None  # when the first frame was seen
-        # s, mean square mm², points, of the last RECENT s
+        self._first: float | None = None  # time of the first frame, s
+        # time s, mean square mm², points; of the last RECENT s
         self._errors: deque[tuple[float, float, int]] = deque()
         self._square, self._points, self._worst, self._frames, self.left_out = (
             0.0,
@@ -108,10 +108,10 @@ class Live:
         )
 
     def drove(self, periods: Iterable[Document]) -> None:
-        """Take periods of a loop; those in which a servo was not heard count nothing.
+        """Add periods of a loop; ignore those in which a servo did not reply.
 
         Raises:
-            RunError: they are not of this robot, or damaged.
+            RunError: the periods are of another robot, or damaged.
         """
         times: list[float] = []
         rows: list[list[float]] = []
@@ -141,11 +141,11 @@ class Live:
             self._t = np.concatenate([self._t[kept], t])
 
     def saw(self, frames: Sequence[Frame]) -> None:
-        """Take the frames that a camera keeps; those that were taken before count once."""
+        """Add the frames that a camera keeps; frames added before count once."""
         self._waiting.extend(self._clock.add(frames))
 
     def compared(self) -> LiveError:
-        """Compare what can be compared now, and return how far off the model is."""
+        """Compare all frames that are ready, and return the model's errors."""
         if self._waiting and len(self._t) > 1:
             taken = self._clock.times(self._waiting) - self._begun
             ready = int(np.searchsorted(taken, self._t[-1] - self._ahead))
@@ -179,7 +179,7 @@ class Live:
             return
         begin, end = np.searchsorted(self._t, [seen_at[0] - AROUND, seen_at[-1] + AROUND])
         near = slice(0 if self._remembers else max(int(begin) - 1, 0), int(end) + 1)
-        # drift is counted from the first frame: it is there, and shows nothing
+        # drift is counted from the first frame, so it is zero there
         if self._first < seen_at[0]:
             seen_at = np.concatenate([[self._first], seen_at])
             points = np.concatenate([np.zeros_like(points[:1]), points])
@@ -216,7 +216,7 @@ class Live:
 
 
 def _channel(name: str) -> bool:
-    """Return whether an effect changes the commands, and may remember them."""
+    """Return whether an effect changes the commands, and may have memory."""
     return registry()[name].on_commands
 
 

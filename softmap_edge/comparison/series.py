@@ -1,4 +1,4 @@
-"""What a report's pictures need: errors over time, body and commands, and some poses.
+"""Data for the figures of a report: errors over time, body and commands, and some poses.
 
 Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by
 tests/comparison/test_compare.py.
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POSES = 5  # drawn of a run
+POSES = 5  # poses drawn per run
 
 
 @dataclass(frozen=True, eq=False)
 class ExamplePose:
-    """One measured frame to draw: its points (N, 3) mm, NaN where unseen, and errors (N,) mm."""
+    """A measured frame to draw: points (N, 3) mm, NaN where hidden, and errors (N,) mm."""
 
     frame: int
     points: Floats
@@ -40,7 +40,7 @@ class ExamplePose:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One output, or the tip, against one command at frames (K,): measured, before and after.
+    """An output, or the tip, against one command at frames (K,): measured, before and after.
 
     `after` is None where there is one model. `others` are the commands of the other channels at the
     same frames.
@@ -48,7 +48,7 @@ class Loop:
 
     name: str
     command: Floats
-    seen: Floats  # in the output's unit, mm for the tip; NaN where there is none
+    seen: Floats  # in the output's unit, mm for the tip; NaN if missing
     before: Floats
     after: Floats | None
     others: Floats | None = None  # (K, C - 1)
@@ -56,19 +56,19 @@ class Loop:
 
 @dataclass(frozen=True)
 class Series:
-    """What pictures need of a run: errors per frame and per point, mm.
+    """Errors of a run for figures: per frame and per point, mm.
 
     They are of one model, or of two (before, after).
     """
 
-    # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
+    # "held out", "fitted", or "measured" if unknown
     kind: str
     t_seen: Floats  # (K,) s
     before: Floats  # (K,) RMS over the points of a frame
     after: Floats | None  # (K,)
     point_before: Floats  # (N,) RMS over the frames of a point
     point_after: Floats | None  # (N,)
-    template: Floats  # (N, 3) where the points are drawn
+    template: Floats  # (N, 3) drawn positions of the points
     triangles: NDArray[np.int64] | None  # (F, 3); None for markers
     noise_floor_mm: float | None
     floor_is_bound: bool
@@ -78,26 +78,25 @@ class Series:
     command: Floats  # (K, C) at the frames
     command_unit: str
     poses: list[ExamplePose]
-    output: Output | None = None  # meaning of the markers, where they are no places
+    output: Output | None = None  # meaning of the markers, if they are not positions
     loops: tuple[Loop, ...] = ()  # each output, or the tip along each command
     timeless: bool = False  # `t_seen` counts rows
 
 
 def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
-    """Collect what a run's pictures need, for one model or for a model before and after a change.
+    """Collect the data for figures of a run, for one model or before and after a change.
 
     Args:
         run: as for `compare`.
         before: the model, or the model before the change.
         after: the model after the change, or None.
-        kind: whether the run took part in the fit: "held out", "fitted", or "measured" where that
-            is not known.
+        kind: whether the run took part in the fit: "held out", "fitted", or "measured" if unknown.
 
     Returns:
         Series: errors over time and over the body, template and tip paths.
 
     Raises:
-        ComparisonError: as `compare`; also when `kind` is none of these.
+        ComparisonError: as for `compare`, or an unknown `kind`.
     """
     if kind not in ("held out", "fitted", "measured"):
         raise ComparisonError(
@@ -175,12 +174,11 @@ def tip_loops(
     """Return the tip's displacement along the direction in which each command moves it.
 
     A linear regression of the measured tip on all commands gives the directions, and the tip at
-    command 0 as the origin of displacements. Commands that stand still, or do not move the tip,
-    have no loop.
+    command 0 as origin. Constant commands, and those that do not move the tip, have no loop.
 
     Args:
         command: (K, C).
-        seen: the measured tip (K, 3) mm, NaN where it is not seen.
+        seen: the measured tip (K, 3) mm, NaN where hidden.
         before: the predicted tip (K, 3) mm, before the diagnosis.
         after: the predicted tip (K, 3) mm, after it.
     """
@@ -205,14 +203,14 @@ def tip_loops(
 
 
 def _correlation(x: Floats, y: Floats) -> float:
-    """Return the correlation of two columns; 0 where one of them stands still."""
+    """Return the correlation of two columns; 0 if one of them is constant."""
     if len(x) < 2 or not np.ptp(x) > 0 or not np.ptp(y) > 0:
         return 0.0
     return float(np.corrcoef(x, y)[0, 1])
 
 
 def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
-    """Where to draw the points: on the template with triangles, or at the markers' mean places."""
+    """Return where to draw the points: on the template, or at the markers' mean positions."""
     rest = template(model, seen)
     if rest is not None and len(model.triangles):
         return rest, np.asarray(model.triangles, np.int64)
@@ -223,9 +221,9 @@ def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[n
 def _poses(
     command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None
 ) -> list[ExamplePose]:
-    """Return frames with distant commands, among those in which most is seen.
+    """Return frames with distant commands, among those with the most visible points.
 
-    Squares (K, N) mm² become errors.
+    Convert squares (K, N) mm² to errors.
     """
     count = visible.sum(axis=1)
     complete = np.flatnonzero(count >= 0.9 * count.max())

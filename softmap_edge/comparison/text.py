@@ -1,9 +1,9 @@
-"""Reports of comparisons for a terminal: of one, and of two side by side.
+"""Write reports of one comparison, or of two side by side, for a terminal.
 
 Text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number has its unit,
-and every error what it was measured on.
+Bars of one block share a scale, so their lengths are comparable. Every number has its unit, and
+every error the data it was measured on.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from softmap_edge.comparison.comparison import Comparison
     from softmap_edge.run.conditions import Bin
 
-# What each map is called when it stands in a report.
+# Names of the maps in a report.
 WHERE = {
     "section": "along the body",
     "direction": "direction of motion",
@@ -36,10 +36,10 @@ WHERE = {
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return the report of one comparison: figures first, then where the error lives.
+    """Return the report of one comparison: figures first, then the maps of the error.
 
     Args:
-        comparison: what `compare` gave.
+        comparison: the result of `compare`.
 
     Returns:
         str: lines of at most 100 columns.
@@ -81,7 +81,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def pair_text(before: Comparison, after: Comparison) -> str:
-    """Return two comparisons of one run side by side on one scale, and how far the error fell.
+    """Return two comparisons of one run side by side on one scale, with the fall of the error.
 
     Args:
         before, after: comparisons of the same run by two models.
@@ -90,7 +90,7 @@ def pair_text(before: Comparison, after: Comparison) -> str:
         str: lines of at most 100 columns.
 
     Raises:
-        ReportError: they are of different runs.
+        ReportError: the comparisons are of different runs.
     """
     check_pair(before, after)
     unit = unit_of(before.made_from)
@@ -157,7 +157,7 @@ def check_pair(before: Comparison, after: Comparison) -> None:
 
 
 def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
-    """Return the floor of all models without memory, and the data that show it."""
+    """Return the noise floor of all models without memory, and the data behind it."""
     floor = comparison.memoryless
     if floor is None:
         return folded("floor without memory: too few repeated poses to estimate it", 2)
@@ -224,7 +224,7 @@ def _pair_row(label: str, old: float, new: float) -> str:
 
 
 def _pair_line(row: Bin, partner: Bin | None, scale: float) -> str:
-    """One bin before and after on one line: solid remains, light was removed, dark was added."""
+    """One bin before and after on one line: solid is unchanged, light removed, dark added."""
     after = math.nan if partner is None else partner.rms_mm
     both = (
         bar(max(row.rms_mm, after), scale, 40)

@@ -1,6 +1,6 @@
-"""When a family counts.
+"""Decide whether a family is accepted.
 
-Its fall on held-out folds, ordinary imperfections, and what it cannot be distinguished from.
+Criteria: its fall on held-out folds, ordinary imperfections, and families like it.
 
 Units: mm. Pinned by tests/diagnosis/test_decision.py and tests/diagnosis/test_two_levels.py.
 """
@@ -21,12 +21,12 @@ from softmap_edge.diagnosis.representatives import RIDGES, Ranking, Representati
 
 Floats = NDArray[np.float64]
 
-# it can stand for any static law, so it is taken only where no other family is
+# it fits any static law, so it is taken only if no other family is accepted
 CATCH_ALL = "static shape"
-# what ordinary imperfections look like
+# families of ordinary imperfections
 BACKGROUND = ("static map", "static shape", "frame", "load")
-MOST = 4  # families that are taken
-ASKED = 3  # near families whose laws are tried
+MOST = 4  # most families that are taken
+ASKED = 3  # most near families whose laws are tried
 # order in which near families are taken
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}
 
@@ -34,13 +34,12 @@ SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}
 def falls_on(
     before: Floats, after: Floats, body: FeatureBody, share: float | None = None, laws: bool = False
 ) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what is above the noise.
+    """Whether a loss (folds,) clearly falls, by a `share` of the loss above the noise.
 
-    FALL_NEXT by default.
+    `share` is FALL_NEXT by default.
 
-    Where the loss is no more than noise, the noise is estimated too large or nothing is missing.
-    Then the share is of the complete loss. `laws`: laws were found before, whose form is off as
-    well.
+    If the loss is no more than noise, the noise estimate is too large or nothing is missing. Then
+    the share is of the complete loss. `laws`: laws were found before, which add model-form error.
     """
     fall, total = difference(before, after), float(before.sum())
     least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
@@ -51,7 +50,7 @@ def falls_on(
 
 
 def stands_out(loss: Floats, body: FeatureBody, laws: bool) -> bool:
-    """Whether a loss (folds,) is more than noise; the form of found `laws` may add to it."""
+    """Whether a loss (folds,) exceeds the noise; the form of found `laws` may add to it."""
     return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
 
@@ -71,11 +70,11 @@ def accepted(
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if measured else 0.0
     static = row.family.kind == "static"
     if row.family.kind == "time" and rule.in_one_fold(ranking.before, row.loss):
-        return False  # an event leaves its mark on later folds too
+        return False  # an event also affects later folds
     if static and not beyond_ordinary(ranking, state):
         return False
     record = state.body.record
-    # The model error that imperfections of the robot do not explain is noise to a memory too.
+    # Model error that imperfections do not explain is noise for a memory family, too.
     if record.error_is_noise and (
         row.family.kind in ("static", "time") or state is not state.without_background()
     ):
@@ -90,11 +89,11 @@ def accepted(
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
     """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error.
 
-    The model is a map that was learned freely.
+    It applies to a freely learned map.
 
-    Such a map follows every static effect of the robot that taught it, so a new one adds to the
-    model error. The model error of this run differs from its mean over the folds by the standard
-    errors of both: the run counts as as many folds. `state` is the state without the effect.
+    Such a map contains every static effect of the training robot, so a new effect adds to the model
+    error. The test allows for the standard errors of this run and of the mean over the folds; the
+    run counts as that many folds. `state` is the state without the effect.
     """
     record = state.body.record
     if family.kind not in ("static", "time") or not state.body.free_map:
@@ -108,7 +107,7 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 def is_ordinary(ranking: Ranking, state: State) -> bool:
     """Whether a static family is best, or near it, with ordinary imperfections only.
 
-    All static misfit is then as ordinary imperfections may be.
+    Ordinary imperfections may then explain all static misfit.
     """
     best = ranking.rows[0].loss if ranking.rows else ranking.before
     static = any(
@@ -118,7 +117,7 @@ def is_ordinary(ranking: Ranking, state: State) -> bool:
 
 
 def beyond_ordinary(ranking: Ranking, state: State) -> bool:
-    """Whether the static misfit is more than ordinary imperfections of the robot."""
+    """Whether the static misfit exceeds the ordinary imperfections of the robot."""
     return _static_mm(ranking, state) >= rule.DOMINATES * ordinary_level(state.body)
 
 
@@ -127,9 +126,9 @@ def ordinary_level(body: FeatureBody) -> float:
 
     Static effects from `DOMINATES` times it are discoveries.
 
-    A map that was learned from the robot itself has no imperfections of its own. So a single small
-    change since then, as of a servo that was fitted again, stands out like an effect: there the
-    level is a share of the motion.
+    A map learned from the robot itself contains its imperfections. A single small change since
+    then, such as a refitted servo, would stand out like an effect. There, the level is a share of
+    the motion.
     """
     return (
         rule.ORDINARY / rule.DOMINATES * motion_mm(body.record)
@@ -146,9 +145,9 @@ def _static_mm(ranking: Ranking, state: State) -> float:
 def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     """Return the level of the robot's ordinary static imperfections, mm RMS.
 
-    Where one effect dominates the static misfit, it is the rest of it; else it is all of it, the
-    sum of many small imperfections. It is limited to a share of the motion: anything larger is an
-    effect.
+    If one effect dominates the static misfit, the level is the rest of the misfit. Otherwise it is
+    the complete misfit, the sum of many small imperfections. It is limited to a share of the
+    motion: anything larger is an effect.
     """
     body, record = state.body, state.body.record
     seen, level = np.isfinite(record.seen), state.body.level()
@@ -175,18 +174,18 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
     level_mm = min(left, rule.ORDINARY * motion_mm(record))
-    return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment states
+    return float(max(level_mm, record.frame_mm))  # the alignment states its error
 
 
 def motion_mm(record: Record) -> float:
-    """Return the body's motion about its mean, mm RMS, without features that are never seen."""
+    """Return the body's motion about its mean, mm RMS, over features that are ever seen."""
     seen = np.isfinite(record.seen)
     mean = np.where(seen, record.seen, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     return record.rms_mm(record.seen - mean)
 
 
 def one_pose(body: FeatureBody) -> bool:
-    """Whether the commands never change: one shape is seen, and two laws are one too many."""
+    """Whether the commands never change: one shape cannot support two laws."""
     return not np.any(np.ptp(body.record.command, axis=0))
 
 
@@ -197,7 +196,7 @@ def order_of(family: Family) -> int:
 def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
     """Whether a family cannot be distinguished from the first one.
 
-    It can if it alone leaves more than noise.
+    It can be distinguished only if it alone leaves more than noise.
     """
     if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
         return False
@@ -205,9 +204,9 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
         laws = [law for law in other.tried if law.effects and law.numbers <= first.numbers + 2]
         return any(near(law.loss, first.loss, ranking.before) for law in laws)
     if first.resolved and rule.clears(first.loss, other.loss, state.body.problem.numbers):
-        return False  # free columns, with more numbers, leave more than a law that leaves noise
+        return False  # free columns have more parameters than a law that leaves noise
     if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
-        return False  # it can be any static law, this one too
+        return False  # it fits any static law, including this one
     reference = first.loss if first.resolved else first.representative.loss
     if not near(other.representative.loss, reference, ranking.before):
         return False
@@ -218,7 +217,7 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
 
 
 def does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether a static map of the commands, or the first family, can do what a family does."""
+    """Whether a static map of the commands, or the first family, can reproduce a family."""
     body = state.body
     theta = ranking.level.theta(
         [*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge]

@@ -2,16 +2,16 @@
 
 They are static effects that look like it and do not contradict the run.
 
-A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis
-names them. If they do not, a static field of its size is no evidence, since it may be
-model error or an effect (`problem_of`: model-form error in the same directions; a rod's is noise).
-Effects that show in memory, orientation or load are then found as without it.
+A diagnosis removes the residual. If laws of the library explain the learned part, the diagnosis
+names them. If not, a static field of its size is no evidence: it may be model error or an effect
+(`problem_of`: model-form error in the same directions; a rod's is noise). Effects of memory,
+orientation or load are then found as without a residual.
 
 This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have
 been learned if it explains HIDES of the residual's mean square and does not increase the misfit of
-the run. More can be concluded only from a run in which the two differ. A residual within the model
-error, or one that does not lower the error of this run, hides nothing. Units: mm. Limit: effects
-are fitted to the residual one by one. Pinned by tests/adaptation/test_residual.py.
+the run. Only a run in which the two differ can decide. A residual within the model error, or one
+that does not lower the error of this run, hides nothing. Units: mm. Limit: effects are fitted to
+the residual one by one. Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
 
-OWN = 1.5  # times the model error that a residual must be to hide anything
-HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
-LOOKED_AT = 8  # effects that are compared with the residual: those that fit it best
+OWN = 1.5  # least size of a residual that can hide an effect, times the model error
+HIDES = 0.6  # of the residual's mean square: least share that a hidden effect explains
+LOOKED_AT = 8  # best-fitting effects that are compared with the residual
 AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
 
 
 @dataclass(frozen=True)
 class ResidualConfounds:
-    """The effects of a residual that was taken out.
+    """What a removed residual may contain.
 
-    Its size on the run and what the effects found leave of it, the run's error with it and without,
-    what it may be (share), and what of it may be model error.
+    Its size on the run before and after the effects found, the run's error with and without it, the
+    effects that it may contain (share), and the part that may be model error.
     """
 
     size_mm: float
@@ -54,7 +54,7 @@ class ResidualConfounds:
     own_mm: float
 
     def untestable(self) -> list[Untestable]:
-        """Return what may hide in the residual, with what to record."""
+        """Return the effects that the residual may hide, with the experiment to record."""
         return [
             Untestable(
                 name,
@@ -88,7 +88,7 @@ class ResidualConfounds:
 
 
 def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
-    """Return what the residual that was taken out may hide besides the effects of a fit.
+    """Return what the removed residual may hide besides the effects of a fit.
 
     None without a residual.
     """
@@ -99,7 +99,7 @@ def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
     left = min((record.static, record.static - shift), key=record.rms_mm)
     size, without = record.rms_mm(record.static), record.rms_mm(record.seen - fits.null.predicted)
     with_mm = record.rms_mm(record.seen - fits.null.predicted - record.static)
-    # whatever the noise of this run: it was learned from another
+    # independent of the noise of this run: it was learned from another
     own = max(VISIBLE_MM, OWN * record.form_mm)
     may_be = _may_be(fits, fit, left) if record.rms_mm(left) > own and with_mm < without else []
     return ResidualConfounds(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
@@ -127,7 +127,7 @@ def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
 def _as_if_seen(fits: Fits, field: Floats) -> Problem:
     """Return the problem in which `field` (K, F) mm is the only error of the model.
 
-    It has no model-form error for it.
+    The problem has no model-form error.
     """
     problem = fits.problem
     record: Record = copy(problem.record)
@@ -141,7 +141,7 @@ def _as_if_seen(fits: Fits, field: Floats) -> Problem:
 
 
 def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
-    """Whether the run contradicts an effect with the numbers that the residual gives it."""
+    """Whether the run contradicts an effect with the parameters fitted to the residual."""
     problem, record = fits.problem, fits.problem.record
     space = problem.space((*fit.effects, effect))
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])

@@ -1,25 +1,24 @@
-"""Certificates: an e-value for each claim, from blocks that no fit of its numbers used.
+"""Certificates: an e-value for each claim, from blocks withheld from its fit.
 
     log e = T (chi²₀ - chi²₁) / (2 φ) + k/2 · ln(1 - T),  T = 1/2
 
-chi²₁ is that of the withheld frames under everything found, with numbers fitted to the other
-frames. chi²₀ is the same without the claim, all other numbers maximised on the withheld frames
+chi²₁ is that of the withheld frames under all effects found, with parameters fitted to the other
+frames. chi²₀ is the same without the claim, with all other parameters fitted to the withheld frames
 themselves (universal inference: Wasserman, Ramdas, Balakrishnan 2020, doi:10.1073/pnas.1922664117).
-Both are whitened with noise, the model error and the robot's ordinary imperfections, at the
-level that the search estimates, in the covariance. φ is the dispersion of the other frames, at
-least 1 except for a rod.
+The covariance holds noise, model error and the robot's ordinary imperfections, at the level that
+the search estimates. φ is the dispersion of the other frames, at least 1 except for a rod.
 
-The split alone makes noise harmless, but a model error is the same in all blocks. For any k fitted
-numbers, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). With
-T and the last term e stays an e-value even if the claim was fitted to just this error.
+The split accounts for noise, but a model error is the same in all blocks. For any k fitted
+parameters, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). T
+and the last term keep e an e-value even if the claim was fitted to exactly this error.
 
-The search sees all frames: names cost data. Its choice is paid for by counting. Every set of r
-claims among N candidates, and each member of it, is a hypothesis with an e-value, zero where it was
-not chosen. Sizes share the level, so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022,
+The search uses all frames, so its choice needs a multiplicity correction. Every set of r claims
+among N candidates, and each member of it, is a hypothesis with an e-value, zero if not chosen. Set
+sizes share the level, so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022,
 doi:10.1111/rssb.12489) over all of them controls the false discovery rate: the k claims of largest
 e are certified, for the largest k whose claims all reach m / (0.05 k). It holds for dependent
-claims. Limits: both fits are one linear step from that of all frames; noise that is correlated for
-longer than the gap between blocks is accounted for by its inflation only. Pinned by
+claims. Limits: both fits are one linear step from that of all frames; only the inflation accounts
+for noise correlated over more than the gap between blocks. Pinned by
 tests/diagnosis/test_certificates.py.
 """
 
@@ -43,14 +42,14 @@ from softmap_edge.run.folds import Withheld
 Floats = NDArray[np.float64]
 
 LEVEL = 0.05  # false discovery rate
-TEMPER = 0.5  # power of the likelihood ratio; at 1/2 the price of a number is a factor of 1.4
-FREE = 1e-6  # ridge of numbers that are fitted again: none but to round off
+TEMPER = 0.5  # power of the likelihood ratio; at 1/2, each parameter costs a factor of 1.4
+FREE = 1e-6  # ridge of refitted parameters, against rounding errors only
 SIZES = 4  # sizes of sets of claims that share the level
 
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """Certificates by name of the effect, and of the family that stands without a law."""
+    """Certificates by name of the effect, and of each family without a law."""
 
     effects: Mapping[str, Certificate]
     families: Mapping[str, Certificate]
@@ -61,8 +60,8 @@ def certified(outcome: Outcome, fit: Fit, kept: Withheld) -> Certified:
 
     Args:
         outcome: the search.
-        fit: the laws that stand, after demotion.
-        kept: frames that fit the numbers of the claims, and frames that test them.
+        fit: the accepted laws, after demotion.
+        kept: frames for fitting the parameters of the claims, and frames for testing.
     """
     named, open_ = list(fit.effects), [one.family.name for one in outcome.state.representatives]
     claims = [*named, *open_]
@@ -79,9 +78,9 @@ def certified(outcome: Outcome, fit: Fit, kept: Withheld) -> Certified:
 
 
 def hypotheses(candidates: int, claims: int) -> int:
-    """Return how many hypotheses so many claims count for.
+    """Return the number of hypotheses for a number of claims.
 
-    Each member of each set counts, by the share of their size.
+    Each member of each set counts, weighted by the share of its set size.
     """
     return max(SIZES, claims) * claims * comb(candidates, claims)
 
@@ -101,7 +100,7 @@ def certificates(logs: Sequence[float], count: int, kept: Withheld) -> list[Cert
 
 
 class _Evidence:
-    """What the withheld frames say about each claim of a search."""
+    """Tests of each claim of a search on the withheld frames."""
 
     def __init__(self, outcome: Outcome, fit: Fit, kept: Withheld) -> None:
         self.outcome, self.fit, self.representatives = (
@@ -113,8 +112,8 @@ class _Evidence:
         self.chi2, _, chosen = self._chi2(fit, self.representatives)
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
-        # A rod's noise is its error on the run, in which the effect that is tested has a share: it
-        # may be too large.
+        # A rod's noise is its error on the run, which contains the tested effect; it may be too
+        # large.
         self.dispersion = scale if outcome.body.record.error_is_noise else max(1.0, scale)
 
     def of_effect(self, name: str) -> float:
@@ -125,7 +124,7 @@ class _Evidence:
         )
 
     def of_family(self, name: str) -> float:
-        """Return log10 e of a family that stands without a law."""
+        """Return log10 e of a family without a law."""
         numbers = sum(one.numbers for one in self.representatives if one.family.name == name)
         return self._log10_e(
             self.fit, [one for one in self.representatives if one.family.name != name], numbers
@@ -134,14 +133,14 @@ class _Evidence:
     def _log10_e(
         self, fit: Fit, representatives: Sequence[Representative], numbers: float
     ) -> float:
-        """Return log10 e of a claim of so many numbers from what stands without it."""
+        """Return log10 e of a claim with a number of parameters, against the rest without it."""
         fall = (self._chi2(fit, representatives)[1] - self.chi2) / self.dispersion
         return float((0.5 * TEMPER * fall + 0.5 * numbers * np.log(1.0 - TEMPER)) / np.log(10.0))
 
     def _chi2(
         self, fit: Fit, representatives: Sequence[Representative]
     ) -> tuple[float, float, float]:
-        """Return chi² of the withheld frames, fitted to the others or themselves.
+        """Return chi² of the withheld frames, fitted to the others or to themselves.
 
         The third value is the chi² of the others.
         """
@@ -158,7 +157,7 @@ class _Evidence:
         state, level = State(self.body, there, representatives), self.body.level()
         names, ridges = state.blocks(level)
         residual = state.residual
-        # all of a representative is fitted again, not only what it changes by
+        # a representative is refitted completely, not only its change
         for one in representatives:
             columns = (
                 self.body.columns(one.family, state.commands, state.slopes)
@@ -176,9 +175,9 @@ class _Evidence:
 def _split(outcome: Outcome, kept: Withheld) -> Problem:
     """Return a search's problem with the withheld frames as folds.
 
-    They are fitted to the others or to themselves.
+    The parameters are fitted to the other frames or to the withheld ones.
 
-    Ordinary imperfections are smooth in the commands like the model error, and add to it.
+    Ordinary imperfections are smooth in the commands, like the model error, and add to it.
     """
     problem = copy(outcome.body.problem)
     larger = 1.0 + (outcome.body.ordinary_mm / max(problem.record.form_mm, 1e-9)) ** 2

@@ -1,11 +1,11 @@
-"""Laws whose numbers change within a run: with the temperature, the time, the speed or the bend.
+"""Laws whose parameters change within a run: with temperature, time, speed or bend.
 
-    p(t) ≈ p + θ c(t)  for each fitted number p of a law, c a condition with mean 0 and variance 1
+    p(t) ≈ p + θ c(t)  for each fitted parameter p of a law, c a condition with mean 0 and variance 1
 
-The slopes of the prediction over the numbers, times the condition, are columns of the normal
-equations at level 1. A law is constant unless these columns explain a good part of what it
-explains. A law that changes may be another law of its family, or act on another effect: in both
-cases something unknown is left. To first order in θ. Pinned by tests/diagnosis/test_changing.py.
+The slopes of the prediction over the parameters, times the condition, are columns of the normal
+equations at level 1. A law is constant unless these columns explain a good part of the loss that it
+explains. A changing law may be another law of its family, or act on another effect: in both cases
+an unknown error remains. To first order in θ. Pinned by tests/diagnosis/test_changing.py.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ FAMILY_OF = {"temperature": "temperature", "time": "time", "speed": "rate", "ben
 
 @dataclass(frozen=True)
 class Change:
-    """A law whose numbers change with a condition.
+    """A law whose parameters change with a condition.
 
-    Its effects, the condition, and the change's share of its loss.
+    Holds its effects, the condition, and the change's share of its loss.
 
-    `share` is the fall of the held-out loss by the change, relative to the loss that the law
-    explains.
+    `share` is the fall of the held-out loss by the change, relative to the loss explained by the
+    law.
     """
 
     effects: tuple[str, ...]
@@ -49,14 +49,14 @@ class Change:
 
     @property
     def experiment(self) -> tuple[str, float]:
-        """What to record to see this change, and the minutes, as for the condition's family."""
+        """The experiment that shows this change, and the minutes, as for the condition's family."""
         return next(f.experiment for f in families() if f.name == FAMILY_OF[self.condition])
 
 
 def changing(outcome: Outcome) -> list[Change]:
-    """Return the laws of a search with changing numbers, and the condition of each.
+    """Return the laws of a search with changing parameters, and the condition of each.
 
-    It is the condition that explains most.
+    The condition that explains most is returned.
     """
     state, found = outcome.state, []
     if outcome.loss.sum() <= rule.ABOVE_NOISE * outcome.body.problem.numbers:
@@ -82,14 +82,14 @@ def changing(outcome: Outcome) -> list[Change]:
 
 
 def conditions_of(state: State) -> dict[str, Floats]:
-    """Return what varies over the frames (K,) of a record, each with mean 0 and variance 1."""
+    """Return the conditions over the frames (K,) of a record, with mean 0 and variance 1."""
     body, rows = state.body, []
     warm = [declared(part.run.temperature, len(part.run.t)) for part in body.parts]
     known = all(row is not None and np.ptp(row) >= WARMED for row in warm)
     for part, commands, temperature in zip(body.parts, state.commands, warm):
         t, seen = np.asarray(part.run.t, float), np.asarray(part.t_seen, float)
         rate = np.gradient(commands, t, axis=0) if len(t) > 1 else np.zeros_like(commands)
-        # of no channel: a body under weight alone
+        # no channels: a body under its weight alone
         speed = np.abs(rate / body.half).max(axis=1, initial=0.0)
         bend = np.abs((seen_commands(part, commands) - body.middle) / body.half).max(
             axis=1, initial=0.0
@@ -113,7 +113,7 @@ def conditions_of(state: State) -> dict[str, Floats]:
 
 
 def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
-    """Return the fall of the held-out loss if the numbers of effects change with a condition.
+    """Return the fall of the held-out loss if parameters change with a condition.
 
     The condition is (K,).
     """

@@ -1,6 +1,6 @@
-"""Find frames and points of a run that are no measurement.
+"""Find frames and points of a run that are not valid measurements.
 
-They are set aside before a fit, each with a remark.
+They are excluded before a fit, with a remark.
 
     lost      a place that stands for "not seen" (`lost.py`): the point counts as not seen
     dark      a frame without a visible point
@@ -14,10 +14,10 @@ They are set aside before a fit, each with a remark.
               counts as not seen
     astray    a point far from its prediction in this frame only: it counts as not seen
 
-A body that rests in a play repeats itself too, and so does a model without noise. A camera that
-hangs jumps to the body afterwards, while a body in a play continues from where it was. Nothing is
-set aside if no still pair of frames differs. Limits: two wrong frames in a row that agree are kept;
-a border that fewer than 3 % of the frames touch is not found. Units: mm, s. Pinned by
+A body resting within the backlash also repeats frames, and so does a model without noise. A frozen
+camera jumps to the body afterwards, while a body in backlash continues from its position. No frame
+is excluded if no pair of frames at rest differs. Limits: two agreeing wrong frames in a row are
+kept; a border that fewer than 3 % of the frames touch is not found. Units: mm, s. Pinned by
 tests/run/test_bad_runs.py.
 """
 
@@ -59,48 +59,49 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-GAP_SAMPLES, GAP = 10.0, 1.0  # usual steps, and s, beyond which a record of commands has a gap
-MOVED = 0.05  # of the range of a command, across a gap: what happened there is not known
-STEPPED = 0.01  # of the range of a command between two frames: a camera that works sees it
-SELDOM = 0.2  # of the pairs of frames at rest that may be equal for a camera with noise
-SOON = 0.1  # of the usual time between pictures: no camera is that much faster once
-TOUCHED = 0.03  # of the frames that show a point exactly at its extreme: a border
-POSES = 5  # different places of points at a border: a body at rest has one
-ASTRAY = 0.15  # of the body's length between a point and its model, in one frame only
-ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
-ASTRAY_MOST = 0.1  # of the points: more are no outliers
-# of all motion, and of the median dwell, that points may scatter in a dwell
+GAP_SAMPLES, GAP = 10.0, 1.0  # usual steps, and s, beyond which the commands have a gap
+MOVED = 0.05  # of the command range, across a gap: the motion there is unknown
+STEPPED = 0.01  # of the command range between two frames: a working camera shows it
+SELDOM = 0.2  # of frame pairs at rest: most that may be equal with camera noise
+SOON = 0.1  # of the usual frame interval: no camera is that much faster once
+TOUCHED = 0.03  # of the frames with a point exactly at its extreme: a border
+POSES = 5  # distinct positions of points at a border: a body at rest has one
+ASTRAY = 0.15  # of the body's length: point error in one frame only
+ASTRAY_TIMES = 5.0  # times the point's usual error, likewise
+ASTRAY_MOST = 0.1  # of the points: more are not outliers
+# of all motion, and of the median dwell: allowed scatter in a dwell
 UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0
-STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
-# of the dwells: more are how this robot is; fewer of them show nothing
+STILL = 0.8  # of all motion: with more scatter in the dwells, the robot does not move
+# of the dwells: more are normal for this robot; fewer are not significant
 UNSTEADY_MOST, DWELLS = 0.3, 4
-WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
-REMEMBERED = 100  # frames on which a strong memory is tested
-UNSEEN = 0.2  # of the points that may never be seen before it is reported
+WRONG_SIGMA = 5.0  # ratio of declared noise to that of the repeats, or its inverse
+REMEMBERED = 100  # frames for the test of a strong memory
+UNSEEN = 0.2  # of the points: more never-seen points are reported
 
 
 @dataclass(frozen=True)
 class CleanRun:
-    """A run without what is no measurement, and remarks on the run."""
+    """A run without invalid measurements, and remarks on the run."""
 
     run: Run
     remarks: tuple[str, ...]
-    doubts: tuple[str, ...] = ()  # those of the remarks without which no effect can be believed
+    doubts: tuple[str, ...] = ()  # remarks that make every named effect doubtful
 
 
 def clean_run(model: Model, run: Run) -> CleanRun:
-    """Set aside what a fit must not see, and refuse a run that no fit could use.
+    """Exclude invalid frames and points, and reject a run that no fit could use.
 
     Args:
-        model: predicts the run. run: as it was recorded.
+        model: predicts the run.
+        run: the run as recorded.
 
     Returns:
         Sound: the run with the same commands and fewer frames or points, and remarks, each a
         sentence.
 
     Raises:
-        RunError: nothing is seen, too little is left, or the points are not those of this model
-            under these commands.
+        RunError: nothing is visible, too little remains, or the points do not fit this model under
+            these commands.
     """
     run, lost = without_lost(converted(model, run))
     if run.frames == 0:
@@ -156,12 +157,12 @@ def clean_run(model: Model, run: Run) -> CleanRun:
 def clean_record(
     model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
-    """Bind a model to the sound frames and points of one or several runs, with remarks.
+    """Bind a model to the valid frames and points of one or several runs, with remarks.
 
-    The runs stay complete in the record.
+    The record keeps the complete runs.
 
     Raises:
-        SoftmapError: as `clean_run` and `record_of`.
+        SoftmapError: as for `clean_run` and `record_of`.
     """
     given = list(run) if isinstance(run, Sequence) else [run]
     parts = [clean_run(model, one) for one in given]
@@ -182,7 +183,7 @@ def clean_record(
 
 
 def commands_not_followed(record: Record, predicted: Floats) -> str | None:
-    """Report points that do not move, or do not move as commanded, whatever a fit allows for."""
+    """Report points that do not move, or do not move as commanded, under any fit."""
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
     left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
     visible = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
@@ -220,9 +221,9 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
 
 
 def _remembers(record: Record) -> bool:
-    """Return whether the model behind a play explains the motion of every run.
+    """Return whether the model with backlash explains the motion of every run.
 
-    It is then a memory, and no other robot.
+    The misfit is then due to memory, and not to another robot.
     """
     for part in record.parts:
         few = part.run.at(part.spread_rows(REMEMBERED))
@@ -233,7 +234,7 @@ def _remembers(record: Record) -> bool:
 
 
 def _sigma(run: Run) -> list[str]:
-    """Say so where the noise that a run declares is not the one that its repeats show."""
+    """Report a declared noise that differs from the noise of the repeats."""
     if run.sigma is None:
         return []
     found = noise_of_points(run)
@@ -252,7 +253,7 @@ def _sigma(run: Run) -> list[str]:
 def _frames(
     model: Model, run: Run, u: Floats, seen: Floats, visible: Mask
 ) -> Iterator[tuple[Mask, str]]:
-    """Yield frames (K,) that are no measurement, and why."""
+    """Yield frames (K,) that are not valid measurements, and why."""
     dark: Mask = np.asarray(~visible.any(axis=1), np.bool_)
     if dark.any():
         yield (
@@ -306,7 +307,7 @@ def _frames(
 
 
 def _untaught(model: Model, run: Run) -> Mask:
-    """Return the frames (K,) at which a learned map extrapolates; none if most are such."""
+    """Return the frames (K,) at which a learned map extrapolates; none if most frames do."""
     coverage = model.coverage
     if coverage is None or not isinstance(model.prior, _core.Rod):
         return np.zeros(run.frames, bool)
@@ -315,12 +316,12 @@ def _untaught(model: Model, run: Run) -> Mask:
 
 
 def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:
-    """Return the frames (K,) of dwells in which the robot jumps, and a sentence on them.
+    """Return the frames (K,) of dwells in which the robot jumps, and a remark.
 
-    Nothing is commanded there.
+    The command is constant in a dwell.
 
-    Each dwell's scatter about its drift, RMS over the points that all its frames show, against the
-    others' median.
+    The scatter of each dwell about its drift, RMS over the points visible in all its frames, is
+    compared with the median of the others.
     """
     none, state = np.zeros(run.frames, bool), conditions(run, u)
     if not u.shape[1]:
@@ -341,7 +342,7 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
     if len(dwells) < DWELLS:
         return none, ""
     moved, usual = spread(seen, visible), float(np.median(scatter))
-    if not usual < STILL * moved:  # nothing moves: the scatter is all there is
+    if not usual < STILL * moved:  # nothing moves: scatter is the only motion
         return none, ""
     if usual > UNSTEADY * moved:
         return none, (
@@ -366,7 +367,7 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
 
 
 def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
-    """Return the frames (K,) that repeat the picture before them, if only the camera can."""
+    """Return the frames (K,) that repeat the previous image, if only a frozen camera can."""
     again = np.zeros(run.frames, bool)
     if run.frames < 2:
         return again
@@ -397,7 +398,7 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     for a, b in stretches:
         outside[a:b] = False
     still = outside & (change < 1e-6)
-    # a camera with noise never repeats itself
+    # a camera with noise never repeats a frame
     never = still.sum() >= 2 and float(same[still].mean()) < SELDOM
     return again if never else none
 
@@ -414,7 +415,7 @@ def _stretches(same: Mask) -> list[tuple[int, int]]:
 def _points(
     seen: Floats, visible: Mask, predicted: Floats, length: float
 ) -> Iterator[tuple[Mask, str]]:
-    """Yield points (K, N) that are no measurement, and why."""
+    """Yield points (K, N) that are not valid measurements, and why."""
     for axis, name in enumerate("xyz"):
         for extreme in (np.nanmin, np.nanmax):
             found = _clipped(seen, visible, axis, extreme)
@@ -437,10 +438,10 @@ def _points(
 def _clipped(
     seen: Floats, visible: Mask, axis: int, extreme: Callable[[Floats], np.floating]
 ) -> Mask | None:
-    """Return the points (K, N) whose coordinate stands at its extreme as at a border, or None."""
+    """Return the points (K, N) with a coordinate at an image or box border, or None."""
     place = np.where(visible, seen[..., axis], np.nan)
     at = visible & (place == extreme(place))
-    at &= ~(at | ~visible).all(axis=0)  # a point that always stands there is fixed
+    at &= ~(at | ~visible).all(axis=0)  # a point that is always there is fixed
     frames = at.any(axis=1)
     if frames.sum() < max(POSES, TOUCHED * len(frames)):
         return None
@@ -449,15 +450,15 @@ def _clipped(
 
 
 def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Mask:
-    """Return the points (K, N) far from their model in one frame, and not just before or after.
+    """Return the points (K, N) far from their prediction in a single frame.
 
-    These are the two frames before it and the two after it.
+    They are close to it in the two frames before and after.
     """
     none = np.zeros(visible.shape, bool)
     if len(seen) < LEAST_FRAMES:
         return none
     off = np.where(visible[..., None], seen - predicted, np.nan)
-    far = np.linalg.norm(off, axis=2)  # NaN where nothing was seen
+    far = np.linalg.norm(off, axis=2)  # NaN where hidden
     if not (far > ASTRAY * length).any():
         return none
     with np.errstate(invalid="ignore"):
@@ -483,7 +484,7 @@ def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Ma
             continue
         near = np.linalg.norm(predicted[k] - predicted[k, n], axis=1)
         near[n], near[~visible[k]] = np.inf, np.inf
-        # a body that really bends takes the neighbouring points along
+        # a real bend also moves the neighbouring points
         neighbour = int(np.argmin(near))
         alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, neighbour]) > 0.5 * far[k, n])
     return np.asarray(alone)

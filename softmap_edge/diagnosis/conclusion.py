@@ -1,4 +1,4 @@
-"""From a finished search to a diagnosis: findings, parameters, alternatives, open points.
+"""Convert a finished search to a diagnosis: findings, parameters, alternatives, open points.
 
 Nothing is searched here. Units: mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -61,14 +61,14 @@ from softmap_edge.run.folds import labelled
 
 Floats = NDArray[np.float64]
 
-ALONG = "mount.shift_z"  # along the axis of the straight body, where nothing that bends moves it
+ALONG = "mount.shift_z"  # along the axis of the straight body, where bending does not move it
 
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What is known apart from the search.
+    """Data from outside the search.
 
-    An independent run, effects that were dropped or not tried, certificates.
+    An independent run, effects dropped or not tried, and certificates.
     """
 
     other: Record | None = None
@@ -80,14 +80,15 @@ class Context:
 
 
 def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
-    """Say what a finished search means.
+    """Convert a finished search to the fields of a diagnosis.
 
     Args:
-        outcome: the search. fit: the laws that stand, after demotion.
-        context: what is known apart from it.
+        outcome: the search.
+        fit: the accepted laws, after demotion.
+        context: data from outside the search.
 
     Returns:
-        dict: the fields of a `Diagnosis`, all but its remarks, servos and model.
+        dict: the fields of a `Diagnosis` except remarks, servos and model.
     """
     fits, problem = outcome.fits, outcome.body.problem
     record, known = problem.record, registry()
@@ -95,7 +96,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     order = _order(fits, fit, known)
     alternatives = _alternatives(outcome, fit, standing, known, context)
     residual = record.seen - fit.predicted - outcome.state.shift
-    if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
+    if record.remapped:  # the re-solved map cancels part of each representative
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
     left = replace(
@@ -107,7 +108,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
     moving = problem.noise.moving
-    if moving and order:  # what settles late moves at rest too, until it is explained
+    if moving and order:  # slow settling also moves at rest, until it is explained
         moving = motion_left(
             residual, record.seen, record.positions, record.t_seen, record.state
         ).found
@@ -146,7 +147,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
         doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
     unsure = _physical(alternatives, known)
-    # A limit of the model is none of the run.
+    # A limit of the model is not a limit of the run.
     recordable, others = (
         sum(not h.of_model for h in every) for every in (hidden, context.impossible)
     )
@@ -199,7 +200,7 @@ def _named(step: Step) -> tuple[str, ...]:
 
 
 def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
-    """Return the effects of a fit: faults first, then by what they explain."""
+    """Return the effects of a fit: faults first, then by explained error."""
     weight = {e: max(fits.share(fit, e), 0.0) for e in fit.effects}
     return sorted(fit.effects, key=lambda e: (not known[e].is_fault, -weight[e], e))
 
@@ -207,12 +208,12 @@ def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
 def _unknown(
     outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool
 ) -> bool:
-    """Whether something unknown is left.
+    """Whether an unknown error remains.
 
-    No law describes it; it is beyond the named effects, or far more than the model error.
+    It has no law and is not part of the named effects, or it far exceeds the model error.
     """
     if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
-        return False  # other numbers of the model's own effects explain what is left
+        return False  # other parameters of the model's own effects explain the unexplained error
     if dropped or any(
         s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing
     ):
@@ -229,7 +230,7 @@ def _unknown(
 def _family(
     outcome: Outcome, step: Step, proof: Certified | None, changes: Sequence[Change]
 ) -> FamilyFinding:
-    """Return what was found of one family."""
+    """Return the finding of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
     own = float(answer.before.sum()) - answer.representative.left
@@ -258,9 +259,9 @@ def _family(
 def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
     """Return the unexplained error as an unknown static map, if it is one.
 
-    It is if repeated commands show the same error. Else nothing.
+    It is one if repeated commands show the same error; otherwise return nothing.
 
-    Its form may be too fine for the columns of the family.
+    Its form may be too fine for the columns of the static family.
     """
     places = residual.reshape(len(residual), -1, 3)[:, record.positions].reshape(len(residual), -1)
     again = repeats_of(places, record.state, load_seen(record))
@@ -274,7 +275,7 @@ def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
 def _with_motion(
     families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]
 ) -> tuple[FamilyFinding, ...]:
-    """Return families with the motion at rest among them, by size.
+    """Insert the unexplained motion at rest into the families, by size.
 
     No effect or family of the library describes it.
     """
@@ -297,7 +298,7 @@ def _finding(
     unknown: bool,
     known: Registry,
 ) -> Finding:
-    """Return what was found of one effect."""
+    """Return the finding of one effect."""
     fits, problem = outcome.fits, outcome.body.problem
     record, other = problem.record, context.other
     sigma = problem.uncertainty(fit, fits.dispersion(fit))
@@ -342,13 +343,13 @@ def _probability(
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
     if step is not None and not step.answer.resolved:
-        # each law that fits is as likely, and so is one that was not tried
+        # all fitting laws are equally likely, and so is an untried one
         odds += 1.0 + len(step.answer.reaching)
     return 1.0 / (1.0 + odds)
 
 
 def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
-    """Whether an alternative, or a law of its family, is physics and no measurement fault."""
+    """Whether an alternative, or a law of its family, is physics, not a measurement fault."""
     members = {family.name: family.members for family in families()}
     laws = (
         name
@@ -362,7 +363,7 @@ def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
 def _ordinary_mm(outcome: Outcome) -> float:
     """Return the size of the robot's ordinary static imperfections, mm RMS.
 
-    It is what they explain, or else their level.
+    It is the part that they explain, or else their level.
     """
     state = outcome.state
     explained = state is not state.without_background()
@@ -372,7 +373,7 @@ def _ordinary_mm(outcome: Outcome) -> float:
 def _alternatives(
     outcome: Outcome, fit: Fit, standing: Sequence[Step], known: Registry, context: Context
 ) -> list[Alternative]:
-    """Return what cannot be excluded: laws and families as good, and those of the same form."""
+    """Return what cannot be excluded: equally good laws and families, and those of equal form."""
     found: list[Alternative] = []
     dropped = set(context.demoted)
 
@@ -429,7 +430,7 @@ def _alternatives(
 def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, str, str]]:
     """Return steps of a condition that changes with time in every run.
 
-    With the family it looks like, and why.
+    Each has the family it looks like, and the reason.
     """
     conditions = [
         {c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts
@@ -459,7 +460,7 @@ def _twins(
 ) -> list[tuple[str, str]]:
     """Return effects that look like a member under the run's conditions.
 
-    With the reason why they cannot be excluded.
+    Each has the reason why it cannot be excluded.
     """
     record, found = fits.problem.record, []
     never = {h.name for h in impossible}
@@ -473,7 +474,7 @@ def _twins(
             rest = fits.without(fit, member)
             before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
             done = (before - theirs) / max(before - mine, 1e-300)
-            # forms of loads are too far off to exclude one
+            # load models are too inaccurate to exclude one
             if by != "orientation" and done < rule.STANDS_FOR:
                 continue
             why += f"; fitted here it does {100.0 * min(max(done, 0.0), 1.0):.0f} % of it"
@@ -484,11 +485,11 @@ def _twins(
 
 
 def _unbased(record: Record, fit: Fit, member: str, known: Registry, never: set[str]) -> list[str]:
-    """Return effects that look like a member where no point of the base is seen.
+    """Return effects that look like a member if no point of the base is visible.
 
-    The model does not have them.
+    They are effects that the model does not have.
 
-    Nothing that bends a body moves it along its axis.
+    Bending does not move a body along its axis.
     """
     lifted = abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM
     if lifted or all(base is not None for base in record.bases):

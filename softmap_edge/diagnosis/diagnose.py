@@ -1,8 +1,8 @@
-"""Diagnose: name the effect that a model lacks, with evidence, alternatives and errors.
+"""Identify the effects that a model lacks, with evidence, alternatives and errors.
 
-The errors are those before and after.
+Errors are given before and after.
 
-    run → frames that are measurements (sound.py) → candidates, noise, model error (prepare.py)
+    run → valid frames (clean.py) → candidates, noise, model error (prepare.py)
         → families, then their laws, accepted on held-out blocks (search.py, together.py) →
         certificates from withheld blocks (certificate.py) → findings, alternatives, verdict
         (conclusion.py)
@@ -61,12 +61,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name what is missing
-# fields of a diagnosis that name something
+# fields of a diagnosis with names
 NAMED = ("alternatives", "effects", "faults", "families")
-UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
-# fall of the held-out error by a refit from which the model's own numbers are in doubt
+UNSAID = 0.05  # share of frames that may lie outside the model's training range
+# fall of the held-out error by a refit above which the model's own parameters are in doubt
 OWN_FALL = 0.7
-# cosine between two whitened signatures from which their form does not distinguish them
+# cosine of two whitened signatures above which their form does not distinguish them
 ALIKE = 0.95
 TWICE = (
     "the diagnosis is relative to a reference run: record each next block twice, once under the "
@@ -83,23 +83,22 @@ def diagnose(
     progress: Callable[[str], None] | None = None,
     reference: Run | Sequence[Run] | None = None,
 ) -> Diagnosis:
-    """Find out which effect a model lacks.
+    """Identify the effects that a model lacks.
 
     Args:
-        model: a Model; its own chain is kept and not searched again.
+        model: a Model; its chain is kept and not searched again.
         run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot,
-            which share all parameters but those of the camera's frame and clock.
-        held_out: an independent run of another kind; effects without which the error there is lower
-            are dropped.
+            which share all parameters except those of the camera's frame and clock.
+        held_out: an independent run of another kind; effects that increase its error are dropped.
         effects: names of the candidates; all of the registry by default.
-        progress: hears one line per stage.
-        reference: a run of the same commands that stands for the model error (paired replay):
-            what acts alike in both cancels out, and every error is relative to it. Several, where
-            runs (or `held_out`) play other commands: each takes the one whose commands agree.
+        progress: called with one line per stage.
+        reference: a run of the same commands that measures the model error (paired replay). Effects
+            common to both cancel, and every error is relative to it. Several may be given if runs
+            (or `held_out`) play different commands: each uses the one whose commands agree.
 
     Returns:
-        Diagnosis: verdict, families, effects with parameters and sigma, alternatives, what this run
-        cannot show, the held-out error ladder.
+        Diagnosis: verdict, families, effects with parameters and sigma, alternatives, untestable
+        effects, held-out error ladder.
 
     Raises:
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other
@@ -128,19 +127,19 @@ def diagnose(
     demoted: list[str] = []
     if other is not None:
         fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
-    else:  # model-form error can hide what a static effect does wrong on unseen blocks; mm show it
+    else:  # model-form error can hide a static effect's error on unseen blocks; mm show it
         fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
-        if demoted:  # what stood in its place is looked for again
+        if demoted:  # search again for what it replaced
             outcome = search(
                 problem, [name for name in candidates if name not in demoted], progress
             )
             fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
             demoted += more
-    # wrong numbers of its own cancel out too
+    # wrong parameters of its own effects also cancel
     own = _own_misfit(record) if record.replay is None else None
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
-    gone = None  # a static map follows the runs that taught it as far as it can
+    gone = None  # a static map follows its training runs as far as it can
     if not record.remapped:
         gone = commands_not_followed(
             record, outcome.state.predicted if outcome.state.representatives else fit.predicted
@@ -160,7 +159,7 @@ def diagnose(
         fit, values = outcome.plain.null, _named_nothing(values, "cannot_tell", why)
     values |= with_unknown(model, values, teacher)
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
-    if model.output is not None:  # how reports turn the model's mm back into the output's unit
+    if model.output is not None:  # how reports convert the model's mm to the output's unit
         values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
@@ -184,7 +183,7 @@ def diagnose(
 
 
 def _reach(record: Record) -> float:
-    """Return the distance of the farthest seen place of the body from the origin, mm."""
+    """Return the distance of the farthest measured point from the origin, mm."""
     places = record.seen.reshape(len(record), -1, 3)[:, record.positions]
     return float(np.sqrt(np.nanmax(np.sum(places**2, axis=2), initial=0.0)))
 
@@ -192,7 +191,7 @@ def _reach(record: Record) -> float:
 def _apart(
     run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None
 ) -> None:
-    """Reject one recording in two places: it would count twice, or validate its own fit."""
+    """Reject a recording given twice: it would count twice, or validate its own fit."""
     runs = list(run) if isinstance(run, Sequence) else [run]
     others = (
         list(reference)
@@ -219,7 +218,7 @@ def _apart(
 
 
 def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Refit a model's own effects to a run, per channel where that is far better.
+    """Refit a model's own effects to a run, per channel if that is far better.
 
     Returns:
         tuple: the model with new parameters, and a document with parameters ± sigma and the error
@@ -254,7 +253,7 @@ def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
 
 
 def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of a model's own effects with one number per channel in place of one for all."""
+    """Return a fit of a model's own effects with one parameter per channel."""
     space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
     if space.free_labels == fit.space.free_labels:
         return fit
@@ -262,7 +261,7 @@ def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
 
 
 def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
-    """Return a model whose record of what was learned in has the numbers of a later fit."""
+    """Update the parameters in a model's record of learned effects from a later fit."""
     fresh = [
         LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound)
         for label, n in numbers.items()
@@ -279,18 +278,18 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
 
 
 def showing(model: Model, run: Run) -> list[Document]:
-    """Predict, before any fit, which effects would show in a run.
+    """Predict, before any fit, which effects a run would show.
 
-    Compare the size of each at typical strength with the noise.
+    Each effect at typical strength is compared with the noise.
 
     Returns:
         list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment,
         minutes}`: `deviations` is the size of its signature in standard deviations, `alike` the
-        effects whose signature is the same here within 5 %, `experiment` what to record where it
-        does not show or is not alone.
+        effects whose signature is the same here within 5 %, `experiment` the recording that shows
+        or separates it.
 
     Raises:
-        SoftmapError: as `diagnose`.
+        SoftmapError: as for `diagnose`.
     """
     record, _ = clean_record(model, run)
     candidates, impossible = candidates_of(record, None)
@@ -325,11 +324,11 @@ def _searched(
     progress: Callable[[str], None] | None,
     teacher: TaughtRuns,
 ) -> tuple[Problem, Outcome]:
-    """Search a record for what its model lacks.
+    """Search a record for the effects that its model lacks.
 
-    What a residual had learned is an effect if laws of the library explain it. Only if they do not
-    may it be the model error. A map that was learned with --static is solved again, if a law
-    of memory then explains the run.
+    The learned part of a residual is an effect if laws of the library explain it; otherwise it may
+    be model error. A map learned with --static is solved again if a memory law then explains the
+    run.
     """
     if record.static is not None and not record.error_is_noise:
         problem = problem_of(record, candidates, residual=False)
@@ -347,12 +346,12 @@ def _searched(
 
 
 def _shared(fit: Fit) -> dict[str, float]:
-    """Return a model's fitted parameters, without those that belong to single later runs."""
+    """Return a model's fitted parameters, without those of single later runs."""
     return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> float:
-    """Return the held-out error mm that a search leaves on other runs."""
+    """Return the held-out error of a search on other runs, mm."""
     outcome = search(problem_of(record_of(model, runs), candidates), candidates)
     return outcome.plain.held_out_mm(
         outcome.plain.get(outcome.fit.effects, outcome.fit.space.split)
@@ -360,7 +359,7 @@ def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> floa
 
 
 def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | None) -> Record:
-    """Return the run that nothing is fitted to, relative to a reference if the others are."""
+    """Return the held-out run, relative to a reference if the others are."""
     try:
         return clean_record(model, held_out, reference)[0]
     except SoftmapError as fault:
@@ -373,7 +372,7 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
 
 
 def _named_nothing(values: Document, verdict: str, why: str) -> Document:
-    """Return the fields of a diagnosis that names no effect, for a reason outside the search."""
+    """Return a diagnosis without named effects, for a reason outside the search."""
     error = replace(values["error"], ladder=(), with_static_residual=None)
     return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(
         NAMED, ()
@@ -381,11 +380,11 @@ def _named_nothing(values: Document, verdict: str, why: str) -> Document:
 
 
 def _extrapolated(record: Record, outcome: Outcome) -> str | None:
-    """Return why an error is not meaningful, if a map extrapolates in most frames.
+    """Return why an error is not meaningful if a map extrapolates in most frames.
 
-    None if it is meaningful.
+    Return None if it is meaningful.
 
-    It does where the other frames show it too: by far more than the model error.
+    It is meaningful if the other frames also show it, far above the model error.
     """
     coverage = record.model.coverage
     if (
@@ -419,7 +418,7 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
 
 
 def _outside(record: Record) -> str:
-    """Report how much of a run lies beyond the model's commands, where it extrapolates."""
+    """Report the share of a run beyond the model's commands, where it extrapolates."""
     if not len(record):
         return ""
     low, high = np.asarray(record.model.command_range, float).T
@@ -434,7 +433,7 @@ def _outside(record: Record) -> str:
 
 
 def _own_misfit(record: Record) -> OwnMisfit | None:
-    """Return what the model's own effects would reach with other numbers, if that is much."""
+    """Return the gain from refitting the model's own effects, if it is large."""
     if not record.model.chain_names:
         return None
     report = refit(record.model, record.recorded_runs)[1]
@@ -454,9 +453,9 @@ def _error_on(fit: Fit, other: Record) -> float:
 def _demote(
     fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float
 ) -> tuple[Fit, list[str]]:
-    """Drop members, or all at once, while the `error` is at most `share` without them.
+    """Drop members, or all at once, while the `error` without them is at most `share`.
 
-    It is in mm, on what was not fitted.
+    The error is in mm, on held-out data.
     """
     demoted: list[str] = []
     while fit.effects:

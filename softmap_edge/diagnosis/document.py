@@ -1,6 +1,6 @@
 """The document softmap.diagnosis/2.
 
-The result of a diagnosis, as an object that prints, reads and writes itself.
+The result of a diagnosis, with printing, reading and writing.
 
 Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on
 reading. Pinned by tests/diagnosis/test_diagnosis.py and tests/model/test_mutated_files.py.
@@ -73,10 +73,10 @@ class Diagnosis:
     next: tuple[NextBlock, ...] = ()
     made_from: Document = field(default_factory=dict)
     servo: tuple[ServoFinding, ...] = ()
-    # effects that were in the robot while the model was learned
+    # effects that were present while the model was learned
     learned_in: tuple[LearnedIn, ...] = ()
-    remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
-    # a Model; callers of `diagnose` need not look for None
+    remarks: tuple[str, ...] = ()  # on the run itself: excluded data, and what it cannot show
+    # a Model; never None from `diagnose`
     model: Any = field(default=None, repr=False)
 
     def to_dict(self) -> Document:
@@ -114,10 +114,10 @@ class Diagnosis:
 
     @classmethod
     def load(cls, path: str | Path) -> Diagnosis:
-        """Read the document that `softmap diagnose --out` wrote.
+        """Read a document of `softmap diagnose --out`.
 
         Raises:
-            SoftmapError: no readable JSON, or not a diagnosis.
+            SoftmapError: not valid JSON, or not a diagnosis.
         """
         try:
             document = json.loads(read_document(path), parse_int=_integer)
@@ -130,7 +130,7 @@ class Diagnosis:
     def params_of(self, name: str) -> dict[str, float]:
         """Return the fitted parameters of one named effect or fault, by label.
 
-        They are those of the first run, if they are its own.
+        Parameters per run are those of the first run.
 
         Raises:
             SoftmapError: the diagnosis does not name it.
@@ -143,10 +143,10 @@ class Diagnosis:
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def added(self, model: Model, names: Sequence[str]) -> Model:
-        """Return a model with effects that this diagnosis names, and what was fitted with them.
+        """Return a model with named effects of this diagnosis, and the parameters fitted with them.
 
         Raises:
-            SoftmapError: the diagnosis does not name one of them, or is one of another model.
+            SoftmapError: the diagnosis does not name one of them, or is of another model.
         """
         params: dict[str, float] = dict(model.params)
         for name in names:
@@ -160,7 +160,7 @@ class Diagnosis:
         return found
 
     def _checked(self, model: Model, name: str) -> dict[str, float]:
-        """Return the fitted parameters of one effect, all of them and none beyond its bounds."""
+        """Return all fitted parameters of one effect, within its bounds."""
         params, chain = self.params_of(name), _core.Chain([name], model.channels)
         values = valued(chain, params, np.full(len(chain.labels), np.nan))
         ranges = ranges_of(model, chain)
@@ -172,7 +172,7 @@ class Diagnosis:
                 raise SoftmapError(
                     f"the diagnosis has no {label}; it is not of this model, diagnose again"
                 )
-            # a known radius may be any
+            # a known radius has no bounds
             if not low - room <= value <= high + room and label != RADIUS:
                 raise SoftmapError(
                     f"{label} is {value:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; "
@@ -187,9 +187,9 @@ class Diagnosis:
 
 
 def with_error(model: Model, entries: Sequence[Finding]) -> Model:
-    """Return a model with the error that was fitted along with its added effects.
+    """Return a model with the error fitted together with its added effects.
 
-    A rod with other numbers has another error.
+    A rod with other parameters has another error.
     """
     for entry in entries:
         if entry.refitted is None:
@@ -209,5 +209,5 @@ def with_error(model: Model, entries: Sequence[Finding]) -> Model:
 
 
 def _integer(digits: str) -> int | float:
-    """Return an integer of JSON; infinity for one beyond any float, which arithmetic rejects."""
+    """Return an integer of JSON; infinity if it is beyond the range of floats."""
     return int(digits) if len(digits) < 300 else float(digits)

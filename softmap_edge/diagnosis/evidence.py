@@ -1,13 +1,13 @@
 """Evidence for a finished search.
 
-The error ladder, effects that this run cannot show, structure in the remainder.
+The error ladder, effects that this run cannot show, and structure in the unexplained error.
 
 Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that
 took no part in the fit: blocks of time, or an independent run. The static baseline is a ridge on a
-polynomial of the command. It is the limit of a corrector without memory or physics. Testability:
-whitened size of an effect's signature at a typical strength (see `typical_difference`) on this run.
-Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events.
-Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
+polynomial of the command. It is the best that a corrector without memory or physics can reach.
+Testability: whitened size of an effect's signature at a typical strength (see `typical_difference`)
+on this run. Units: mm. Known limit: the ridge detects smooth dependence on the conditions, not
+single events. Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from softmap_edge.run.conditions import Bin, cells, last_direction, orientations
 
 Floats = NDArray[np.float64]
 
-DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
+DETECTABLE = 5.0  # whitened size below which a signature is not visible, standard deviations
 RIDGE = 3.0  # ridge on standardised columns
-IDLE = 0.05  # of what an effect moves: less than that is nothing
-SEEN_R2 = 0.02  # from which a condition is named as a predictor of the unexplained error
-STATIC_RIDGE = 0.03  # of a static residual, for each frame that trains it
+IDLE = 0.05  # of an effect's size: smaller changes count as none
+SEEN_R2 = 0.02  # share above which a condition is named as a predictor of the unexplained error
+STATIC_RIDGE = 0.03  # ridge of a static residual, per training frame
 Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
 def equivalents(record: Record, name: str) -> list[str]:
-    """Return the effects that this run cannot distinguish from `name` by their form.
+    """Return effects whose form this run cannot distinguish from `name`.
 
-    They are effects of the registry, tried or not.
+    All effects of the registry are considered, tried or not.
     """
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
         "roll": record.roll_seen,
-        "base": True,  # asked where an effect is named (`conclusion._twins`)
+        "base": True,  # handled where an effect is named (`conclusion._twins`)
         "never": False,
     }
     effects = registry()
@@ -57,7 +57,7 @@ def equivalents(record: Record, name: str) -> list[str]:
 def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
     """Return the candidates outside the fit whose signature this run does not show.
 
-    The signature is that of a typical strength.
+    The effects have typical strength.
     """
     problem, found = fits.problem, []
     for name in fits.candidates:
@@ -71,9 +71,9 @@ def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
 
 
 def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
-    """Return the size of an effect of typical strength.
+    """Return the effect size and signature at typical strength.
 
-    mm RMS of the centreline, and its whitened signature (n,).
+    The size is in mm RMS of the centreline; the whitened signature is (n,).
     """
     signature = np.where(
         np.isfinite(problem.record.seen), typical_difference(problem, name), np.nan
@@ -84,9 +84,9 @@ def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
 
 
 def unseen(moved: float, size: float) -> str | None:
-    """Return why a signature is not seen, if so.
+    """Return why a signature is not visible, if it is not.
 
-    It has a `size` in standard deviations and an effect size of `moved` mm RMS.
+    `size` is in standard deviations, the effect size `moved` in mm RMS.
     """
     if moved < VISIBLE_MM:
         return (
@@ -104,11 +104,11 @@ def unseen(moved: float, size: float) -> str | None:
 def typical_difference(problem: Problem, name: str) -> Floats:
     """Return the feature difference (K, F) mm of an effect at a typical strength.
 
-    This strength is half-way from null to the end of its range. On a logarithmic scale it is the
-    start, or half-way up from there, whichever moves the body more.
+    This strength is halfway from null to the end of its range. On a logarithmic scale, it is the
+    start, or halfway up from there, whichever moves the body more.
     """
     space = problem.space((name,))
-    # some are absent at their high end
+    # some effects are absent at their high end
     far = 0.5 * np.where(space.usual_high > 0, space.usual_high, space.low)
     middle = np.where(space.log, space.start, far)
     high = np.where(space.log, np.minimum(0.5, space.usual_high), far)
@@ -125,7 +125,7 @@ def typical_difference(problem: Problem, name: str) -> Floats:
 
 
 def unexplained_structure(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
-    """Look for structure in the unexplained error (K, F) mm after fitting so many numbers."""
+    """Find structure in the unexplained error (K, F) mm after a number of fitted parameters."""
     record = problem.record
     white = problem.whitener.shrink(problem.whitener.modes(residual) * problem.gain)
     chi2 = float(np.sum(white**2)) / max(1.0, problem.numbers - numbers)
@@ -141,9 +141,9 @@ def unexplained_structure(problem: Problem, residual: Floats, numbers: int) -> U
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
-    Not counted are a bound at which the effect is absent (no payload, one creep time, a channel
-    without play), the largest of whole numbers, and a natural limit: nothing or all of a share,
-    half a turn, the shortest instant.
+    Excluded are bounds at which the effect is absent (no payload, one creep time, a channel without
+    backlash), the largest integer, and natural limits: 0 or 1 of a share, half a turn, the shortest
+    time.
     """
     space = fit.space
     null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
@@ -161,9 +161,9 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
 
 
 def _idle(fit: Fit, label: str) -> bool:
-    """Whether a number of an effect does nothing, relative to all of them.
+    """Whether a parameter of an effect has no influence, relative to the others.
 
-    It may then be anything up to its null.
+    It may then have any value up to its null.
     """
     space, record = fit.space, fit.problem.record
     null = dict(zip(space.free_labels, space.null))
@@ -177,7 +177,7 @@ def _idle(fit: Fit, label: str) -> bool:
 
 
 def condition_columns(record: Record) -> dict[str, Floats]:
-    """Return the columns that a leftover may depend on, by condition; each (K, n)."""
+    """Return the columns for the unexplained error, by condition; each (K, n)."""
     state, k = record.state, len(record)
     u = scaled_commands(record.command, 0.5 * record.spread)
     v = state.velocity
@@ -274,8 +274,8 @@ def ladder(
 ) -> Errors:
     """Return held-out errors (mm): model, static baseline, each effect, both; per fold.
 
-    They are those of blocks, or of an independent run `other` with parameters and static residual
-    of the diagnosed run.
+    They are from held-out blocks, or from an independent run `other` with the parameters and static
+    residual of the diagnosed run.
     """
     problem, record = fits.problem, fits.problem.record
     steps = [fits.null, *(fits.get(order[: i + 1], split) for i in range(len(order)))]
@@ -314,7 +314,7 @@ def _held_out(problem: Problem, predictions: Floats, static: bool) -> float:
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
     """Return a static residual (K of `at`, F), trained on frames `train` of `record`.
 
-    It is trained for each feature where it is seen.
+    Each feature is trained on the frames that show it.
     """
     half = 0.5 * record.spread
     columns = np.concatenate(

@@ -1,4 +1,4 @@
-"""The families of effects, and the columns of each about a state: level 1 of a diagnosis.
+"""Level 1 of a diagnosis: the families of effects, and their columns about a state.
 
 A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields
 of the body. `representatives.py` fits them. The columns, the families and the normal equations are
@@ -23,13 +23,13 @@ Floats = NDArray[np.float64]
 Commands = list[Floats]  # effective commands (T, C) of each run
 
 TURNED = 2  # decimals of the direction of gravity: nearer ones are one orientation
-WARMED = 0.5  # K that a run must warm by
-REACH = 0.15  # of the range of a parameter, at which the signature of a field is taken
-FAR = 0.5  # the same of an effect on commands, whose form changes with its size
-PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
+WARMED = 0.5  # least warming of a run, K
+REACH = 0.15  # of a parameter's range: where the signature of a field is evaluated
+FAR = 0.5  # the same for an effect on commands, whose form changes with its size
+PLACES = (0.2, 0.5, 0.8)  # of the range of a location parameter: where signatures are evaluated
 AT_BOUND = 1e-6  # of the scale of a parameter
-FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
-MAPPED = ("static map", "coupling")  # families that span a learned static map
+FREE_MM = 0.9  # effect size of one such column, mm RMS
+MAPPED = ("static map", "coupling")  # families whose columns span a learned static map
 
 
 CURVES: dict[str, Callable[[Floats], Floats]] = {  # of a channel
@@ -53,11 +53,11 @@ class Family:
     """A family of effects as the registry declares it."""
 
     name: str
-    kind: str  # what it depends on: "static", "memory", "time" or "condition"
-    members: tuple[str, ...]  # effects that may be its law
+    kind: str  # its input: "static", "memory", "time" or "condition"
+    members: tuple[str, ...]  # candidates for its law
     fields: tuple[str, ...] = ()  # effects whose signatures are among its columns
     modes: int = 0  # free shapes among its columns
-    # what separates it from families that look like it, and the minutes
+    # experiment that separates it from similar families, and the minutes
     experiment: tuple[str, float] = ("", 0.0)
 
 
@@ -103,7 +103,7 @@ class Columns:
     commanded: int
 
     def with_slopes(self, slopes: Floats) -> Columns:
-        """Return the columns where the slopes over the commands are others, (C, K, F)."""
+        """Return the columns for other slopes over the commands, (C, K, F)."""
         return replace(self, base=np.concatenate([slopes, self.base[len(slopes) :]]))
 
     def shift(self, theta: Floats, first: int = 0) -> Floats:
@@ -118,7 +118,7 @@ class Columns:
 
 
 class FeatureBody:
-    """What level 1 needs: effective commands to features, and the columns of each family."""
+    """Data of level 1: the map from effective commands to features, and each family's columns."""
 
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
         self.problem, self.record, self.candidates = problem, problem.record, set(candidates)
@@ -128,9 +128,9 @@ class FeatureBody:
         self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
-        # a user's, of any family
+        # user-defined effects, of any family
         self.own = [info.name for info in registry().values() if info.own]
-        # ordinary static imperfections of the robot, RMS, apart from what was found
+        # ordinary static imperfections of the robot without the effects found, RMS
         self.ordinary_mm = 0.0
         self.free_map = isinstance(self.record.model.prior, _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
@@ -139,7 +139,7 @@ class FeatureBody:
     # --- commands and features ------------------------------------------------------------------
 
     def effective(self, fit: Fit) -> Commands:
-        """Return what a fit makes of the commands at full rate."""
+        """Return the effective commands of a fit at full rate."""
         names, params = fit.space.names, fit.space.params(fit.x[None])[0]
         out = []
         for part, column in zip(self.parts, self.record.layout(names).columns):
@@ -204,7 +204,7 @@ class FeatureBody:
     def _temperatures(self) -> list[Floats | None]:
         """Temperature (T,) °C of each run; None where not all of them warm.
 
-        A bank scales what one run shows.
+        A bank scales the range of one run.
         """
         rows = [declared(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
@@ -212,9 +212,9 @@ class FeatureBody:
 
     @cached_property
     def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
-        """Codes of all orientations, and which of them each sample (T,) of a run is in.
+        """Codes of all orientations, and the orientation of each sample (T,) of a run.
 
-        None where there is one.
+        None if there is only one.
         """
         rows = [declared(part.run.gravity, len(part.run.t), 3) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
@@ -234,7 +234,7 @@ class FeatureBody:
             bank.columns(one, np.asarray(part.t_seen, float))
             for one, part in zip(series, self.parts)
         ]
-        # one of the runs does not declare what it needs
+        # one of the runs does not declare the required field
         if len({len(which) for which, _ in found}) > 1:
             found = [(which[:0], weight[:0]) for which, weight in found]
         which, weight = (
@@ -265,7 +265,10 @@ class FeatureBody:
         return self._signatures[family.name]
 
     def single(self, effect: str) -> Columns | None:
-        """Return the effect of each number of one effect as columns; None if none has any here."""
+        """Return the signature of each parameter of an effect as columns;
+
+        None if all are zero here.
+        """
         if effect not in self._signatures:
             found = self._signature(effect)
             self._signatures[effect] = (
@@ -279,7 +282,7 @@ class FeatureBody:
     def curves(self, commands: Commands, slopes: Floats) -> dict[str, Columns]:
         """Return smooth static maps of one form as columns.
 
-        Each is a curve of a channel, or what one channel does to another.
+        Each is a curve of a channel, or a coupling from one channel to another.
         """
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
         x, channels = (seen - self.middle) / self.half, len(self.half)
@@ -295,7 +298,7 @@ class FeatureBody:
         return found
 
     def _free_shapes(self, count: int) -> list[Floats]:
-        """Return the leading spatial modes of what candidates do, as shapes that do not change."""
+        """Return the leading spatial modes of the candidates' signatures, as constant shapes."""
         shapes = np.linalg.pinv(self.weights)[:count]
         size = [self.record.rms_mm(np.tile(s, (len(self.record), 1))) for s in shapes]
         return [
@@ -304,9 +307,9 @@ class FeatureBody:
         ]
 
     def _signature(self, name: str) -> list[Floats]:
-        """Return what each amount of an effect adds to the model (K, F) mm.
+        """Return the signature (K, F) mm of each amount of an effect.
 
-        At several places, if it has one.
+        If it has a location, use several values of it.
         """
         record = self.record
         own = tuple(record.model.chain_names)
@@ -363,7 +366,7 @@ class FeatureBody:
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add slopes of a fit over numbers not at a bound; return whether there are any."""
+        """Add slopes of a fit over parameters not at a bound; return whether there are any."""
         free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
         if len(free):
             ones = np.ones((len(free), len(self.record)))
@@ -372,7 +375,7 @@ class FeatureBody:
 
 
 def seen_commands(part: Record, commands: Floats) -> Floats:
-    """Return effective commands (T, C) at the seen times, (K, C)."""
+    """Return effective commands (T, C) at the frame times, (K, C)."""
     t = np.asarray(part.run.t, float)
     rows = [np.interp(part.t_seen, t, column) for column in commands.T]
     return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
@@ -381,7 +384,7 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
 def declared(values: object, *shape: int) -> Floats | None:
     """Return what a run declares for each sample, in a `shape` (T,) or (T, 3).
 
-    None where it declares nothing.
+    None if it declares nothing.
     """
     return (
         None

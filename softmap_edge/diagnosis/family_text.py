@@ -1,8 +1,8 @@
-"""The findings in the terms of two levels: each family, its law, and the share of both.
+"""Describe the findings on two levels: each family, its law, and the share of both.
 
 A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the
-facts about it. Pages take them from here (`report/families.py`). Documents of schema 1 hold no
-families. Pinned by tests/report/test_loop_figure.py.
+facts about it. Reports use it (`report/families.py`). Documents of schema 1 hold no families.
+Pinned by tests/report/test_loop_figure.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def family_line(row: Row, findings: Sequence[Row]) -> str:
 
     Args:
         row: an entry of `families` of a diagnosis document.
-        findings: the entries of `effects` and `faults`, for the fitted numbers of the law.
+        findings: the entries of `effects` and `faults`, for the fitted parameters of the law.
 
     Returns:
         str: no line break, no full stop.
@@ -49,7 +49,7 @@ def _capital(name: str) -> str:
 
 
 def _law(effect: str, params: Mapping[str, Row]) -> str:
-    """Return an effect with its numbers.
+    """Return an effect with its parameters.
 
     For example 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1'.
     """

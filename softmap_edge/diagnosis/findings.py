@@ -1,6 +1,6 @@
 """The results of a diagnosis as frozen records.
 
-They are written to and read from the document softmap.diagnosis/2.
+The document softmap.diagnosis/2 stores them.
 
 Units: mm, s. Pinned by tests/diagnosis/test_document.py.
 """
@@ -17,15 +17,12 @@ from softmap_edge.errors import ReportError
 from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
-BEYOND = 6  # powers of ten of an e-value that are reported
+BEYOND = 6  # largest reported power of ten of an e-value
 
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted parameter: value, one standard deviation, unit, if at a bound, and its case.
-
-    The case is in words.
-    """
+    """A fitted parameter: value, one standard deviation, unit, bound flag, meaning in words."""
 
     value: float
     sigma: float | None = None
@@ -36,7 +33,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Displacement:
-    """Effect size in mm RMS over the places: on the fitted run, and on a held-out one."""
+    """Effect size in mm RMS over the places, on the fitted run and on a held-out run."""
 
     fitted: float | None = None
     held_out: float | None = None
@@ -44,7 +41,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Refitted:
-    """Numbers of the model that were fitted with an effect, and the error (F,) mm of the fit."""
+    """Model parameters fitted with an effect, and the error (F,) mm of the fit."""
 
     params: dict[str, Number]
     error_mm: tuple[float, ...] = ()
@@ -52,10 +49,10 @@ class Refitted:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Evidence for a claim from blocks that took no part in fitting its numbers.
+    """Evidence for a claim, from blocks withheld from its fit.
 
     `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least
-    `log10_needed`. `reason` is why there is no e-value.
+    `log10_needed`. `reason` explains a missing e-value.
     """
 
     log10_e: float | None = None
@@ -67,7 +64,7 @@ class Certificate:
 
     @property
     def refuted(self) -> bool:
-        """Whether the withheld blocks were asked and do not confirm the claim."""
+        """Whether the claim was tested on the withheld blocks and not confirmed."""
         return self.log10_e is not None and not self.certified
 
     def __str__(self) -> str:
@@ -81,9 +78,9 @@ class Certificate:
 
 
 def power(log10: float) -> str:
-    """Return a number by its decimal logarithm.
+    """Return a number from its decimal logarithm.
 
-    Beyond BEYOND powers of ten no noise model is that exact.
+    It is limited to BEYOND powers of ten: no noise model is more exact.
     """
     if abs(log10) > BEYOND:
         return f"{'more' if log10 > 0.0 else 'less'} than 10^{'' if log10 > 0.0 else '-'}{BEYOND}"
@@ -140,15 +137,15 @@ class FamilyFinding:
     law_share: float | None = None
     generic: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()  # other families that cannot be distinguished here
-    # of a family without a law; that of a law stands with its effect
+    # of a family without a law; a law has it in its effect
     certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
 class Untestable:
-    """An effect that this run cannot show or separate from another: why, and what to record.
+    """An effect that this run cannot show or separate: the reason, and what to record.
 
-    If it is a limit `of_model`, no recording shows it with this model.
+    If it is a limit `of_model`, no recording can show it with this model.
     """
 
     name: str
@@ -160,7 +157,7 @@ class Untestable:
 
 @dataclass(frozen=True)
 class Rung:
-    """A step of the error ladder: the added effect, and the held-out error with it."""
+    """A step of the error ladder: an added effect, and the held-out error with it."""
 
     added: str
     value: float
@@ -185,27 +182,27 @@ class ErrorLadder:
 
     @property
     def after(self) -> float:
-        """The error with all effects added; NaN where it is not known."""
+        """The error with all effects added; NaN if unknown."""
         return self.ladder[-1].value if self.ladder else self.before
 
     @property
     def before(self) -> float:
-        """The error of the model alone; NaN where it is not known."""
+        """The error of the model alone; NaN if unknown."""
         return math.nan if self.model is None else self.model
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it.
+    """The unexplained error beyond the noise, mm RMS; chi²/n; conditions that predict it.
 
-    They do so on held-out blocks.
+    Prediction is tested on held-out blocks.
     """
 
     rms_mm: float | None = None
     chi2_per_n: float | None = None
     blocked_r2: float | None = None
     predicted_by: str | None = None
-    # ordinary static imperfections of the robot, which are no discovery
+    # ordinary static imperfections of the robot, which are not findings
     ordinary_mm: float | None = None
 
 
@@ -219,9 +216,9 @@ class Where:
 
 @dataclass(frozen=True)
 class NextBlock:
-    """What to record next: the minutes it takes, and what it resolves.
+    """What to record next: its minutes, the questions that it resolves, and its separation.
 
-    Also the simulated separation, if there is one.
+    The separation is simulated; None without a simulation.
     """
 
     block: str
@@ -248,7 +245,7 @@ class ServoError:
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """Effects between command and encoder of a channel; held-out error before and after."""
+    """Effects between command and encoder of a channel, with held-out error before and after."""
 
     channel: int
     unit: str
@@ -272,7 +269,7 @@ def plain(value: object) -> Any:
 
 
 def read(kind: type[T], document: object, where: str) -> T:
-    """Return the record that a part of a document holds; ignore unknown keys.
+    """Read a record from a part of a document; ignore unknown keys.
 
     Raises:
         ReportError: a key is missing or mistyped; `where` names the place.
@@ -292,7 +289,7 @@ def read(kind: type[T], document: object, where: str) -> T:
 
 
 def _value(hint: object, value: object, where: str) -> Any:
-    """Return a value of a document as its annotated type."""
+    """Convert a value of a document to its annotated type."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in inner:

@@ -1,16 +1,16 @@
-"""Fits effects' parameters to a run: bounded Levenberg-Marquardt on whitened features.
+"""Fit effect parameters to a run by bounded Levenberg-Marquardt on whitened features.
 
-All steps are in batched rollouts.
+All steps use batched rollouts.
 
     J(x) = |C^(-1/2) (seen - predicted(x))|² / inflation + |x|²
 
-x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is
-searched on a log scale; the last term is the weak prior at the plausible range. Bounds are kept by
-clipping and an active set. A Jacobian is one batched call (forward differences, 0.4 % of the range:
-play and stops are not smooth below that). While steps win what the slopes promise it is carried on
-by secants (Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one. Limit:
-blocked cross-validation refits each fold by one Gauss-Newton step from the full fit, of at most
-half a range. Pinned by tests/diagnosis/test_fit.py.
+x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range for a log scale.
+The last term is a weak prior at the plausible range. Clipping and an active set enforce the bounds.
+A Jacobian is one batched call (forward differences, 0.4 % of the range: backlash and stops are not
+smooth below that). While steps reduce the objective as predicted, secants update it (Broyden 1965,
+doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one. Limit: blocked cross-validation
+refits each fold by one Gauss-Newton step from the full fit, of at most half a range. Pinned by
+tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from softmap_edge.run.folds import run_folds
 
 Floats = NDArray[np.float64]
 
-# of the frames: where more show only some of the features, all are predicted by their features
+# of the frames: with more partly visible ones, all frames are predicted by features
 HALF_SEEN = 0.25
-STEP = 4e-3  # of the range of a parameter
+STEP = 4e-3  # of a parameter's range
 ITERATIONS = 20
 DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
-# factors tried with new slopes; the next lot if none is better
+# factors tried with new slopes; the second group if none of the first is better
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))
-SECANTS = 3  # parameters from which slopes are carried on by secants
-# of the fall that its slopes predict: a step that wins less, or twice as much, needs new slopes
+SECANTS = 3  # least number of parameters for secant updates
+# of the predicted fall: a step with less, or with twice as much, needs new slopes
 LINEAR = 0.5
 
 
 class Space:
     """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`.
 
-    A number that channels share is one coordinate, `backlash.gap`, for all of them. For an effect
-    in `split` there is one for each channel, `backlash.gap[0]`.
+    A parameter that channels share is one coordinate, `backlash.gap`. An effect in `split` has one
+    for each channel, `backlash.gap[0]`.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Space:
         self.log, self.integer, self.instant = (
             a[self.free] for a in (layout.log, layout.integer, layout.instant)
         )
-        # not so the prior's own numbers, which count with or without
+        # not so the prior's own parameters, which always count
         self.declared = layout.declared[self.free]
         self._zero = np.where(self.log, start[self.free], null[self.free])
         linear = np.maximum(np.abs(high - null), np.abs(low - null))[self.free]
@@ -91,13 +91,13 @@ class Space:
             octave = np.where(self.log, 0.5 * np.log(high[self.free] / low[self.free]), 1.0)
         self._scale = np.where(self.log, octave, np.maximum(linear, 1e-12))
         self.low, self.high = self.scaled(low[self.free]), self.scaled(limit[self.free])
-        # the end of the plausible range; fits may go on to `high`
+        # end of the plausible range; fits may go up to `high`
         self.usual_high = self.scaled(high[self.free])
         self.start = self.scaled(start[self.free])
         self.null = null[self.free]
 
     def scaled(self, values: Floats) -> Floats:
-        """Return x of parameter values (P,)."""
+        """Return x for parameter values (P,)."""
         safe = np.where(
             self.log, np.maximum(values, 1e-300) / np.maximum(np.abs(self._zero), 1e-300), 1.0
         )
@@ -110,7 +110,7 @@ class Space:
         return np.asarray(np.where(self.log, self._zero * np.exp(exponent), self._zero + stretched))
 
     def params(self, x: Floats) -> Floats:
-        """Return complete parameter sets (B, N) of a batch x (B, P), for a record's prediction."""
+        """Return complete parameter sets (B, N) for a batch x (B, P)."""
         return self.full(self._sets(x))
 
     def named(self, x: Floats) -> dict[str, float]:
@@ -128,7 +128,7 @@ class Space:
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
     def pinned(self, x: Floats) -> Space:
-        """Return bounds in which integer coordinates stay as at x: no slope leads away."""
+        """Return bounds that fix integer coordinates at x, because they have no slope."""
         if not self.integer.any():
             return self
         held = copy(self)
@@ -144,7 +144,7 @@ class Space:
         return [self.labels[i] for i in self.free]
 
     def of(self, effects: Collection[str]) -> NDArray[np.bool_]:
-        """Return which of the free parameters (P,) are those of some effects."""
+        """Return a mask of the free parameters (P,) that belong to some effects."""
         return np.array([label.split(".")[0] in effects for label in self.free_labels], bool)
 
 
@@ -154,8 +154,7 @@ class Fit:
 
     `cost` is the objective.
 
-    Many sets are fitted and seldom looked at again: what they predict, and the slopes there, are
-    found when asked for.
+    Many sets are fitted and rarely used again, so predictions and slopes are computed on demand.
     """
 
     problem: Problem
@@ -168,7 +167,7 @@ class Fit:
 
     @cached_property
     def predicted(self) -> Floats:
-        """The features (K, F) mm that are predicted."""
+        """The predicted features (K, F) mm."""
         return np.asarray(
             self.problem.record.predict(self.space.names, self.space.params(self.x[None]))[0]
         )
@@ -184,7 +183,7 @@ class Fit:
         return self.space.named(self.x)
 
     def on(self, other: Record) -> Floats:
-        """Return what the fitted parameters predict on another record (K, F) mm."""
+        """Return the prediction of the fitted parameters on another record (K, F) mm."""
         layout = other.layout(self.space.names, self.space.split)
         return np.asarray(
             other.predict(self.space.names, layout.full(layout.values(self.params)[None]))[0]
@@ -193,7 +192,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class ProjectedFeatures:
-    """Seen features as modes (K, M), and separately the frames with unseen features.
+    """Measured features as modes (K, M), and separately the frames with hidden features.
 
     These frames are `rows` (R,).
     """
@@ -213,7 +212,7 @@ class Problem:
         self.record, self.noise, self.whitener = record, noise, whitener
         self.base = record.own_values() if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
-        # a frame that shows a third of the body counts a third
+        # a frame is weighted by the visible share of the body
         seen = np.isfinite(record.seen).mean(axis=1)
         self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
@@ -234,7 +233,7 @@ class Problem:
     ) -> Space:
         """Return the coordinates of a set of effects, cached.
 
-        Effects in `split` have one number for each channel.
+        Effects in `split` have one parameter for each channel.
         """
         key = (tuple(effects), tuple(free), tuple(sorted(split)))
         if key not in self._spaces:
@@ -243,13 +242,13 @@ class Problem:
 
     @cached_property
     def unchanged(self) -> Floats:
-        """Features (K, F) mm that the model predicts as it is."""
+        """Features (K, F) mm predicted by the unchanged model."""
         own = self.space(())
         return np.asarray(self.record.predict(own.names, own.params(np.zeros((1, 0))))[0])
 
     @cached_property
     def fold_kernels(self) -> list[tuple[Kernel, Kernel]]:
-        """Kernels over the commands of each fold's training and test frames."""
+        """Kernels over the commands of the training and test frames of each fold."""
         command, spread, leaning = self.record.command, self.record.spread, self.record.leaning
         parts = [
             (command_kernel(command[i], spread, leaning[i]) for i in fold) for fold in self.folds
@@ -262,13 +261,13 @@ class Problem:
 
     @cached_property
     def _forms(self) -> Forms:
-        """What predicts modes without features."""
+        """The direct prediction of modes, without features."""
         return self.record.forms(self._weights)
 
     def _projected(self) -> ProjectedFeatures | None:
-        """Return the modes of seen features, found again if those were exchanged.
+        """Return the modes of measured features, recomputed if the features were replaced.
 
-        None where much is not seen.
+        None if many features are hidden.
         """
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
@@ -317,7 +316,7 @@ class Problem:
     ) -> Fit:
         """Fit a set of effects from each start (P,) in scaled coordinates and keep the best.
 
-        The shared numbers of the effects in `split` are fitted for each channel.
+        The shared parameters of the effects in `split` are fitted for each channel.
         """
         space = self.space(effects, free, split)
         inside = [np.clip(start, space.low, space.high) for start in starts]
@@ -325,7 +324,7 @@ class Problem:
         return min(fits, key=lambda fit: fit.cost)
 
     def null(self) -> Fit:
-        """Return the model as it is, as a fit of nothing."""
+        """Return the unchanged model as a fit without effects."""
         return self.fit((), [np.zeros(0)])
 
     def _descend(self, effects: tuple[str, ...], space: Space, x: Floats) -> Fit:
@@ -381,7 +380,7 @@ class Problem:
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
         """Return each free parameter's standard deviation in user units.
 
-        It is widened by the over-dispersion.
+        It includes the over-dispersion.
         """
         jacobian = self.white(fit.slopes)
         inverse = np.linalg.inv(jacobian @ jacobian.T / max(1.0, dispersion) + np.eye(len(fit.x)))
@@ -394,7 +393,7 @@ class Problem:
         points = []
         for (train, _), (kernel, _) in zip(self.folds, self.fold_kernels):
             jacobian = self.whitener.shrink(fit.slopes[:, train], kernel).reshape(len(fit.x), -1)
-            # else the prior alone moves it, in a fold that does not show it
+            # otherwise the prior alone moves it, in a fold that does not show it
             acts = np.sum(jacobian**2, axis=1) >= 1.0
             residual = self.whitener.shrink(fit.modes[train], kernel).ravel()
             step = newton_step(fit.space, fit.x, jacobian, residual, DAMPING) - fit.x
@@ -403,9 +402,9 @@ class Problem:
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 
     def held_out_mm(self, predictions: Floats) -> float:
-        """Return the RMS distance (mm) of each fold's prediction (folds, K, F), on its tests.
+        """Return the RMS error (mm) of each fold's prediction (folds, K, F).
 
-        These are its test frames.
+        The error is over the test frames of the fold.
         """
         folds = zip(predictions, self.folds)
         squares = [
@@ -416,7 +415,7 @@ class Problem:
     def fold_losses(self, predictions: Floats) -> Floats:
         """Return held-out losses (folds,) of each fold's own prediction on its test frames.
 
-        Every frame counts for itself, with noise and model-form error in its variance.
+        Frames are independent, with noise and model-form error in their variance.
         """
         spread = np.sqrt(1.0 + self.whitener.form)
         modes = [
@@ -434,7 +433,7 @@ def newton_step(
 
 
 def normal(x: Floats, jacobian: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Return gradient (P,) and Hessian (P, P) of half the objective at x, the prior included."""
+    """Return gradient (P,) and Hessian (P, P) of half the objective at x, with the prior."""
     return np.asarray(jacobian @ residual + x), np.asarray(jacobian @ jacobian.T + np.eye(len(x)))
 
 
@@ -443,12 +442,12 @@ def normal_step(
 ) -> Floats:
     """Return x after one damped step within the bounds.
 
-    From gradient (P,) and Hessian (P, P) of half the objective.
+    Gradient (P,) and Hessian (P, P) are those of half the objective.
     """
     low, high = space.low, space.high
     free = ~(((x <= low + 1e-9) & (gradient > 0)) | ((x >= high - 1e-9) & (gradient < 0)))
     ahead = x.copy()
-    for _ in range(3):  # parameters that hit a bound are fixed there and the others solved again
+    for _ in range(3):  # fix parameters that reach a bound, and solve again for the others
         if not free.any():
             break
         if free.all():

@@ -1,9 +1,9 @@
-"""Fits of sets of effects on one problem, each made once.
+"""Fits of sets of effects on one problem, cached.
 
-With parameters, cross-validation, and what each member does.
+Each has parameters, cross-validation, and the contribution of each member.
 
-A set is fitted from the best of a few starts of its newest member, with the others where a smaller
-set left them. Units: mm. Pinned by tests/diagnosis/test_fits.py.
+A set is fitted from the best of a few starts of its newest member, with the other members at their
+values in a smaller set. Units: mm. Pinned by tests/diagnosis/test_fits.py.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.fit import STEP, Fit, Problem, Space
 
 Floats = NDArray[np.float64]
-# effects, and those of them with a number for each channel
+# effects, and those with a parameter for each channel
 Key = tuple[frozenset[str], frozenset[str]]
 
-INSTANTS = 16  # places in time at which something may have happened
-DESCENTS = 2  # starts of a member that are followed to their end
-APART = 0.5  # of a scale: two starts that lie nearer to each other are one
-SLOPES_BYTES = 20e6  # of all fits of a problem: those of a run of some hundred frames take less
-# of a logarithmic scale, where a fit of an effect begins besides its start
+INSTANTS = 16  # candidate times of an event
+DESCENTS = 2  # starts of a member that are fitted to convergence
+APART = 0.5  # of a scale: nearer starts count as one
+SLOPES_BYTES = 20e6  # memory of all fits of a problem; a run of a few hundred frames needs less
+# of a logarithmic scale: further starts of an effect
 GRID = (0.15, 0.35, 0.65, 0.85)
 
 
@@ -41,7 +41,7 @@ class Fits:
     def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
         """Return the fit of a set of effects.
 
-        Those in `split` have a number for each channel in place of one.
+        Those in `split` have a parameter for each channel instead of one.
         """
         key = frozenset(effects), frozenset(split) & frozenset(effects)
         if key not in self._fits:
@@ -50,9 +50,9 @@ class Fits:
         return self._fits[key]
 
     def _forget(self) -> None:
-        """Drop the slopes of the oldest fits if those of all take much memory.
+        """Drop the slopes of the oldest fits if all slopes need too much memory.
 
-        A fit finds them again when asked.
+        A fit recomputes them on demand.
         """
         held = [fit for fit in reversed(self._fits.values()) if "slopes" in fit.__dict__]
         size = np.cumsum([fit.slopes.nbytes for fit in held])
@@ -65,14 +65,14 @@ class Fits:
         return self.get([e for e in fit.effects if e != effect], fit.space.split)
 
     def _split(self, key: Key) -> Fit:
-        """Fit a set with numbers for each channel, from the best numbers for all of them."""
+        """Fit a set with parameters for each channel, from the best shared parameters."""
         effects, split = key
         shared = self.get(effects, split - {max(split)})
         space = self.problem.space(shared.effects, split=split)
         return self.problem.fit(shared.effects, [carried(shared, space)], split=split)
 
     def _grown(self, key: frozenset[str]) -> Fit:
-        """Fit a set from the nearest smaller one known, else from that without its last member."""
+        """Fit a set from the nearest smaller fitted set, else from that without its last member."""
         none: frozenset[str] = frozenset()
         known = [
             self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits
@@ -96,7 +96,7 @@ class Fits:
         return self.problem.fit((*parent.effects, added), followed)
 
     def dispersion(self, fit: Fit) -> float:
-        """Return leftover chi² per number, at least 1."""
+        """Return the remaining chi² per value, at least 1."""
         return max(1.0, fit.chi2 / max(1.0, self.problem.numbers - len(fit.x)))
 
     def losses(self, fit: Fit) -> tuple[Floats, Floats]:
@@ -108,11 +108,11 @@ class Fits:
         return self._losses[key]
 
     def held_out_mm(self, fit: Fit) -> float:
-        """Return the RMS distance in mm over the places on blocks that trained nothing."""
+        """Return the RMS error in mm over the places on held-out blocks."""
         return self.problem.held_out_mm(self.losses(fit)[1])
 
     def displacement(self, fit: Fit, effect: str) -> Floats:
-        """Return the feature differences (K, F) mm that `effect` makes within a fit."""
+        """Return the contribution (K, F) mm of `effect` within a fit."""
         key = _key(fit), effect
         if key not in self._shifts:
             kept = [e for e in fit.effects if e != effect]
@@ -125,7 +125,7 @@ class Fits:
         return self._shifts[key]
 
     def share(self, fit: Fit, member: str) -> float:
-        """Return the share of explained misfit of a member, on held-out blocks or the objective."""
+        """Return a member's share of the explained misfit, on held-out blocks or the objective."""
         rest = self.without(fit, member)
         plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
         pairs = (
@@ -136,9 +136,9 @@ class Fits:
 
 
 def carried(fit: Fit, space: Space) -> Floats:
-    """Return a fit's coordinates (P,) in a space with a number for each channel.
+    """Return a fit's coordinates (P,) in a space with a parameter for each channel.
 
-    The fit has one number for all of them.
+    The fit has one parameter for all channels.
     """
     known = dict(zip(fit.space.free_labels, fit.x))
     return np.array(
@@ -154,10 +154,10 @@ def _key(fit: Fit) -> Key:
 
 
 def starts(problem: Problem, effect: str) -> list[Floats]:
-    """Return scaled starts of an effect: as declared, other signs, log scales, in time.
+    """Return scaled starts of an effect: declared, other signs, along log scales and time.
 
-    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at
-    home, where the slope on one side does not determine the other.
+    Every combination of integers is a separate start. Slack tendons have a kink at home, where the
+    slope on one side does not determine the other.
     """
     space = problem.space((effect,), free=(effect,))
     if space.integer.any():
@@ -183,10 +183,10 @@ def starts(problem: Problem, effect: str) -> list[Floats]:
 
 
 def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> Floats:
-    """Return starts (S, P) of an effect with its signed numbers where one linear step takes them.
+    """Return starts (S, P) of an effect with signed parameters from one linear step.
 
-    The place of an effect (a radius, an instant, a section) is compared from start to start. With a
-    wrong sign the right place looks worst.
+    Starts are compared for the location of an effect (a radius, a time, a section). With a wrong
+    sign, the right location would look worst.
     """
     own = space.of((effect,))
     places = own & (space.log | space.instant)
@@ -206,7 +206,7 @@ def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> 
 
 
 def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
-    """Return joint coordinates (P,): the parent's own where it has them, `start` for `effect`."""
+    """Return joint coordinates (P,): those of the parent, and `start` for `effect`."""
     x = np.zeros(len(space.free_labels))
     old = dict(zip(parent.space.free_labels, parent.x))
     for i, label in enumerate(space.free_labels):
@@ -216,7 +216,7 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
 
 
 def _integer_points(space: Space) -> list[Floats]:
-    """Return all combinations of an effect's integers, except that with all at their null."""
+    """Return all combinations of an effect's integers, except the one with all at null."""
     values = space.values(space.start)
     rows = [
         [float(k) for k in range(round(low), round(high) + 1)] if is_integer else [value]

@@ -1,6 +1,6 @@
-"""What a fit gives of an effect.
+"""Results of a fit for one effect.
 
-Its numbers, those of the prior fitted with it, and its size at other commands.
+Its parameters, the prior parameters fitted with it, and its size at other commands.
 
 Units: those of the parameters, mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
@@ -29,8 +29,8 @@ def parameters(
 ) -> dict[str, Number]:
     """Return the fitted parameters of the effects `names` by label.
 
-    Those that the effects declare, or the numbers of the prior that were open with them. A number
-    that stands for a case has its `meaning` in words.
+    These are the parameters of the effects, or those of the prior that were free with them. A
+    parameter that encodes a case has its `meaning` in words.
     """
     values, bound = fit.space.values(fit.x), at_bound(fit)
     in_commands = effects_that("channel")
@@ -40,7 +40,7 @@ def parameters(
         if label.split(".")[0] not in names or fit.space.declared[j] != declared:
             continue
         if unit == "g" and not record.model.structure.stiffness_known:
-            unit = "of the model's own load scale"  # grams would be a claim without ground
+            unit = "of the model's own load scale"  # a value in grams would be unfounded
         if label.split(".")[0] in in_commands:
             unit = unit.replace("mm", record.model.command_unit)
         meaning = None
@@ -65,10 +65,10 @@ def parameters(
 
 
 def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
-    """Return changes of the prior's numbers fitted with an effect, and the resulting error.
+    """Return changes of the prior's parameters fitted with an effect, and the new error.
 
-    The second is the error (F,) mm of each feature on blocks that trained nothing: with other
-    numbers it is another model, and the noise that a rod's next diagnosis counts with.
+    The error (F,) mm of each feature is on held-out blocks. With other parameters the model is
+    different; a rod's next diagnosis uses this error as noise.
     """
     problem, record = fits.problem, fits.problem.record
     changes = parameters(record, fit, sigma, (name,), declared=False)
@@ -78,14 +78,14 @@ def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
     for prediction, (_, test) in zip(fits.losses(fit)[1], problem.folds):
         squares[test] = (record.seen[test] - prediction[test]) ** 2
     error = np.sqrt(np.nanmean(squares, axis=0))
-    if record.replay is not None:  # what is missed on the reference too is still missed
+    if record.replay is not None:  # errors common with the reference remain
         own = [np.ravel(part.model.run_form_error(part.run)) for part in record.parts]
         error = np.maximum(error, np.sqrt(np.mean(np.square(own), axis=0)))
     return Refitted(changes, tuple(map(float, error)))
 
 
 def shift_on(fit: Fit, other: Record, name: str) -> Floats:
-    """Return what one effect does on another run (K, F) mm, the others in place."""
+    """Return the contribution (K, F) mm of one effect on another run, with the others present."""
     layout = other.layout(fit.space.names, fit.space.split)
     params = layout.values(fit.params)
     mine = np.array([label.split(".")[0] == name for label in layout.labels])

@@ -1,10 +1,10 @@
-"""Level 2 of a diagnosis: which law of a family it is, with what the family can do as the measure.
+"""Level 2 of a diagnosis: identify the law of a family, measured against the family's fit.
 
-The family's members are fitted on top of what was found, then pairs of members, the same law with a
-number for each channel, and for static maps generic laws, which are no effects. A law *reaches* if
-it leaves no more than the best of all, the representative included, up to one standard error or the
-tolerance of its form. If none reaches, the law is unknown; if a generic law with as few numbers
-does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
+The family's members are fitted on top of the effects found. Then follow pairs of members, the same
+law with a parameter for each channel, and, for static maps, generic laws, which are not effects. A
+law *reaches* if it leaves no more than the best of all, including the representative, up to one
+standard error or the tolerance of its form. If none reaches, the law is unknown; if a generic law
+with as few parameters does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from softmap_edge.run.folds import GAP
 
 Floats = NDArray[np.float64]
 
-WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
-PAIRED = 3  # members of which pairs are tried
+WINDING = "eccentric_pulley"  # with five parameters it fits many smooth maps
+PAIRED = 3  # members that are tried in pairs
 MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
-# sums of CURVES, which no effect stands for
+# sums of CURVES, which are not effects
 GENERIC = ("u²", "u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")
 GENERIC_RIDGE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A law that may stand for a family.
+    """A candidate for the law of a family.
 
-    Its effects and fit (none of a generic law), held-out loss, free numbers.
+    Holds its effects and fit (none for a generic law), held-out loss, free parameters.
     """
 
     name: str
@@ -60,14 +60,14 @@ class Law:
 
     @property
     def split(self) -> tuple[str, ...]:
-        """Its effects that have a number for each channel or cable."""
+        """Its effects with a parameter for each channel or cable."""
         return (
             () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
         )
 
     @property
     def of_cables(self) -> bool:
-        """Whether one of its effects has a number for each cable."""
+        """Whether one of its effects has a parameter for each cable."""
         return self.fit is not None and any(_of_cables(self.fit, effect) for effect in self.split)
 
 
@@ -75,9 +75,9 @@ class Law:
 class Answer:
     """The result of level 2 for a family.
 
-    `law` is the law that stands for it, or a candidate: where the law is `open` because generic
-    laws do as well, and where no law reaches and one explains most of what the family does. Without
-    one the representative stays. `equals` are members that reach with as few numbers.
+    `law` is the resolved law or a candidate. It is a candidate if the law is `open` because generic
+    laws fit as well, or if no law reaches but one explains most of the family's fall. Without a law
+    the representative stays. `equals` are members that reach with as few parameters.
     """
 
     family: Family
@@ -91,17 +91,17 @@ class Answer:
 
     @property
     def resolved(self) -> bool:
-        """Whether one law of the library stands for the family."""
+        """Whether one law of the library is resolved for the family."""
         return self.law is not None and not self.open and not self.rough
 
     @property
     def rough(self) -> bool:
-        """Whether a law is only the best candidate, so that the representative explains more."""
+        """Whether the law is only a candidate, so the representative explains more."""
         return self.law is not None and not any(self.law is law for law in self.reaching)
 
     @property
     def loss(self) -> Floats:
-        """The held-out loss (folds,) of the family's law, else the least the family can do."""
+        """The held-out loss (folds,) of the family's law, else the least loss of the family."""
         if self.resolved and self.law is not None:
             return self.law.loss
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
@@ -118,14 +118,14 @@ class Answer:
 
     @property
     def numbers(self) -> float:
-        """How many free numbers what is taken has."""
+        """The number of free parameters of the law or representative taken."""
         return self.representative.numbers if self.law is None else self.law.numbers
 
 
 def answered(
     state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool
 ) -> Answer:
-    """Find a family's law, by `pairs` of its members too if nothing else remains to explain."""
+    """Find a family's law; also try `pairs` of members if nothing else remains to explain."""
     representative = rough if rough.settled or not len(rough.theta) else linearised(state, rough)[0]
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
@@ -141,11 +141,11 @@ def answered(
 def law_of(
     state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()
 ) -> Law:
-    """Fit effects on top of what was found, with their loss on held-out folds.
+    """Fit effects on top of the effects found; return their loss on held-out folds.
 
     `before` is the loss (folds,) without them.
 
-    Those in `split` have a number for each channel or cable.
+    Those in `split` have a parameter for each channel or cable.
     """
     body, fit = (
         state.body,
@@ -161,7 +161,7 @@ def law_of(
 
 
 def _of_cables(fit: Fit, effect: str) -> bool:
-    """Whether an effect has a free number for each cable, `dead_zone.slack[0+]`."""
+    """Whether an effect has a free parameter for each cable, `dead_zone.slack[0+]`."""
     labels = (label for label in fit.space.free_labels if label.split(".")[0] == effect)
     return any(label.endswith(("+]", "-]")) for label in labels)
 
@@ -169,10 +169,9 @@ def _of_cables(fit: Fit, effect: str) -> bool:
 def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
     """Return a fit's held-out loss (folds,), at most `before` in folds of its events.
 
-    These are the folds where its `effects` happen.
+    These are the folds in which its `effects` occur.
 
-    Other folds cannot show an event that happens once, in this fold: there a law is as good as
-    none.
+    Other folds cannot show an event that occurs once, in this fold; there, a law has no effect.
     """
     record, loss = fit.problem.record, loss.copy()
     for instant in fit.space.values(fit.x)[fit.space.of(effects) & fit.space.instant]:
@@ -184,7 +183,7 @@ def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[s
 
 
 class _Asked:
-    """One family that is asked for its law about one state."""
+    """A family whose law is searched about one state."""
 
     def __init__(
         self, state: State, fits: Fits, representative: Representative, before: Floats
@@ -200,7 +199,7 @@ class _Asked:
         self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
     def members(self) -> list[Law]:
-        """Fit each member of the family on top of what was found."""
+        """Fit each member of the family on top of the effects found."""
         names = [
             n
             for n in (*self.representative.family.members, *self.body.own)
@@ -213,17 +212,17 @@ class _Asked:
         ]
 
     def for_each_channel(self, members: list[Law]) -> list[Law]:
-        """Fit members with a number for each channel where they have one for all."""
+        """Fit members with a parameter for each channel instead of a shared one."""
         laws = [
             law_of(self.state, self.fits, law.effects, self.before, law.effects) for law in members
         ]
         return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
 
     def pairs(self, laws: list[Law]) -> list[Law]:
-        """Fit the pairs of the best members that can be named, as they are best.
+        """Fit pairs of the best members, in order.
 
-        Laws with a number for each cable are left out: with a second law, so many numbers follow
-        any smooth map.
+        Laws with a parameter for each cable are excluded: with a second law, they fit any smooth
+        map.
         """
         best: dict[tuple[str, ...], Law] = {}
         able = (law for law in laws if law.effects and not self._any_map(law) and not law.of_cables)
@@ -243,7 +242,7 @@ class _Asked:
         return found
 
     def generic(self) -> list[Law]:
-        """Fit generic laws of a static map, with one set of numbers and with one per channel."""
+        """Fit generic laws of a static map, with shared parameters and per channel."""
         laws = []
         for name in GENERIC:
             curves = [CURVES[curve] for curve in name.split(", ")]
@@ -292,14 +291,14 @@ class _Asked:
         return Law(name, (), None, loss, count)
 
     def any_reaches(self, laws: list[Law]) -> bool:
-        """Whether one of the laws does what the family can do."""
+        """Whether one of the laws reaches the family's fit."""
         explained = float(self.before.sum()) - self.representative.left
         return any(
             rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws
         )
 
     def answer_of(self, laws: list[Law]) -> Answer:
-        """Say which law it is, given all that were tried."""
+        """Choose the law from all that were tried."""
         best = min((self.representative.loss, *(law.loss for law in laws)), key=np.sum)
         explained = float(self.before.sum() - best.sum())
         able = sorted(
@@ -308,7 +307,7 @@ class _Asked:
         )
         named = [law for law in able if law.effects and not self._any_map(law)]
         generic = [law for law in able if law not in named]
-        # With a number for each cable, a smooth law follows maps of any form.
+        # With a parameter for each cable, a smooth law fits maps of any form.
         is_open = any(
             named[0].of_cables or law.numbers <= named[0].numbers for law in generic if named
         )
@@ -329,10 +328,10 @@ class _Asked:
         )
 
     def _main(self, laws: list[Law], explained: float) -> Law | None:
-        """Return the member that explains most of the family; the form of its law may be off.
+        """Return the member that explains most of the family; its form may be inexact.
 
-        The model error of a rod is part of its noise: there, shares of a memory are too unsure for
-        a candidate.
+        The model error of a rod is part of its noise; there, shares of a memory are too uncertain
+        for a candidate.
         """
         if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None
@@ -349,9 +348,9 @@ class _Asked:
         )
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
-        """Return the simplest of the laws and its equals with as few numbers.
+        """Return the simplest law, and its equals with as few parameters.
 
-        The best comes first, then the first to act.
+        They are ordered by loss, then by their place in the chain.
         """
         if not candidates:
             return []
@@ -379,7 +378,7 @@ class _Asked:
     def _any_map(self, law: Law) -> bool:
         """Whether an eccentric pulley turns less than once, or is in a pair.
 
-        Any smooth map can be such a law.
+        Such a law fits any smooth map.
         """
         return WINDING in law.effects and (law.effects != (WINDING,) or not winds(law, self.body))
 
@@ -387,7 +386,7 @@ class _Asked:
 def winds(law: Law, body: FeatureBody) -> bool:
     """Whether a law's eccentric pulley makes a full turn, or its radius is known.
 
-    The turn is within the commands.
+    The turn must be within the commands.
     """
     assert law.fit is not None
     turns = np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half))

@@ -1,7 +1,7 @@
-"""What a search holds: the families taken, their joint fit, representatives alongside.
+"""The state of a search: the families taken, their joint fit, and representatives.
 
-A resolved law joins the fit. A family without a law stays as its representative: what that explains
-is taken off what is seen before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
+A resolved law joins the fit. A family without a law keeps its representative, whose contribution is
+subtracted from the measurement before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One family that was taken: its answer at level 2, and its alternatives.
+    """A family that was taken: its level-2 result, and its alternatives.
 
-    These are the families that this run cannot distinguish from it.
+    Alternatives are families that this run cannot distinguish from it.
     """
 
     answer: Answer
@@ -41,9 +41,9 @@ class Step:
 
 @dataclass(eq=False)
 class Outcome:
-    """What a search found: its steps in order, the joint fit, and a hint at more.
+    """The result of a search: its steps in order, the joint fit, and a hint.
 
-    Representatives stand alongside the fit.
+    Representatives are kept alongside the fit.
     """
 
     body: FeatureBody
@@ -51,9 +51,9 @@ class Outcome:
     plain: Fits  # without the representatives
     state: State
     null: Floats  # (folds,) held-out loss of the model alone
-    loss: Floats  # (folds,) held-out loss of what was found
+    loss: Floats  # (folds,) held-out loss of the effects found
     steps: list[Step] = field(default_factory=list)
-    hint: Representative | None = None  # the best family, if it was not accepted but falls
+    hint: Representative | None = None  # the best family, if its loss falls but it was not accepted
 
     @property
     def fit(self) -> Fit:
@@ -62,12 +62,12 @@ class Outcome:
 
     @property
     def open(self) -> int:
-        """How many families have no law."""
+        """The number of families without a law."""
         return sum(not step.answer.resolved for step in self.steps)
 
     @property
     def left(self) -> float:
-        """Unexplained share of what was above the noise: the larger of loss and mean square."""
+        """Unexplained share of the error above the noise: the larger of loss and mean square."""
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
@@ -76,18 +76,18 @@ class Outcome:
             problem.noise.rms_mm(record.positions) ** 2,
         )
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
-        # it is whitened: in mm, imperfections may explain more than is there
+        # whitened: in mm, imperfections may explain more than the error
         residual = self.state.residual
         now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
         return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
 
 def held_out_loss(outcome: Outcome) -> Floats:
-    """Return the held-out loss (folds,) of what was found.
+    """Return the held-out loss (folds,) of the effects found.
 
-    Families of imperfections are included where they lower it.
+    Families of imperfections are included if they lower it.
 
-    A family without a law counts with its columns, whether a candidate is in the fit or not.
+    A family without a law counts with its columns, even if a candidate is in the fit.
     """
     state = outcome.state
     ways = (
@@ -106,7 +106,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     """Return state and fits with a family taken.
 
-    Its law joins the fit, or else its representative stands alongside.
+    Its law joins the fit, or its representative is added.
     """
     if answer.law is not None and answer.law.fit is not None and not answer.rough:
         return State(state.body, answer.law.fit, state.representatives, state.background), fits
@@ -121,7 +121,7 @@ def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
 
 
 def name_candidates(outcome: Outcome) -> None:
-    """Put candidates in the place of the representatives that stood for their families."""
+    """Replace the representatives by the candidates of their families."""
     state, rough = outcome.state, [step.answer for step in outcome.steps if step.answer.rough]
     laws = [
         a.law
@@ -139,9 +139,9 @@ def name_candidates(outcome: Outcome) -> None:
 
 
 def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative]) -> Fits:
-    """Return fits of what is seen less what representatives explain about a state.
+    """Return fits of the measurement minus the representatives of a state.
 
-    `plain` are those without any.
+    `plain` are the fits without representatives.
     """
     if not alongside:
         return plain
@@ -151,7 +151,7 @@ def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative
 
 
 def _shifted(problem: Problem, shift: Floats) -> Problem:
-    """Return a problem with a shift (K, F) mm taken off what is seen."""
+    """Return a problem with a shift (K, F) mm subtracted from the measurement."""
     moved = copy(problem)
     moved.record = copy(problem.record)
     moved.record.seen = problem.record.seen - shift

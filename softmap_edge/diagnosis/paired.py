@@ -1,23 +1,22 @@
-"""Paired replay: a reference run that plays the same commands stands for what the model gets wrong.
+"""Paired replay: a reference run of the same commands measures the model error.
 
     seen'(t) = seen(t) - [reference(t + s) - model(reference)(t + s)]
 
-What the model misses on the reference at the same place of the replay (same command, same past) is
-taken off what is seen, so that its model error cancels out, and so does every effect that acts
-alike in both runs. The reference is read linearly between frames; s is the shift in time at which
-the commands agree. Of several references the one with the closest commands is used. An effect of
-the model that the reference lacks (a weight that was found relative to it) is left out
-of model(reference): an effect that makes the reference worse and the run better. Remaining doubts:
-- the camera: the noise of a difference, twice that of one run where frames meet, comes out of the
-replicates as it is;
-- a table: KEPT of its model-form error. Where an effect moves the acting command by 1-2 of 32 mm,
-  an error that varies over 0.4 of the range changes by about a sixth; and what another gravity or
-  load adds to it;
-- a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a -
-  cov(a, b)) of the residuals a of the reference and b of the run, what the reference does not share
-  with the run, twice.
-Units: those of the commands, mm, s. Limits: an effect in both runs is never seen; one that acts on
-top of another (more load on a softened body) is seen to first order. Pinned by
+The model error on the reference at the same point of the replay (same command, same history) is
+subtracted from the measurement. So the model error cancels, and so does every effect common to both
+runs. The reference is interpolated linearly; s is the time shift at which the commands agree. Of
+several references, the one with the closest commands is used. Effects of the model that the
+reference lacks (a weight found relative to it) are left out of model(reference). They make the
+reference worse and the run better. Remaining uncertainty:
+- the camera: the noise of a difference, twice that of one run where frames coincide, follows from
+  the replicates;
+- a table: KEPT of its model-form error, plus the part from another gravity or load. If an effect
+  moves the effective command by 1-2 of 32 mm, an error that varies over 0.4 of the range changes by
+  about a sixth;
+- a rod, whose stated error is mostly poor repeatability: per feature 2·(var a - cov(a, b)) of the
+  residuals a of the reference and b of the run, twice the part that they do not share.
+Units: those of the commands, mm, s. Limits: an effect in both runs is not detected; one that acts
+on top of another (more load on a softened body) is detected to first order. Pinned by
 tests/diagnosis/test_paired.py and tests/rod/test_trunk.py.
 """
 
@@ -38,13 +37,13 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-AGREE = 0.01  # of the range of the commands: RMS difference up to which two runs play the same
-KEPT = 0.2  # of a table's model-form error that a change of condition leaves
-GAPS = 3.0  # median periods of the reference: it is not read across longer gaps
-LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have seen too
-GRID = 200_000  # rows at most that are looked at for the shift in time
-FLOOR = 0.01  # mm: no robot repeats itself better than this
-# of the reference's error that must be left at most without an effect that only the run has
+AGREE = 0.01  # of the command range: largest RMS difference between runs of the same commands
+KEPT = 0.2  # of a table's model-form error: part that remains under a changed condition
+GAPS = 3.0  # median periods of the reference: longest gap for interpolation
+LEAST_OVERLAP = 0.5  # of the frames of a run: least share that the reference covers
+GRID = 200_000  # most rows for the search of the time shift
+FLOOR = 0.01  # best repeatability of any robot, mm
+# of the reference's error: most that remains without an effect that only the run has
 ABSENT = 0.9
 
 
@@ -52,7 +51,7 @@ ABSENT = 0.9
 class Replay:
     """How a reference matches a run: its time shift, and the RMS difference of commands."""
 
-    run: str | list[str]  # hash of the reference, or of each where several runs met different ones
+    run: str | list[str]  # hash of the reference, or of each if runs use different ones
     shift_s: float
     differ: float
     share: float
@@ -75,19 +74,18 @@ class Replay:
 
 
 def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, Floats]:
-    """Bring a run and its reference together: of several, the one whose commands agree best.
+    """Match a run with its reference; of several, use the one whose commands agree best.
 
     Args:
-        record: the run, K frames of F features. references: runs that may stand for the model, seen
-            in the same way.
+        record: the run, K frames of F features.
+        references: candidate reference runs, observed in the same way.
 
     Returns:
-        tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm,
-        NaN where the reference has no data; and the model-form error (V, 3) mm that remains of the
-        model's own.
+        tuple: how they match; the model error on the reference at the run's frames (K, F) mm, NaN
+        where the reference has no data; and the remaining model-form error (V, 3) mm.
 
     Raises:
-        SoftmapError: points of another kind or place, commands that differ, too little in common.
+        SoftmapError: points of another kind or position, different commands, too little overlap.
     """
     found, refused = [], []
     for reference in references:
@@ -106,9 +104,9 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
 
 
 def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
-    """Bring a run and one reference together."""
+    """Match a run with one reference."""
     _check_points(record, reference)
-    # else what encoders say of it
+    # otherwise the encoder positions
     played = all(r.run.command is not None for r in (record, reference))
     ours, theirs = (
         np.asarray(r.run.command if played else r.u, float) for r in (record, reference)
@@ -144,7 +142,7 @@ def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
 def _absent(record: Record, reference: Record) -> tuple[str, ...]:
     """Return which of the model's own effects only the run has.
 
-    Each makes the reference worse and the run better.
+    Each increases the error of the reference and lowers that of the run.
     """
     absent: tuple[str, ...] = ()
     for name in record.model.chain_names:
@@ -158,7 +156,7 @@ def _absent(record: Record, reference: Record) -> tuple[str, ...]:
 
 
 def _without(record: Record, absent: Sequence[str]) -> Floats:
-    """Return what the model predicts for a run (K, F) mm, some of its own effects left out."""
+    """Return the model's prediction for a run (K, F) mm without some of its own effects."""
     own = tuple(record.model.chain_names)
     names = tuple(name for name in own if name not in absent)
     params = record.own_values()
@@ -189,9 +187,9 @@ def _check_points(record: Record, reference: Record) -> None:
 def _differ(
     t: Floats, at: Floats, record: Record, reference: Record, ours: Floats, theirs: Floats
 ) -> tuple[float, float]:
-    """Return how far the commands of the worst channel differ at the frames, RMS.
+    """Return the RMS difference of the commands at the frames, for the worst channel.
 
-    Also as a share of the range.
+    Also return it as a share of the range.
     """
     if ours.shape[1] != theirs.shape[1]:
         raise SoftmapError(
@@ -226,8 +224,8 @@ def _differ(
 def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
     """Return the shift (s) of a run's times at which the commands agree best with the reference.
 
-    Time stamps as they are, if those agree; else the lag with the least mean square difference over
-    the overlap.
+    The shift is zero if the time stamps agree. Otherwise it is the lag with the least mean square
+    difference over the overlap.
     """
     if not u.shape[1] or u.shape[1] != u_ref.shape[1] or min(len(t), len(t_ref)) < 2:
         return 0.0
@@ -243,7 +241,7 @@ def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
     step = max(float(np.median(np.diff(t_ref))), (np.ptp(t) + np.ptp(t_ref)) / GRID, 1e-6)
     a, b = (_gridded(*pair, step) / span for pair in ((t, u), (t_ref, u_ref)))
     size = 1 << (len(a) + len(b) - 1).bit_length()
-    lags = np.arange(-(len(a) - 1), len(b))  # row k of the run meets row k + lag of the reference
+    lags = np.arange(-(len(a) - 1), len(b))  # row k of the run matches row k + lag of the reference
     both = np.fft.irfft(
         np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0)), size, axis=0
     ).sum(axis=1)
@@ -264,15 +262,15 @@ def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
 
 
 def _gridded(t: Floats, u: Floats, step: float) -> Floats:
-    """Return commands at regular times from the first on."""
+    """Resample commands at regular times from the first."""
     grid = t[0] + step * np.arange(max(2, int(np.ptp(t) / step) + 1))
     return np.stack([np.interp(grid, t, column) for column in u.T], axis=1)
 
 
 def _read(at: Floats, t: Floats, values: Floats) -> Floats:
-    """Return `values` (K, F) seen at t (K,) at other times (n,), linear.
+    """Interpolate `values` (K, F) at t (K,) linearly to other times (n,).
 
-    NaN beyond the ends and across gaps.
+    The result is NaN beyond the ends and across gaps.
     """
     if len(t) < 2:
         return np.where((at == t[:1])[:, None], values, np.nan)

@@ -1,4 +1,4 @@
-"""What a search needs first: candidate effects, and a run with its noise and model-form error.
+"""Prepare a search: candidate effects, and a run with its noise and model-form error.
 
 Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 """
@@ -29,16 +29,16 @@ from softmap_edge.run.folds import LEAST_FRAMES
 
 Floats = NDArray[np.float64]
 
-SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
+SIGNATURE_FRAMES = 150  # frames for the span of the signatures
 
 
 def candidates_of(
     record: Record, requested: Sequence[str] | None
 ) -> tuple[list[str], list[Untestable]]:
-    """Return all effects, or those `requested`, to look for in a run, and why not the others.
+    """Return the candidate effects of a run, all or `requested`, and why others are excluded.
 
     Raises:
-        SoftmapError: an unknown effect, or none that is left.
+        SoftmapError: an unknown effect, or no candidates.
     """
     known = registry()
     unknown = [name for name in requested or () if name not in known]
@@ -54,7 +54,7 @@ def candidates_of(
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     lawless = [n for n in names if known[n].role == "prior" and record.model.missing_for(n)]
-    if requested is None:  # a law that the prior does not have is no question, unless it is asked
+    if requested is None:  # a law that the prior lacks is not a candidate, unless requested
         names = [n for n in names if n not in lawless]
     impossible = []
     for name in names:
@@ -109,9 +109,9 @@ def candidates_of(
         and {"gravity", "payload"} <= set(names)
         and orientations(record.state.gravity) == 1
     ):
-        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load
-        # differ by less than its model-form error, and a tilt of gravity is an offset. The simpler
-        # member stands for the family.
+        # A rod's fields bend its own centreline by one unknown compliance. Its weight and a tip
+        # load differ by less than its model-form error, and a tilt of gravity is an offset. The
+        # simpler member represents the family.
         block, minutes = known["gravity"].experiment
         impossible.append(
             Untestable(
@@ -128,11 +128,11 @@ def candidates_of(
 def problem_of(
     record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True
 ) -> Problem:
-    """Measure the noise (if not given), set up the model-form error, whiten along candidates.
+    """Measure the noise (if not given), set up the model-form error, and whiten.
 
-    It is along their signatures.
+    Whitening uses the signatures of the candidates.
 
-    If a residual was taken out, the model may err by as much, unless `residual` is false.
+    If a residual was removed, the model error includes it, unless `residual` is false.
 
     Raises:
         SoftmapError: fewer than 8 frames.
@@ -154,7 +154,7 @@ def problem_of(
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
-        # it may be the model error or an effect: allow for both
+        # it may be model error or an effect: allow for both
         if residual and record.static is not None:
             form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
@@ -187,9 +187,9 @@ def load_seen(record: Record) -> Floats | None:
 
 
 def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
-    """Return what an effect adds to `base` (K, F) mm at its start values.
+    """Return the change of `base` (K, F) mm by an effect at its start values.
 
-    All at once, and each parameter alone.
+    The first has all parameters at once, the others each parameter alone.
     """
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
     layout, own = record.layout(names), record.own_values()

@@ -1,9 +1,9 @@
-"""A run for a fit: measured features, commands, declared conditions, and predictions.
+"""A run for a fit: measured features, commands, declared conditions, predictions.
 
-It predicts for any chain.
+It predicts for any chain of effects.
 
-Several runs have the same face (`records.py`), so that nothing else in a diagnosis counts runs.
-Units: mm, s, g. Pinned by tests/diagnosis/test_fit.py.
+Several runs have the same interface (`records.py`), so the rest of a diagnosis need not distinguish
+them. Units: mm, s, g. Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Forms = Callable[[Sequence[str], Floats], Floats]
 
-CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
-SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
-# clouds of a round finger do not show it: there turned tendons look the same
+CHUNK = 12_000_000  # values of one batched prediction: 100 MB
+SLOPE = 0.02  # of the command range, on both sides, for slopes
+# clouds of a round finger do not show it: rotated tendons look the same
 ROLLS = ("mount.turn_z",)
-ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
+ENDS = 0.05  # of a run: events nearer to its ends have data on one side only
 
 
 class Record:
@@ -53,10 +53,10 @@ class Record:
     form_error: Floats  # (V, 3) mm
     _leaning: Floats  # (K, d)
     roll_seen: bool  # whether frames show the rotation of the body about its own axis
-    # about the runs, sentences without a stop, which go with any verdict
+    # remarks on the runs, without a full stop, for any verdict
     doubts: tuple[str, ...] = ()
     remapped: bool = False  # whether a learned static map is solved again with every law
-    # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
+    # (K, F) mm, the removed residual; `model` is without it
     static: Floats | None = None
 
     def __init__(
@@ -64,8 +64,8 @@ class Record:
     ) -> None:
         """Bind a model to a run.
 
-        With a `reference` that plays the same commands (one of several), what the model misses
-        there is taken off what is seen.
+        With a `reference` of the same commands (one of several), the model error on it is
+        subtracted from the measurement.
         """
         adapted = model.residual is not None
         self.model = model.with_residual(None) if adapted else model
@@ -82,7 +82,7 @@ class Record:
             if not met.all():
                 self._bind(self.run.at(met))
             self.seen, self.form_error = self.seen - missed[met], form
-            # what the model errs for a lean was seen in the reference
+            # the reference shows the model error of a lean
             self._leaning = np.ones((self.frames, 1))
         elif adapted:
             self.static = (model.features(self.run) - self.model.features(self.run)).reshape(
@@ -90,7 +90,7 @@ class Record:
             )
 
     def _bind(self, run: Run) -> None:
-        """Take the frames of a run in which anything is seen: the others carry no information."""
+        """Select the frames of a run with visible points; the others carry no information."""
         self._forget()
         self.__dict__.pop("_within", None)
         model, run = self.model, converted(self.model, run)
@@ -120,7 +120,7 @@ class Record:
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[np.generic] | None = run.block
         self.roll_seen = not laid(run)
-        self.across = unmeasured_parameters(run)  # of a run whose markers lie in a plane
+        self.across = unmeasured_parameters(run)  # for a run with markers in a plane
 
     @property
     def parts(self) -> Sequence[Record]:
@@ -133,25 +133,25 @@ class Record:
         return np.zeros(min(1, self.frames), np.intp)
 
     def _forget(self) -> None:
-        """Forget what was found out about other frames."""
+        """Clear results cached for other frames."""
         for name in ("state", "leaning", "frame_mm", "_inputs"):
             self.__dict__.pop(name, None)
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
         """Return the numbers of about `most` frames, evenly spread.
 
-        The first and the last of a run are among them.
+        They include the first and the last frame of a run.
         """
         return np.unique(
             np.linspace(0, self.frames - 1, min(self.frames, max(2, most))).astype(np.intp)
         )
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising, the first among them.
+        """Return the record with some of its frames, `rows` increasing, including the first.
 
-        Time is counted from there.
+        Time counts from the first.
 
-        What the run declares and its parameters stay.
+        Declarations and parameters are kept.
         """
         few = copy(self)
         few.__dict__["_within"] = self._within
@@ -167,7 +167,7 @@ class Record:
 
     @cached_property
     def state(self) -> Conditions:
-        """What the commands were doing at each frame."""
+        """The motion of the commands at each frame."""
         return conditions(self.run, self.u)
 
     @cached_property
@@ -177,25 +177,25 @@ class Record:
 
     @cached_property
     def leaning(self) -> Floats:
-        """How the model error depends on the orientation, (K, 4), row length 1 on average."""
+        """Factors of the model error by orientation, (K, 4), row length 1 on average."""
         return self._leaning / max(
             float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300
         )
 
     @property
     def load(self) -> Floats | None:
-        """Loads (n,) g that are declared."""
+        """The declared loads (n,) g."""
         return None if self.run.load is None else np.atleast_1d(np.asarray(self.run.load, float))
 
     def missing(self, required: Sequence[str]) -> list[str]:
-        """Return which of the fields that an effect needs are not declared."""
+        """Return the fields that an effect needs and the run does not declare."""
         return [name for name in required if getattr(self.run, name, None) is None]
 
     # --- predictions ----------------------------------------------------------------------------
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that are not fitted: nothing seen determines them, or they are known."""
+        """Parameters that are not fitted: not observable, or known."""
         rolls = () if self.roll_seen else ROLLS
         return (*rolls, *self.across, *(() if self.spool is None else (RADIUS,)))
 
@@ -205,14 +205,14 @@ class Record:
         return spool_of(self.model, self.recorded_runs)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain of `names`, one for each channel for those in `split`.
+        """Return the parameters of a chain of `names`; those in `split` have one per channel.
 
-        So have the model's own effects whose channels already differ.
+        So do the model's own effects with different values per channel.
         """
         return self._layout(names, 1, split)
 
     def _layout(self, names: Sequence[str], runs: int, split: Collection[str]) -> Layout:
-        """Return a chain's parameters, for PER_RUN effects once for each run; made once."""
+        """Return a chain's parameters, cached; PER_RUN effects have one set for each run."""
         apart = self._differing.union(split).intersection(names)
         key = (tuple(names), runs, apart)
         if key not in self._layouts:
@@ -227,16 +227,16 @@ class Record:
 
     @cached_property
     def _differing(self) -> frozenset[str]:
-        """The model's own effects in which channels have different numbers."""
+        """The model's own effects with different values per channel."""
         return differing(self.model.chain, np.asarray(self.model.chain_params))
 
     def full(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return complete sets (B, N) of sets of the layout of `names`; those pass unchanged."""
+        """Expand parameter sets of the layout of `names` to (B, N); full sets pass unchanged."""
         return self.layout(names).full(params)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """Return the seconds since the first command with enough of the run on both sides."""
+        """Return times since the first command with enough of the run on both sides, s."""
         begin, end = (
             (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
         )
@@ -245,10 +245,7 @@ class Record:
     def _models(
         self, names: Sequence[str], params: Floats
     ) -> list[tuple[Model, NDArray[np.intp], Floats]]:
-        """Return the models of sets (B, P): each with its rows and their parameters.
-
-        These are parameters of the chain.
-        """
+        """Yield the models for sets (B, P), each with its rows and their chain parameters."""
         changes = self.model.changes(names)
         if not changes:
             return [(self.model, np.arange(len(params)), np.ascontiguousarray(params))]
@@ -268,12 +265,12 @@ class Record:
         return layout.values(self.model.params, layout.null)
 
     def own_values(self) -> dict[str, float]:
-        """Return the same by label."""
+        """Return these parameters by label."""
         return dict(zip(self.layout(self.model.chain_names).labels, map(float, self.own())))
 
     @cached_property
     def _inputs(self) -> _core.Inputs:
-        """The run as the core takes it."""
+        """The run in the format of the compiled core."""
         return self.model.inputs(self.run)
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
@@ -293,11 +290,11 @@ class Record:
         return out
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, K, M) of the features, as `predict` does.
+        """Return a function that predicts linear forms (B, K, M) of the features.
 
-        `weights` are (F, M).
+        It has the arguments of `predict`; `weights` are (F, M).
 
-        Tables give the forms at once, at a fraction of the price. Sensing effects move points, and
+        Tables give the forms directly, at a fraction of the cost. Sensing effects move points, and
         have no forms.
         """
         forms = self.model.through(weights, self.run)
@@ -332,7 +329,7 @@ class Record:
 
     @property
     def error_is_noise(self) -> bool:
-        """Whether model error counts as noise: that of a rod is not smooth in its commands."""
+        """Whether model error counts as noise: that of a rod is not smooth in the commands."""
         return bool(self.model.kind == "rod")
 
     @property
@@ -342,7 +339,7 @@ class Record:
 
     @cached_property
     def frame_mm(self) -> float:
-        """RMS error (mm) of points from the uncertain frame of alignment (`frame_sigma`)."""
+        """RMS error (mm) of points from the alignment uncertainty (`frame_sigma`)."""
         sigma = self.run.frame_sigma
         if sigma is None:
             return 0.0

@@ -1,7 +1,7 @@
-"""Several runs of one robot as a fit sees them: frame after frame, under shared parameters.
+"""Several runs of one robot as one record: frames in sequence, with shared parameters.
 
-Memory starts in equilibrium in each run, and what belongs to a session has numbers of its own for
-each (`layout.py`). Units: mm, s, g. Limit: the runs must be seen in the same way (vertices, or the
+Memory starts in equilibrium in each run, and session parameters have a value for each run
+(`layout.py`). Units: mm, s, g. Limit: the runs must be measured in the same way (vertices, or the
 same number of markers). Pinned by tests/diagnosis/test_several_runs.py.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-APART = 60.0  # s between the runs: none is within a gap of another
+APART = 60.0  # s between the runs: longer than any fold gap
 
 
 class Records(Record):
@@ -40,7 +40,7 @@ class Records(Record):
         """Bind a model to runs, each with the commands of a `reference` if there is any.
 
         Raises:
-            SoftmapError: the runs are not seen in the same way.
+            SoftmapError: the runs are not measured in the same way.
         """
         self._layouts = {}
         parts = [Record(model, run, reference) for run in runs]
@@ -61,7 +61,7 @@ class Records(Record):
         self._join(parts)
 
     def _join(self, parts: list[Record]) -> None:
-        """Put the frames of runs one after the other."""
+        """Concatenate the frames of runs."""
         self._parts = parts
         self.frames, self.features = sum(part.frames for part in parts), parts[0].features
         self.seen = np.concatenate([part.seen for part in parts])
@@ -103,14 +103,14 @@ class Records(Record):
         )
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
-        """Return the numbers of about `most` frames, of each run its share."""
+        """Return the numbers of about `most` frames, a share from each run."""
         begins = self.ends - [part.frames for part in self.parts]
         shares = [-(-most * part.frames // max(1, self.frames)) for part in self.parts]
         each = zip(begins, self.parts, shares)
         return np.concatenate([begin + part.spread_rows(share) for begin, part, share in each])
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some frames, `rows` rising, the first of each run included."""
+        """Return the record with some frames, `rows` increasing, the first of each run included."""
         few = copy(self)
         few.__dict__["_within"] = self._within
         few._forget()
@@ -122,7 +122,7 @@ class Records(Record):
 
     @cached_property
     def state(self) -> Conditions:
-        """What the commands were doing at each frame; a dwell belongs to one run."""
+        """The motion of the commands at each frame; a dwell belongs to one run."""
         states = [part.state for part in self.parts]
         columns: Document = {}
         for f in fields(Conditions):
@@ -150,24 +150,24 @@ class Records(Record):
 
     @cached_property
     def frame_mm(self) -> float:
-        """RMS error of the points from the uncertainty of the alignments' frames, mm."""
+        """RMS error of the points from the alignment uncertainties, mm."""
         squares = [part.frames * part.frame_mm**2 for part in self.parts]
         return float(np.sqrt(sum(squares) / max(1, self.frames)))
 
     def missing(self, required: Sequence[str]) -> list[str]:
-        """Return which of the fields that an effect needs some run does not declare."""
+        """Return the fields that an effect needs and some run does not declare."""
         return [name for name in required if any(part.missing([name]) for part in self.parts)]
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain.
 
-        Those that belong to a session have their own numbers for each run.
+        Session parameters have a value for each run.
         """
         return self._layout(names, len(self.parts), split)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
-        """Return the seconds since the first command with enough of every run on both sides."""
+        """Return times since the first command with enough of every run on both sides, s."""
         begins, ends = zip(*(part._within for part in self.parts))
         return max(begins), min(ends)
 
@@ -188,9 +188,9 @@ class Records(Record):
         )
 
     def forms(self, weights: Floats) -> Forms:
-        """Return what predicts linear forms (B, ΣK, M) of features, as `predict` does.
+        """Return a function that predicts linear forms (B, ΣK, M) of the features.
 
-        `weights` are (F, M).
+        It has the arguments of `predict`; `weights` are (F, M).
         """
         each = [part.forms(weights) for part in self.parts]
 
@@ -204,11 +204,10 @@ class Records(Record):
 def record_of(
     model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> Record:
-    """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
+    """Return the record of one or several runs, relative to a `reference` if given.
 
     Raises:
-        SoftmapError: no run at all, runs that are not seen in the same way, a reference of other
-            commands.
+        SoftmapError: no run, runs not measured in the same way, a reference of other commands.
     """
     runs = list(run) if isinstance(run, Sequence) else [run]
     if not runs:

@@ -1,9 +1,9 @@
 """Representatives of families: fitted freely, linearised about themselves, ranked.
 
-A representative is the columns of a family (`families.py`) with coefficients that ridge regression
-fits to the whitened residual; cross-validation chooses the strength of the ridge and gives the fall
-of the held-out loss. Known limit: a representative is linear about the state, and is linearised
-again until its loss falls no more. Pinned by tests/diagnosis/test_two_levels.py.
+A representative is the columns of a family (`families.py`) with coefficients from a ridge
+regression on the whitened residual. Cross-validation gives the ridge strength and the fall of the
+held-out loss. Known limit: a representative is linear about the state; it is linearised again until
+its loss stops falling. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.families import Columns, Commands, Family, FeatureBody, Floats
 from softmap_edge.diagnosis.fit import Fit
 
-BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
-FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
-RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
-LINEARISED = 6  # times at most that a representative is linearised about itself
-HALVED = 3  # times at most that it is halved, if the loss is higher with it than without it
+BACKGROUND_RIDGE = 10.0  # ridge of families that explain ordinary imperfections
+FARTHEST = 3.0  # command limit of a representative, half ranges from the middle
+RIDGES = (0.3, 10.0, 300.0, 1e4)  # ridge strengths for cross-validation
+LINEARISED = 6  # most linearisations of a representative about itself
+HALVED = 3  # most halvings, while the loss is higher with it than without
 
 
 @dataclass(frozen=True, eq=False)
 class Representative:
-    """A family fitted as freely as it can be: coefficients, ridge, held-out loss, displacement."""
+    """A freely fitted family: coefficients, ridge, held-out loss, displacement."""
 
     family: Family
     theta: Floats  # (n,)
@@ -55,15 +55,15 @@ class State:
         representatives: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
-        """Set what is known.
+        """Set the state.
 
         Args:
             body: the problem at level 1.
-            fit: the laws that were found, fitted together.
-            representatives: those of families without a law.
-            background: families that explain ordinary imperfections, which are not named. Where the
-                static map was learned from data with memory, its families are always among them,
-                because the memory has bent it.
+            fit: the joint fit of the laws found.
+            representatives: representatives of the families without a law.
+            background: families that explain ordinary imperfections, which are not named. If the
+                static map was learned from data with memory, they include its families, because the
+                memory has distorted the map.
         """
         self.body, self.fit, self.representatives = body, fit, tuple(representatives)
         self.background = tuple(dict.fromkeys((*background, *body.learned)))
@@ -78,16 +78,16 @@ class State:
         self.shift = shift  # (K, F) mm, of the representatives
 
     def without_background(self) -> State:
-        """Return this state without families of ordinary imperfections.
+        """Return the state without families of ordinary imperfections.
 
-        It is itself where it has none.
+        If there are none, return this state.
         """
         alone = set(self.background) <= set(self.body.learned)
         return self if alone else State(self.body, self.fit, self.representatives)
 
     @property
     def predicted(self) -> Floats:
-        """The features (K, F) mm that are predicted."""
+        """The predicted features (K, F) mm."""
         return self.fit.predicted + self.shift
 
     @cached_property
@@ -97,11 +97,11 @@ class State:
 
     @property
     def residual(self) -> Floats:
-        """What is seen beyond what is predicted, (K, F) mm."""
+        """The measurement minus the prediction, (K, F) mm."""
         return np.asarray(self.body.record.seen - self.predicted)
 
     def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
-        """Add what was found, or another `fit`, to normal equations.
+        """Add the effects found, or another `fit`, to normal equations.
 
         Return names and ridges of the blocks.
         """
@@ -126,7 +126,7 @@ class State:
 
     @cached_property
     def ordinary(self) -> Floats:
-        """What ordinary imperfections explain of the residual, (K, F) mm."""
+        """The part of the residual that ordinary imperfections explain, (K, F) mm."""
         out = np.zeros_like(self.body.record.seen)
         if self._background:
             level = self.body.level()
@@ -139,7 +139,7 @@ class State:
 
 
 def applied(body: FeatureBody, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
-    """Return effective commands behind a representative, and its addition to features (K, F) mm."""
+    """Return effective commands after a representative, and its addition to features (K, F) mm."""
     bank = _core.Bank(one.family.name, len(body.half))
     acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
     if len(acting):
@@ -170,19 +170,18 @@ def about_itself(
     ridge: float,
     moves: Callable[[Floats], tuple[Commands, Floats]],
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit columns on top of what was found, linearised about their own fit.
+    """Fit columns on top of the effects found, linearised about their own fit.
 
     Args:
-        state: what is known.
-        columns: the columns where the slopes of the features over the commands are (C, K, F).
+        state: the effects found and their representatives.
+        columns: returns the columns for slopes (C, K, F) of the features over the commands.
         theta: coefficients (n,) to start from.
         ridge: strength of the ridge.
-        moves: applies coefficients in full: effective commands behind them, and a shift (K, F) mm
-            on top.
+        moves: applies coefficients exactly; returns effective commands and an added shift (K, F)
+            mm.
 
     Returns:
-        tuple: coefficients (n,), held-out loss (folds,), and what they make of the features (K, F)
-        mm.
+        tuple: coefficients (n,), held-out loss (folds,), and the resulting features (K, F) mm.
     """
     body = state.body
     before = body.features(state.commands)
@@ -199,7 +198,7 @@ def about_itself(
         for _ in range(HALVED):
             if np.sum(body.modes(state.residual - moved) ** 2) <= start:
                 break
-            # too far: what is linear in a small effect overestimates a large one
+            # too far: linearisation overestimates a large effect
             theta = 0.5 * theta
             there, moved = shift(theta)
         about = columns(state.slopes if there is state.commands else body.slopes(there))
@@ -223,25 +222,25 @@ def about_itself(
 class Ranking:
     """Level 1 about a state: the loss before it, and each family's fit.
 
-    The loss is that with the families of what was found alongside.
+    The loss includes the families of the effects found.
     """
 
     level: _core.Level
-    names: list[str]  # of the blocks of what was found, and of the families alongside
+    names: list[str]  # ridges of the blocks found, and of the families included
     ridges: list[float]
-    found: Floats  # (folds,) held-out loss of what was found
-    before: Floats  # (folds,) the same with the families of what was found as nuisances
+    found: Floats  # (folds,) held-out loss of the effects found
+    before: Floats  # (folds,) the same with the families of the effects found as nuisances
     rows: list[Representative]  # least loss first
-    static: Floats  # (K, F) mm, what all static families explain together
+    static: Floats  # (K, F) mm, joint contribution of all static families
 
 
 def ranked(
     state: State, every: Sequence[Family], taken: Sequence[Family], within: float = 0.0
 ) -> Ranking:
-    """Fit each family about a state, with those of laws found: a law's form may be off.
+    """Fit each family about a state, together with the families of found laws.
 
-    Only those that explain at least a share `within` of what the best does, on training frames, are
-    cross-validated.
+    The form of a found law may be inexact. Only families that explain at least a share `within` of
+    the best one's fall, on training frames, are cross-validated.
     """
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)
@@ -288,7 +287,7 @@ def _static(
     ridges: list[float],
     rows: Sequence[Representative],
 ) -> Floats:
-    """Return what all static families explain together, (K, F) mm."""
+    """Return the joint contribution of all static families, (K, F) mm."""
     static = [row for row in rows if row.family.kind == "static"]
     out = np.zeros_like(body.record.seen)
     if static:
@@ -302,7 +301,7 @@ def _static(
 def _training_gain(
     level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats
 ) -> float:
-    """Return the fall of the training loss by one block more.
+    """Return the fall of the training loss by one more block.
 
     The held-out loss seldom falls by more.
     """
@@ -313,10 +312,9 @@ def _training_gain(
 def best_ridge(
     level: _core.Level, names: list[str], ridges: list[float], name: str
 ) -> tuple[Floats, float]:
-    """Return the least held-out loss with one block more, and the strength of its ridge.
+    """Return the least held-out loss with one more block, and its ridge strength.
 
-    The loss over the strength has one minimum, so the search goes downhill from the second
-    strength.
+    The loss has one minimum over the strength, so the search descends from the second strength.
     """
 
     def tried(k: int) -> tuple[Floats, float]:

@@ -1,12 +1,12 @@
-"""The search in two levels: family after family, then all together again.
+"""The two-level search: families one after another, then all again together.
 
-Each family has its law where one is resolved.
+Each family has a law if one is resolved.
 
-    rank families about what is known -> accept the best -> ask those near it for their laws -> take
-    one -> again
+    rank families about the state -> accept the best -> find the laws of those near it ->
+    take one -> repeat
 
-If the best family is not accepted, none is: the next best would only stand in for it. Where a
-family stays open, one law or two at once are tried instead (`together.py`). Pinned by
+If the best family is not accepted, none is: the next best would only replace it. If a family stays
+open, one or two laws at once are tried instead (`together.py`). Pinned by
 tests/diagnosis/test_two_levels.py, test_decision.py.
 """
 
@@ -43,7 +43,7 @@ from softmap_edge.diagnosis.representatives import (
 )
 from softmap_edge.diagnosis.together import completed
 
-HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
+HINT = 0.1  # share of the loss that makes an unaccepted family a hint
 
 
 def search(
@@ -56,8 +56,8 @@ def search(
 
     Args:
         problem: the record with its noise.
-        candidates: names of the effects that may be a law.
-        progress: is called with one line for each family.
+        candidates: names of the candidate laws.
+        progress: called with one line per family.
         visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by
             default.
     """
@@ -71,7 +71,7 @@ def search(
     more(outcome, 1)
     outcome = completed(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        # with other laws, the static remainder may be more than ordinary
+        # with other laws, the static misfit may exceed ordinary imperfections
         more(outcome, acceptance.MOST)
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
@@ -79,13 +79,13 @@ def search(
 
 
 def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visible: float) -> None:
-    """Take families on top of what was found until none is accepted, `most` in all."""
+    """Take families on top of those found until none is accepted, at most `most` in all."""
     body, every, more = outcome.body, families(), True
     while more and len(outcome.steps) < most:
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        # a rod of known tendons has no level of its own
+        # a rod with known tendons has no own level
         if body.free_map or not body.record.error_is_noise:
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
         ordinary = acceptance.is_ordinary(ranking, state)
@@ -112,10 +112,7 @@ def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visi
 def _next(
     ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float
 ) -> Step | None:
-    """Return the next family to take, or None; a rejected best one is kept as a hint.
-
-    The outcome keeps it.
-    """
+    """Return the next family to take, or None; the outcome keeps a rejected best one as a hint."""
     single = acceptance.one_pose(state.body)
     rows = _in_order(
         _laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking
@@ -126,7 +123,7 @@ def _next(
     able = [row for row in rows if acceptance.accepted(row, ranking, state, later, visible)]
     noisy = state.body.record.error_is_noise  # another law may explain part of it
     if best not in able and (noisy or acceptance.stands_out(ranking.before, state.body, later)):
-        # an event, or a law far from every column: the representative may not show it
+        # an event, or a law unlike every column: the representative may not show it
         by_law = [_by_law(row, ranking, state, fits) for row in rows[: acceptance.ASKED]]
         able = [row for row in by_law if acceptance.accepted(row, ranking, state, later, visible)]
         best = min((best, *able), key=lambda row: row.left)
@@ -146,7 +143,7 @@ def _next(
         outcome.hint = best
         return None
     best_loss = min((a.least for a in answers), key=np.sum)
-    if not single:  # a law may do far more than its family
+    if not single:  # a law may explain far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
     answers = [a for a in answers if not _static_alone(a, answers, ranking, state)]
@@ -164,7 +161,7 @@ def _next(
 
 
 def _split(answer: Answer, state: State, fits: Fits) -> Answer:
-    """Return an answer with numbers by channel or cable, if that law leaves far less."""
+    """Return the result with parameters per channel or cable, if that law leaves far less."""
     law, body = answer.law, state.body
     if (
         law is None
@@ -191,12 +188,12 @@ def _split(answer: Answer, state: State, fits: Fits) -> Answer:
 
 
 def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
-    """Return the families of a ranking with static ones linearised about themselves.
+    """Return the ranked families, with static ones linearised about themselves.
 
-    This is for those that may do more than they seem to.
+    Only those that may explain more than their first step are linearised again.
 
-    A large effect on commands is not linear in its columns. Another family, which is, would replace
-    it.
+    A large effect on commands is not linear in its columns. Another family that is linear would
+    replace it.
     """
     rows, body = ranking.rows, state.body
     doubtful = [rows[0].loss if rows[0].family.kind == "static" else ranking.before] if rows else []
@@ -223,7 +220,7 @@ def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representati
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
     """Return rows with the least loss first, the free static shape last.
 
-    It keeps its place if it does far more than the others.
+    It keeps its rank if it explains far more than the others.
     """
     ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, row.left))
     gains = [float(ranking.before.sum()) - row.left for row in ordered]
@@ -239,7 +236,7 @@ def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Represen
 def _tied(
     able: list[Representative], ranking: Ranking, state: State, single: bool
 ) -> list[Representative]:
-    """Return the accepted families that are near the best: those whose laws are asked."""
+    """Return the accepted families near the best one, whose laws are searched."""
     best = able[0].loss
     if single:  # imperfections of the robot and a law look alike in one pose
         explained = float(ranking.before.sum() - best.sum())
@@ -257,9 +254,9 @@ def _tied(
 
 
 def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
-    """Whether a law with no more numbers leaves less: then simplicity does not decide.
+    """Whether a law with no more parameters leaves less: then simplicity does not decide.
 
-    Nor is it among families without a law that depend on different things.
+    Nor does it decide between families without a law that have different inputs.
     """
     laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
     if not one.resolved:
@@ -268,11 +265,11 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
 
 
 def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family leaves more than noise, whatever its law, and another does not.
+    """Whether a family leaves more than noise, with any law, and another does not.
 
-    The other depends on something else.
+    The other has a different input.
 
-    One that does here what static columns can do does not exclude a static family.
+    A family that static columns can reproduce here does not exclude a static family.
     """
     if not acceptance.stands_out(one.least, state.body, laws=True):
         return False
@@ -285,9 +282,9 @@ def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: St
 
 
 def _static_alone(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
-    """Whether a family that is not static does here only what a static map does.
+    """Whether a static map reproduces a family of another kind in this run.
 
-    A static family is near.
+    A static family must be near it.
     """
     static = [a for a in others if a.family.kind == "static"]
     return one not in static and any(
@@ -296,7 +293,7 @@ def _static_alone(one: Answer, others: Sequence[Answer], ranking: Ranking, state
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
-    """Whether two static families do the same but for ordinary imperfections."""
+    """Whether two static families agree up to ordinary imperfections."""
     if {one.family.kind, other.family.kind} != {"static"}:
         return False
     record = state.body.record
@@ -307,9 +304,9 @@ def _ordinary_apart(one: Representative, other: Representative, state: State) ->
 
 
 def _ask_again(outcome: Outcome) -> bool:
-    """Ask families without a law once more, with all others in place.
+    """Search the laws of families without one again, with all others present.
 
-    Return whether one has another answer.
+    Return whether a result changed.
     """
     changed = False
     for i, step in enumerate(outcome.steps):
@@ -321,7 +318,7 @@ def _ask_again(outcome: Outcome) -> bool:
         others = [one for one in state.representatives if one.family.name != family.name]
         fits = fits_alongside(outcome.plain, state, others)
         fit = fits.get(state.fit.effects, state.fit.space.split)
-        mimics = family.kind == "static"  # the background would take all of its share
+        mimics = family.kind == "static"  # the background would explain its complete share
         without = State(state.body, fit, others, () if mimics else state.background)
         ranking = ranked(without, [family], [])
         if not ranking.rows:
@@ -334,11 +331,11 @@ def _ask_again(outcome: Outcome) -> bool:
 
 
 def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
-    """Return exchanged or turned servos as a step if they explain as much as the best family.
+    """Return exchanged or reversed servos if they explain as much as the best family.
 
-    They have no free number.
+    They have no free parameters.
 
-    They are asked for only where the model is off by a good part of the motion.
+    They are tested only if the model error is a large part of the motion.
     """
     record = state.body.record
     off, motion = record.rms_mm(state.residual), acceptance.motion_mm(record)
@@ -354,7 +351,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
 
 
 def _stand_in(family: Family, law: Law, fits: Fits) -> Representative:
-    """Return a law in the place of the representative of its family."""
+    """Return a law in place of the representative of its family."""
     record = fits.problem.record
     none = Columns(
         np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0
@@ -365,14 +362,14 @@ def _stand_in(family: Family, law: Law, fits: Fits) -> Representative:
 
 
 def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law | None:
-    """Return the single law of a family that leaves least on top of what was found."""
+    """Return the single law of a family with the least loss on top of the effects found."""
     names = [n for n in family.members if n in fits.candidates and n not in state.fit.effects]
     laws = [law_of(state, fits, (name,), ranking.found) for name in names]
     return min(laws, key=lambda law: law.left, default=None)
 
 
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
-    """Return a family with its best single law for its representative, if that leaves less."""
+    """Return a family with its best single law as representative, if that leaves less."""
     best = _best_law(row.family, ranking, state, fits)
     if best is None or best.fit is None or best.left >= row.left:
         return row

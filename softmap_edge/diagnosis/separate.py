@@ -1,10 +1,10 @@
-"""What to record next: what separates two families, and blocks that settle open points.
+"""Choose what to record next: to separate two families, and to resolve open questions.
 
-Each family declares an experiment (`rust/families/`), which varies what only this family depends
-on. Of two families, the one of the more special input is varied: a declared condition before time,
-time before the history of the commands. Of two families of one kind it is the one declared later.
-So two speeds separate delay from play, a repeat after a rest separates creep from time, and two
-orientations separate a load from the shape at rest. Pinned by tests/diagnosis/test_separate.py.
+Each family declares an experiment (`rust/families/`) that varies an input of this family only. Of
+two families, the one with the more specific input is varied: a declared condition before time, time
+before the command history. Of two families of one kind, it is the one declared later. So two speeds
+separate delay from backlash, a repeat after a rest separates creep from time, and two orientations
+separate a load from the shape at rest. Pinned by tests/diagnosis/test_separate.py.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from softmap_edge.model.effect_info import Registry
 
 REFIT = "`softmap model refit` on this run, then diagnose again"
 
-# kinds of input; a later one is varied by itself more easily
+# kinds of input; later ones are easier to vary alone
 SPECIAL = ("static", "memory", "time", "condition")
 
 
 def separating(one: str, other: str) -> tuple[str, float] | None:
-    """Return what to record so that two families are separated, and the minutes.
+    """Return the experiment that separates two families, and its minutes.
 
-    None where neither declares it.
+    Return None if neither declares one.
 
     Args:
         one: name of a family.
-        other: name of another one.
+        other: name of another family.
     """
     every = families()
     rows = [
@@ -52,14 +52,14 @@ def families_of(effects: Collection[str]) -> tuple[str, ...]:
 
 
 def mended(faults: Sequence[Finding]) -> list[NextBlock]:
-    """Return what to correct by hand before anything is recorded."""
+    """Return what to correct manually before recording."""
     block = "correct the wiring, or the columns and signs in the mapping, and diagnose again: {}"
     cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
     return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
 
 
 def refits(own: OwnMisfit | None) -> list[NextBlock]:
-    """Return what to do first where the model's own effects do not fit."""
+    """Return the first step if the model's own effects do not fit."""
     return [] if own is None else [NextBlock(REFIT, 0.0, own.names)]
 
 
@@ -70,9 +70,9 @@ def next_blocks(
     named: Sequence[str],
     found: Sequence[FamilyFinding] = (),
 ) -> list[NextBlock]:
-    """Return the blocks that would settle what is open: between families first, then between laws.
+    """Return the blocks that resolve open questions: between families first, then between laws.
 
-    The separation is simulated by `softmap next`.
+    `softmap next` simulates the separation.
     """
     blocks: dict[str, tuple[float, list[str]]] = {}
 
@@ -98,7 +98,7 @@ def next_blocks(
 def _near_families(
     found: Sequence[FamilyFinding], alternatives: Sequence[Alternative]
 ) -> list[tuple[str, str]]:
-    """Return each family that was detected with each that cannot be distinguished from it."""
+    """Return pairs of a detected family and a family that cannot be distinguished from it."""
     own = {effect: family.name for family in found for effect in family.effects}
     pairs = [(family.name, other) for family in found for other in family.alternatives]
     pairs += [

@@ -1,13 +1,12 @@
-"""Effects of the servo apart from those of the tendon.
+"""Effects of the servos, separate from those of the tendons.
 
-They lie between command and encoder, where a run has both.
+They act between command and encoder, if a run has both.
 
-Each channel is a model of its own whose shape is the command itself, so the same search that looks
-for what the robot lacks finds what the servo does: command → chain of command effects → encoder. A
-delay that is found here is the servo's, and neither the tendon's nor the camera's. Units: those of
-the command, s. Limits: one channel is 1 number a sample, and so at most THINNED samples, evenly
-thinned, are looked at; what acts behind the encoder is not seen. Pinned by
-tests/diagnosis/test_servo.py.
+Each channel is a separate model whose shape is the command itself: command → chain of command
+effects → encoder. So the search for missing effects also finds those of the servo. A delay found
+here belongs to the servo, not to the tendon or the camera. Units: those of the command, s. Limits:
+a channel has one value per sample; at most THINNED samples, evenly spread, are used. Effects after
+the encoder are not visible. Pinned by tests/diagnosis/test_servo.py.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from softmap_edge.run.run import Run
 Floats = NDArray[np.float64]
 
 THINNED = 1500
-# of the range of the commands: the least RMS that counts, if the encoder's step is finer
+# of the command range: least RMS that counts, if the encoder's step is finer
 VISIBLE = 0.006
 
 
 def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
     """Return a servo as a model: a marker whose x is the encoder's reading.
 
-    It is equal to the effective command.
+    The marker equals the effective command.
 
     Args:
         step: resolution of the encoder, in the unit of the command.
@@ -60,9 +59,9 @@ def servo_model(step: float, command_range: Floats, unit: str = "mm") -> Model:
 
 
 def encoder_run(run: Run, channel: int, t_seen: Floats) -> Run:
-    """Return a servo's commands (T, 1), its encoder as the x of a marker.
+    """Return a servo's commands (T, 1) as a run with its encoder as the x of a marker.
 
-    The encoder is at times `t_seen` (K,).
+    The encoder is sampled at `t_seen` (K,).
     """
     markers = np.zeros((len(t_seen), 1, 3))
     markers[:, 0, 0] = np.interp(t_seen, run.t, run.commands("present")[:, channel])
@@ -75,16 +74,15 @@ def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
 
     Args:
         run: a run with commands (T, C) and encoder positions (T, C) in the same unit.
-        effects: names of the candidates; those that act on the command before the encoder are
-            tested.
+        effects: names of the candidates; those on the command before the encoder are tested.
 
     Returns:
-        list: the effects between command and encoder of each channel that moves, with errors held
-            out on blocks; empty where the run has no commands or no encoders.
+        list: the effects between command and encoder of each moving channel, with errors held out
+            on blocks; empty if the run has no commands or no encoders.
     """
     if run.command is None or run.present is None or not len(run.t):
         return []
-    # A user's own law may need all channels at once, which one servo is not.
+    # A user-defined law may need all channels at once; a servo has one.
     early = [e for e in registry().values() if e.stage == "command" and not e.own]
     requested = [e.name for e in early if e.on_commands]
     every = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), THINNED)).astype(int))
@@ -115,7 +113,7 @@ def _servo(run: Run, channel: int, t_seen: Floats, candidates: list[str]) -> Ser
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
     outcome = search(problem, candidates, visible=max(step, VISIBLE * span))
-    fits = outcome.plain  # without families that have no law
+    fits = outcome.plain  # without families lacking a law
     fit = fits.get(outcome.fit.effects, outcome.fit.space.split)
     sigma = problem.uncertainty(fit, fits.dispersion(fit)) if len(fit.x) else np.zeros(0)
     effects = tuple(ServoEffect(e, parameters(record, fit, sigma, (e,))) for e in fit.effects)

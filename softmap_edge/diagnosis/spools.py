@@ -1,12 +1,12 @@
-"""The radius of the spools, where it is known: an eccentric pulley then has no free period.
+"""The spool radius, if known: an eccentric pulley then has no free period.
 
     R = |A_kk| · 4096 / 2π       A (C, C) commands a tick (the model's calibration), 4096 ticks a
                                  turn of the horn
 
 An eccentric pulley repeats after one turn, 2πR of the command. A run can also declare R
-(`spool_radius_mm`, which an import keeps from its mapping). The calibration comes first, because it
-was measured in the model's own commands. Limits: one radius for all spools, on the horn itself
-without gears, and each servo moves its own channel. Pinned by tests/diagnosis/test_spools.py.
+(`spool_radius_mm`, which an import keeps from its mapping). The calibration takes precedence: it
+was measured in the model's own commands. Limits: one radius for all spools, mounted on the horn
+without gears, one servo per channel. Pinned by tests/diagnosis/test_spools.py.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 RADIUS = "eccentric_pulley.radius"
-ALIKE = 0.05  # of their mean: spools whose radii differ by less have one radius
-# of its own slope: a channel that other servos move by more is not wound on one spool
+ALIKE = 0.05  # of their mean: radii that differ by less are equal
+# of its own slope: a channel moved more by other servos is not on one spool
 CROSSED = 0.1
 
 
@@ -59,7 +59,7 @@ def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
 def _calibrated(calibration: Calibration) -> Spool | None:
     """Return the radius that a calibration gives.
 
-    None where channels have several servos or different spools.
+    None if channels have several servos or different spools.
     """
     slopes, own = np.abs(calibration.A), np.abs(np.diag(calibration.A))
     radii, sigma = own * TURN / (2.0 * np.pi), np.diag(calibration.sigma_A) * TURN / (2.0 * np.pi)
@@ -69,7 +69,7 @@ def _calibrated(calibration: Calibration) -> Spool | None:
 
 
 def with_radius(layout: Layout, spool: Spool) -> Layout:
-    """Return a layout in which the radius of an eccentric pulley is the known one."""
+    """Return a layout with the known radius of an eccentric pulley."""
     known = np.array([label == RADIUS for label in layout.labels], bool)
 
     def fixed(values: Floats) -> Floats:

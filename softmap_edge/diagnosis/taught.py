@@ -1,10 +1,10 @@
-"""Runs that taught the model: what the model holds already, and what such a run can still show.
+"""Training runs of a model: what the model already contains, and what such a run can show.
 
-A learned model was fitted to its runs. Its static map contains the static effects of that time, so
-these runs show no static effect. `softmap learn` also puts the memory that it finds into the chain
-(`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has bent the
-static map, so each law is fitted with the map solved again (`Record.remapped`, `families.State`).
-Pinned by tests/diagnosis/test_taught.py.
+A learned model was fitted to its runs. Its static map contains the static effects present then, so
+these runs show no static effect. `softmap learn` also adds the memory that it finds to the chain
+(`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has distorted
+the static map, so each law is fitted with the map solved again (`Record.remapped`,
+`families.State`). Pinned by tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ AGAIN = (
 
 @dataclass(frozen=True)
 class TaughtRuns:
-    """Which of `count` runs taught the model, and how.
+    """The training runs of the model among `count` runs, and how it was learned.
 
-    Numbers from 1; whether it was learned with --static, and with what.
+    Runs are numbered from 1; it also holds whether --static was used, and the map.
 
     A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows
     few of them, so static effects show even in the runs that taught it.
@@ -56,7 +56,7 @@ class TaughtRuns:
 
     @classmethod
     def by(cls, model: Model, runs: Sequence[Run]) -> TaughtRuns:
-        """Find which runs taught a model; none of them if it was not learned from runs."""
+        """Find the training runs of a model; none if it was not learned from runs."""
         made_from = model.made_from
         if not made_from.get("runs"):
             return cls(count=len(runs))
@@ -67,21 +67,21 @@ class TaughtRuns:
 
     @property
     def all(self) -> bool:
-        """Whether every run taught the model."""
+        """Whether every run is a training run."""
         return len(self.runs) == self.count
 
     @property
     def remaps(self) -> bool:
-        """Whether the static map is solved again with each law, at least at first.
+        """Whether the static map is solved again with each law, at least initially.
 
-        Memory has bent it.
+        It is, if memory has distorted it.
 
-        Without --static `learn` solved it with the memory that it found.
+        Without --static, `learn` solved it together with the memory that it found.
         """
         return self.free and self.static
 
     def __str__(self) -> str:
-        """Say which runs taught the model, what was learned in, and what they can still show."""
+        """Report the training runs, the learned effects, and what these runs can show."""
         if self.static:
             memory = "memory can, because the model was learned with --static"
         elif self.learned_in:
@@ -106,7 +106,7 @@ class TaughtRuns:
         return f"{who} taught the model: {held}; {memory}"
 
     def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
-        """Return the candidates that are hidden by the static map, or as it is solved again."""
+        """Return the candidates hidden by the static map, or by solving it again."""
         if not record.remapped and not (self.free and self.all):
             return []
         loaded = record.load is not None and float(np.ptp(record.load)) > 0
@@ -121,7 +121,7 @@ class TaughtRuns:
         return [Untestable(name, *found) for name in candidates if name in static]
 
     def next(self, found: Sequence[Finding]) -> list[NextBlock]:
-        """Return how to fit memory that was found with the static map solved again."""
+        """Return how to fit memory found with the static map solved again."""
         return (
             [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))]
             if self.static and found
@@ -130,11 +130,11 @@ class TaughtRuns:
 
 
 def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Document:
-    """Return changes to a diagnosis without names, if `learn` detected memory without law.
+    """Return changes to a diagnosis without names, if `learn` detected memory without a law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error. In
-    the runs that taught the model a family that was found with a fixed map does not count: `learn`
-    solved the map again with each of them.
+    training runs, a family found with a fixed map does not count: `learn` solved the map again with
+    each family.
     """
     unknown = next((one for one in model.learned_in if not one.name), None)
     silent = values["verdict"] in ("nothing", "cannot_tell")

@@ -1,7 +1,7 @@
-"""The report of a diagnosis for a terminal, from its document. Text only, no colour, 100 columns.
+"""Write the report of a diagnosis document for a terminal: text only, no colour, 100 columns.
 
-Bars of one block share one scale, so that their lengths may be compared; every number has its unit,
-and every error what it was measured on.
+Bars of one block share a scale, so their lengths are comparable. Every number has its unit, and
+every error the data it was measured on.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ def diagnosis_text(document: Document) -> str:
     """Return the report of a diagnosis document.
 
     Args:
-        document: the result of `Diagnosis.to_dict()`, of this schema or the one before.
+        document: the result of `Diagnosis.to_dict()`, of this or the previous schema.
 
     Returns:
         str: lines of at most 100 columns.
 
     Raises:
-        ReportError: it is not such a document.
+        ReportError: not a diagnosis document.
     """
     known = Diagnosis.from_dict(document).to_dict()
     document, unit = in_unit(known), unit_of(known["made_from"])
@@ -81,7 +81,7 @@ def ladder_steps(error: Document) -> list[tuple[str, float]]:
         error: the entry `error` of a diagnosis document.
 
     Returns:
-        list: steps whose value is a finite number, in the order in which things were added.
+        list: the steps with finite values, in the order of addition.
     """
     steps = [
         ("model alone", error.get("model")),
@@ -114,7 +114,7 @@ def _effect_lines(row: Document, place_unit: str) -> list[str]:
 
 
 def again(row: Document) -> list[str]:
-    """Return a sentence on the model's numbers refitted with an effect, if there are any."""
+    """Return a sentence on the model parameters refitted with an effect, if any."""
     changed = (row.get("refitted") or {}).get("params") or {}
     return (
         [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"]
@@ -124,7 +124,7 @@ def again(row: Document) -> list[str]:
 
 
 def confirmed(row: Document) -> list[str]:
-    """Return a sentence on what the withheld blocks show of an effect, if that is known."""
+    """Return a sentence on the evidence of the withheld blocks for an effect, if known."""
     return (
         [str(read(Certificate, row["certificate"], "certificate"))]
         if row.get("certificate")
@@ -153,7 +153,7 @@ def parameter(value: Document) -> str:
 
 
 def servo_row(row: Document) -> tuple[str, str]:
-    """Return an entry of `servo` as (channel, effects and held-out error before and after)."""
+    """Format an entry of `servo` as (channel, effects and held-out error before and after)."""
     error, unit = row.get("error") or {}, str(row.get("unit") or "")
     found = [
         f"{label.split('[')[0]} {parameter(value)}"
@@ -190,7 +190,7 @@ def _ladder_lines(error: Document) -> list[str]:
 
 
 def _noise_lines(made_from: Document, unit: str) -> list[str]:
-    """Return the noise of a point of each run, the number that `check` and `compare` report."""
+    """Return the noise of a point of each run, as `check` and `compare` report it."""
     output, values = output_of(made_from), made_from.get("noise_of_points_mm")
     given = (
         [value for value in values if number(value) is not None] if isinstance(values, list) else []
@@ -226,7 +226,7 @@ def _alternative(row: Document) -> str:
 def untestable_rows(document: Document) -> list[tuple[str, str, str]]:
     """Return what a diagnosis cannot test as (effects, why, experiment).
 
-    Effects of one reason are in one row.
+    Effects with the same reason share a row.
     """
     rows: dict[tuple[str, str], list[str]] = {}
     for row in document.get("not_testable") or []:
@@ -243,7 +243,7 @@ def _untestable(row: tuple[str, str, str]) -> str:
 
 def _next(row: Document) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
-    # no recording takes none
+    # a limit of the model has no recording
     took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""
     apart = (
         f", expected separation {separation:.3g} (chi², simulated)"

@@ -1,7 +1,7 @@
-"""Laws of different families, fitted at once where the stepwise search leaves one open.
+"""Fit laws of different families at once if the stepwise search leaves one open.
 
-The laws replace what was found one by one only if they leave far less, or no more with more
-families resolved. Pinned by tests/diagnosis/test_two_levels.py.
+The laws replace the stepwise result only if they leave far less, or no more with more families
+resolved. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from softmap_edge.diagnosis.representatives import Ranking, Representative, Stat
 
 Floats = NDArray[np.float64]
 
-TOGETHER = 6  # pairs of a law and a second family that are asked for its laws
-# of what the best family explains: on training frames less, and it is not cross-validated
+TOGETHER = 6  # pairs of a law and a second family whose laws are searched
+# of the best family's fall on training frames: least for cross-validation
 PROMISING = 0.5
 
 
-More = Callable[[Outcome, int], None]  # goes on with families until there are so many, in place
+More = Callable[[Outcome, int], None]  # continues up to a number of families, in place
 
 
 def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
-    """Return the first family with the others, one by one or a few laws at once.
+    """Add the other families to the first, one by one or a few laws at once.
 
-    The first of two families takes a share that belongs to the second, and keeps it. Laws that are
-    fitted at once each take their own: they are tried first where they leave no more than noise,
-    and else replace what was found.
+    In a stepwise search, the first of two families also explains and keeps part of the second's
+    share. Laws fitted at once separate their shares. They are used first if they leave no more than
+    noise; otherwise they may replace the stepwise result.
 
     Args:
         outcome: the first family, if one was found.
-        more: goes on with families.
+        more: continues the family search.
         visible: least effect size that counts, mm RMS.
     """
     few, tried = _few_laws(outcome), []
@@ -57,10 +57,7 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
 
 
 def _left_with_imperfections(outcome: Outcome) -> float:
-    """Return the unexplained share, if the ordinary families explain what they can.
-
-    Those are the families of ordinary imperfections.
-    """
+    """Return the unexplained share after the families of ordinary imperfections."""
     background = [family for family in families() if family.name in acceptance.BACKGROUND]
     other = replace(
         outcome, state=State(outcome.body, outcome.fit, outcome.state.representatives, background)
@@ -72,10 +69,10 @@ def _left_with_imperfections(outcome: Outcome) -> float:
 def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outcome | None:
     """Return a few laws as an outcome if they leave only noise.
 
-    They do so with ordinary imperfections, and each is confirmed.
+    Ordinary imperfections are included, and each law is confirmed.
 
-    One of them must be of the first family, and no other may depend on time, because an event or a
-    drift can do much of what other families do. Else families are asked one by one first.
+    One of them must be of the first family. No other may depend on time, because an event or a
+    drift can reproduce much of other families. Otherwise families are searched one by one first.
     """
     body, ordinary_mm = outcome.body, outcome.body.ordinary_mm
     first, homes = outcome.steps[0].family, {home(name) for name in laws.effects}
@@ -100,9 +97,9 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
-    """Return what a `few` laws at once explain, if that replaces the stepwise result."""
+    """Return the outcome of a `few` laws at once, if it replaces the stepwise result."""
     steps = outcome.steps
-    # one family alone is small against noise
+    # one family alone is small relative to the noise
     hinted = outcome.body.record.error_is_noise and outcome.hint is not None
     if (
         not (steps or hinted)
@@ -119,7 +116,7 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
         and not steps[0].others
         and outcome.left <= rule.LEFT
     ):
-        # One law that does nearly all gives way to nothing else.
+        # A law that explains nearly everything is not replaced.
         few = () if excluded is None else filter(excluded, few)
     for laws in few:
         ordinary_mm = outcome.body.ordinary_mm
@@ -140,11 +137,11 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
 
 
 def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
-    """Return whether laws at once exclude the one law that was found.
+    """Return whether laws at once exclude the single law found.
 
-    Another law of its family is among them, and they leave only noise where it leaves more. The
-    part that imperfections may explain counts as left, because they can hide a second effect. None
-    if no laws can.
+    They include another law of its family, and leave only noise while it leaves more. The part that
+    imperfections may explain counts as unexplained, because they can hide a second effect. None if
+    no laws can.
     """
     if len(outcome.steps) != 1 or not outcome.fit.effects:
         return None
@@ -168,7 +165,7 @@ def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     """Return an outcome with the alternatives to each of its laws.
 
-    The families that it replaces are among them.
+    They include the families that it replaces.
     """
     laws = [
         law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None
@@ -203,10 +200,10 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
-    """Whether an outcome replaces another: it leaves far less, or as little and is simpler.
+    """Whether an outcome replaces another: it leaves far less, or no more and is simpler.
 
-    What static families explain alone needs no other kind: an event can do much of what a static
-    map does.
+    If static families suffice, no other kind is accepted: an event can reproduce much of a static
+    map.
     """
     if acceptance.falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
@@ -219,7 +216,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    # a family without a law explains the model-form error of another law too
+    # a family without a law also explains the model-form error of another law
     form = rule.FORM * max(1, outcome.open)
     return (
         fewer
@@ -229,25 +226,25 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
 
 def _changes(family: Family) -> bool:
-    """Whether a family depends on time, or on what changes with time in the run.
+    """Whether a family depends on time, or on an input that changes with time in the run.
 
-    This is a condition, or the orientation.
+    Such an input is a condition, or the orientation.
     """
     return family.kind in ("time", "condition") or family.name == "load"
 
 
 def _kind(family: Family) -> str:
-    """Return what a family depends on; an event and a drift are of different kinds."""
+    """Return the input of a family; an event and a drift are of different kinds."""
     return family.name if family.kind == "time" else family.kind
 
 
 def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Outcome | None:
-    """Return a few laws as an outcome if each is confirmed with the others in place.
+    """Return a few laws as an outcome if each is confirmed with the others present.
 
     Each is confirmed as the law of its family.
 
-    Where they do all `together`, a small misfit of one of them does not count. No family explains
-    ordinary imperfections meanwhile: it would take the share of static laws.
+    If they explain everything `together`, a small misfit of one does not count. Families of
+    ordinary imperfections are excluded: they would take the share of static laws.
     """
     body, plain = outcome.body, outcome.plain
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
@@ -265,7 +262,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
         ):
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
-        # as ordinary imperfections do, or from some instant on
+        # as for ordinary imperfections, or from some time on
         lasting = answer.family.kind in ("static", "time")
         least = max(visible, acceptance.ordinary_level(body) * lasting)
         if moved < least or not acceptance.falls_on(answer.before, answer.law.loss, body):
@@ -275,7 +272,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
         ):
             return None
         other.steps.append(Step(answer, ()))
-        # With the others in place, another law of the family may be its law.
+        # With the others present, another law of the family may be the best.
         names = [*(n for n in names if n != name), *answer.law.effects]
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
     split = [e for law in laws for e in law.split]
@@ -284,11 +281,11 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
 
 
 def _reached(answer: Answer, name: str) -> Answer:
-    """Return an answer with an effect as its law, if it is the best.
+    """Return the result with an effect as its law, if it is the best.
 
-    It leaves least, or as little as a law with more numbers.
+    It leaves least, or no more than a law with more parameters.
 
-    A generic law that leaves less keeps the answer as it is.
+    If a generic law leaves less, the result stays unchanged.
     """
     first = answer.tried[0]
     law = next((law for law in answer.tried if law.effects == (name,)), None)
@@ -307,13 +304,13 @@ def _reached(answer: Answer, name: str) -> Answer:
 
 
 def _without_map(body: FeatureBody, fits: Fits, names: Collection[str]) -> State:
-    """Return the state without static laws and drifts, which together change a map."""
+    """Return the state without static laws and drifts, which together alter a map."""
     kinds = {e: family.kind for e in names if (family := home(e)) is not None}
     return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
 
 
 def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
-    """Ask the family of an effect for its law, with all other effects in place."""
+    """Find the law of an effect's family, with all other effects present."""
     family = home(name)
     ranking = None if family is None else ranked(without, [family], [])
     if ranking is None or not ranking.rows:
@@ -322,9 +319,9 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
 
 
 def _few_laws(outcome: Outcome) -> Iterator[Law]:
-    """Yield laws of different families that leave least.
+    """Yield the laws of different families with the least loss.
 
-    The best two, more if these add enough, and the best one.
+    They are the best two, more if these add enough, and the best one.
     """
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
@@ -338,8 +335,8 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     pairs: dict[frozenset[str], Law] = {}
     for first, state, ranking, row in sorted(found, key=lambda one: one[3].left)[:TOGETHER]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
-            continue  # no law of this family will do more
-        own = home(first.effects[0])  # pairs of one family belong to its own question
+            continue  # no law of this family will explain more
+        own = home(first.effects[0])  # pairs within a family are tried at its own level 2
         names = [
             n
             for n in row.family.members
@@ -365,10 +362,10 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
 
 
 def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
-    """Return the families whose best laws leave least, with these laws, the best first.
+    """Return families with their best laws, by loss, best first.
 
-    Families are asked in the order of what they explain, until a law must explain far more than its
-    family to be one. Another law of the family may take its place in the end.
+    Families are searched in the order of their fall, until a law would have to explain far more
+    than its family. Another law of the family may replace it in the end.
     """
     total = float(before.sum())
     laws: list[Law] = []
@@ -392,7 +389,7 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
 
 
 def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
-    """Return a set of laws with the laws of more families that lower its loss enough, or None."""
+    """Add laws of more families to a set if they lower its loss enough; else return None."""
     found = few
     while len(found.effects) < acceptance.MOST:
         assert found.fit is not None
@@ -401,7 +398,7 @@ def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
         best = found
         for row in ranking.rows[: acceptance.ASKED]:
             if not near(row.loss, best.loss, ranking.found):
-                continue  # no law of this family will do more
+                continue  # no law of this family will explain more
             names = [n for n in row.family.members if home(n) == row.family]
             best = min(
                 [best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left
@@ -413,16 +410,16 @@ def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
 
 
 def _laws_on(state: State, fits: Fits, names: Collection[str], before: Floats) -> list[Law]:
-    """Fit each named candidate on top of what was found.
+    """Fit each named candidate on top of the effects found.
 
-    A pulley that may be any smooth map is left out.
+    A pulley that fits any smooth map is excluded.
     """
     laws = [law_of(state, fits, (name,), before) for name in fits.candidates if name in names]
     return [law for law in laws if WINDING not in law.effects or winds(law, state.body)]
 
 
 def _joined(first: Law, second: Law) -> Law:
-    """Return the second law, which was fitted on top of the first, as the law of both."""
+    """Return the second law, fitted on top of the first, as the law of both."""
     return replace(
         second, effects=(*first.effects, *second.effects), numbers=first.numbers + second.numbers
     )

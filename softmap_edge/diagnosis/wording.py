@@ -1,6 +1,6 @@
-"""The words of a diagnosis: its verdict, its sentence, and doubts about what it names.
+"""Word a diagnosis: its verdict, its sentence, and doubts about the named effects.
 
-Every error is in mm RMS, and marked fitted or held out. Pinned by tests/report/test_report.py.
+Every error is in mm RMS, and marked as fitted or held out. Pinned by tests/report/test_report.py.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from softmap_edge.diagnosis.findings import (
     Untestable,
 )
 
-GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
-# of the candidates that may be untestable before "nothing" becomes "inconclusive"
+GROSS = 2.0  # ratio of fault to physics effect size that makes a fault the verdict
+# of the candidates: more untestable ones turn "nothing" into "inconclusive"
 UNTESTABLE_SHARE = 1 / 3
-LEFT_R2 = 0.12  # from which a condition is named as a predictor of the unexplained error
+LEFT_R2 = 0.12  # share above which a condition is named as a predictor of the unexplained error
 
 
 @dataclass(frozen=True)
 class OwnMisfit:
-    """Effects that the model has, which fit the run much better with other numbers.
+    """The model's own effects, if other parameters fit the run much better.
 
     Errors are in mm RMS; the error after the fit is held out.
     """
@@ -54,12 +54,12 @@ def verdict_of(
     """Return the verdict.
 
     Args:
-        physics: effects that were found, or the faults where these may be physics.
-        faults: faults of the measurement.
+        physics: effects found, or faults that may be physics.
+        faults: measurement faults.
         doubtful: whether there is evidence against a name.
         unknown: whether an unexplained error remains.
         detected: whether a family was detected.
-        hidden: number of effects that the run could not have shown.
+        hidden: number of effects that the run could not show.
         count: number of candidates.
     """
     if unknown:
@@ -91,7 +91,7 @@ def sentence_of(
 ) -> str:
     """Return the verdict as a sentence: named effects, alternatives, fall of the held-out error.
 
-    `hint` is the nearest family where none is accepted.
+    `hint` is the nearest family if none is accepted.
     """
     fall = f"the held-out error falls from {error.before:.2f} to {error.after:.2f} mm RMS"
     lost = (
@@ -186,14 +186,14 @@ def _found(
 
 
 def _names(faults: Sequence[Finding]) -> str:
-    """Return the names of faults, with the meaning of a case where one has it."""
+    """Return the names of faults, with the meaning of a case if there is one."""
     return " + ".join(
         ": ".join([f.name, *(p.meaning for p in f.params.values() if p.meaning)]) for f in faults
     )
 
 
 def at_bounds(findings: Sequence[Finding]) -> list[str]:
-    """Return a doubt for each number that the fit left at its bound."""
+    """Return a doubt for each parameter at its bound."""
     return [
         f"{label} is at its bound of {p.value:.3g}{'' if p.unit == '1' else ' ' + p.unit}: "
         "the true value lies beyond, or another effect acts"

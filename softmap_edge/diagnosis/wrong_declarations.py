@@ -1,17 +1,16 @@
-"""Whether a run declares gravity with a wrong sign, or a load of a wrong size.
+"""Detect gravity declared with a wrong sign, or a load of a wrong size.
 
-This is asked where gravity makes no sense.
+It is tested if gravity is implausible in a diagnosis.
 
-With another effect present a wrong sign does not stand out before a fit (`belongs.py` asks that): a
-weight or a play hides it, and the effect `gravity` then ends at the bounds of what it may be. So
-that a search decides, the run is diagnosed again under the signs that look best with a free weight
-at the tip,
+With another effect present, a wrong sign is not visible before a fit (`belongs.py` tests that). A
+weight or backlash hides it, and the effect `gravity` then ends at its bounds. So the run is
+diagnosed again under the signs that fit best with a free weight at the tip,
 
-    min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)|      d what one weight does,
+    min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)| d the effect of one weight,
 
-and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is
-scaled by what fits best before a search, and must hold there too. Units: mm RMS, held out. Limit:
-axes that were exchanged are not tried, nor runs relative to a reference. Pinned by
+and the declaration is wrong if the held-out error under these signs is at most WORSE of its own. A
+load is scaled to fit best before a search, and the search must confirm it. Units: mm RMS, held out.
+Limit: exchanged axes and runs relative to a reference are not tested. Pinned by
 tests/diagnosis/test_wrongly_declared.py.
 """
 
@@ -31,21 +30,21 @@ from softmap_edge.files.atomic import Document
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
-FRAMES = 100  # looked at where signs are compared before the search
-# times what the best signs leave: a hanging body hardly distinguishes the signs of its axis
+FRAMES = 100  # frames for comparing signs before the search
+# times the error of the best signs: a hanging body hardly distinguishes the sign of its axis
 CLOSE = 1.3
-POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per number, that no true dead load leaves
-ABSENT = 0.2  # of a declared load: nearer to none, or to all of it, it is taken as that
-WORSE = 0.8  # of the held-out error that other signs must leave at most
+POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per value: limits for a true dead load
+ABSENT = 0.2  # of a declared load: nearer to zero, or to all of it, it is rounded
+WORSE = 0.8  # of the held-out error: most that other signs may leave
 SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
 
 
 def strange(document: Document, loaded: bool = False) -> bool:
     """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
-    It is implausible if its numbers end at their bounds, or if the unexplained error depends on the
-    orientation. It is also implausible if a dead load leaves most of the error or has no law of the
-    library, or if an effect was found in a run that declares a load.
+    It is implausible if its parameters end at their bounds, or if the unexplained error depends on
+    the orientation. It is also implausible if a dead load leaves most of the error or has no law of
+    the library, or if an effect was found in a run that declares a load.
     """
     at_bound = any(
         entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())
@@ -72,11 +71,12 @@ def strange(document: Document, loaded: bool = False) -> bool:
 
 
 def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Report if gravity of other signs leaves a smaller held-out error than declared.
+    """Report whether gravity of other signs leaves a smaller held-out error than declared.
 
     Args:
-        record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search
-            leaves on other runs.
+        record: the diagnosed record.
+        error: its held-out error, mm RMS.
+        again: returns the held-out error of a search on other runs.
     """
     runs = [part.run for part in record.parts]
     if record.replay is not None or any(run.gravity is None for run in runs):
@@ -99,9 +99,9 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
 
 
 def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
-    """Report if another size of the declared loads leaves a smaller held-out error.
+    """Report whether another size of the declared loads leaves a smaller held-out error.
 
-    The arguments are those above.
+    The arguments are those of the function above.
     """
     runs = [part.run for part in record.parts]
     if record.replay is not None or not any(
@@ -118,7 +118,7 @@ def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], fl
         )
         for declared in (loaded, bare)
     )
-    does = shift - off  # of all that is declared
+    does = shift - off  # of all declared loads
     share = float(np.sum(shift * does)) / max(float(np.sum(does**2)), 1e-12)
     share = 0.0 if share < ABSENT else share
     if abs(share - 1.0) < ABSENT:
@@ -149,7 +149,7 @@ def _thin(run: Run) -> Run:
 
 
 def _left(record: Record, runs: list[Run]) -> float:
-    """Return what a model leaves of runs, mm RMS, with whatever weight at the tip."""
+    """Return the error of a model on runs with any weight at the tip, mm RMS."""
     other = record_of(record.model, runs)
     own, names = (
         record.model.chain_names,

@@ -1,1 +1,1 @@
-"""What to record next: blocks of commands, their choice, and the file that a robot plays."""
+"""Choose what to record next: blocks of commands, and the file that a robot plays."""

@@ -1,14 +1,13 @@
 """The blocks of commands to choose an experiment from.
 
-What each moves, which one condition it changes, how it is made.
+Each block declares its moves and the one condition that it changes.
 
-A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or
-the load at the tip, or the warmth, never two of them, because the differences could not be
-separated; and what it does in the changed condition it does in the usual one too, so that a block
-alone holds both. `plan` puts blocks one after another. Units: s, mm (or the robot's own unit), g,
-°C. Moves are those of `run/protocol.py`, within the limits of a robot. Known limit: a warm-up is
-planned as a straight rise; a real one follows the thermometer. Pinned by
-tests/experiment/test_experiment.py.
+A block starts and ends at home. It changes at most one condition (`changes`): the orientation, the
+load at the tip, or the temperature. The effects of two changed conditions could not be separated. A
+block repeats its moves in the usual condition, so it alone holds both. `plan` plays blocks in
+sequence. Units: s, mm (or the robot's own unit), g, °C. Moves are those of `run/protocol.py`,
+within the limits of a robot. Known limit: a warm-up is planned as a linear rise; a real one follows
+the thermometer. Pinned by tests/experiment/test_experiment.py.
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Vector = tuple[float, ...]
 
-KNOWN_LOAD = 10.0  # g that are hung at the tip, on top of what hangs there
-WARMER, ROOM = 5.0, 22.0  # °C to warm by, and to start from where no temperature is declared
-WARM_UP = 600.0  # s that it takes
+KNOWN_LOAD = 10.0  # load added at the tip, g
+WARMER, ROOM = 5.0, 22.0  # temperature rise, and start where none is declared, °C
+WARM_UP = 600.0  # duration, s
 LONG = 40.0  # s of rest at the end of the range
-# degrees of azimuth to lean to; the first is that of the standard protocol
+# azimuths of the lean, degrees; the first is that of the standard protocol
 TILTS = (25.0, 205.0, 115.0)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The conditions of a robot: gravity (3,) in g, load g, and all orientations seen so far."""
+    """The conditions of a robot: gravity (3,) in g, load in g, and all past orientations."""
 
     gravity: Vector = HANGING
     load: float = 0.0
@@ -50,9 +49,9 @@ class Setting:
 
     @classmethod
     def after(cls, runs: Sequence[Run], usual: Floats) -> Setting:
-        """Return how a robot stands after some runs.
+        """Return the setting of a robot after some runs.
 
-        It hangs by `usual` gravity (3,) where they declare none.
+        Where they declare no gravity, it is `usual` (3,).
         """
         down = [np.atleast_2d(run.gravity) for run in runs if run.gravity is not None]
         last = runs[-1].load if runs else None
@@ -68,7 +67,7 @@ class Setting:
         )
 
     def leaning(self) -> Vector:
-        """Return a direction of gravity 35° from the usual one that is new, if there is one."""
+        """Return a new direction of gravity, 35° from the usual one, if there is one."""
         down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
         x = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
         x = (x - (x @ down) * down) / np.linalg.norm(x - (x @ down) * down)
@@ -83,15 +82,15 @@ class Setting:
 
 @dataclass(frozen=True)
 class Block:
-    """Some moves that show something: `moves` puts them on a tape, in a setting.
+    """A block: `moves` adds its moves to a tape, in a setting.
 
-    `changes` is the one condition.
+    `changes` is the condition that it changes.
     """
 
     name: str
     moves: Callable[[Tape, Setting], None]
     changes: Literal["nothing", "orientation", "load", "temperature"] = "nothing"
-    channels: int = 1  # that it takes
+    channels: int = 1  # channels that it needs
 
     def plan(self, limits: Limits, setting: Setting | None = None, seed: int = 0) -> Protocol:
         """Return the block as a protocol, for a robot with these limits in its conditions."""
@@ -108,20 +107,21 @@ def plan(
     """Return blocks in sequence as a protocol; each change is reverted before the next.
 
     Args:
-        blocks: at least one. limits: of the robot. setting: how it stands; hanging, without load,
-            by default.
-        seed: of the irregular times of the frames. name: of the protocol; the names of the blocks
-            by default.
+        blocks: at least one block.
+        limits: limits of the robot.
+        setting: its conditions; hanging, without load, by default.
+        seed: seed of the irregular frame times.
+        name: name of the protocol; the names of the blocks by default.
 
     Raises:
-        SoftmapError: no block, one that takes more channels, or more than two hours.
+        SoftmapError: no block, one that needs more channels, or more than two hours.
     """
     if not blocks:
         raise SoftmapError(f"no block is asked for; there are {', '.join(BLOCKS)}")
     setting = setting or Setting()
     named = name or " + ".join(block.name for block in blocks)
     tape = Tape(limits, np.random.default_rng([seed, len(named)]), setting.gravity, setting.load)
-    # what is warm stays warm: last
+    # the body cools slowly, so warm blocks are last
     for block in sorted(blocks, key=lambda block: block.changes == "temperature"):
         if block.channels > limits.channels:
             raise SoftmapError(
@@ -141,7 +141,7 @@ def chosen(names: Iterable[str]) -> list[Block]:
     """Return blocks by their names.
 
     Raises:
-        SoftmapError: there is no such block.
+        SoftmapError: an unknown block.
     """
     found = []
     for name in names:
@@ -155,7 +155,7 @@ def chosen(names: Iterable[str]) -> list[Block]:
 
 
 def _each(move: Callable[[Tape, int], None]) -> Callable[[Tape, Setting], None]:
-    """Return: rest at home, one channel after the other, rest at home."""
+    """Rest at home, move one channel after the other, and rest at home."""
 
     def moved(tape: Tape, setting: Setting) -> None:
         moves.home(tape, 3.0, 1.6)
@@ -211,7 +211,7 @@ def _circle(tape: Tape, setting: Setting) -> None:
 
 
 def _sample(tape: Tape, label: str) -> None:
-    """Home and one triangle of each channel: what is repeated where a condition changes."""
+    """Home and one triangle per channel: the moves repeated where a condition changes."""
     tape.hold(5.0, 1.6, f"{label} home")
     for channel in range(tape.channels):
         for end in (0.85, -0.85, 0.0):

@@ -1,25 +1,25 @@
-"""Chooses the experiment that settles what a diagnosis left open.
+"""Choose the experiment that resolves the open questions of a diagnosis.
 
 Blocks are simulated before they are recorded.
 
-A question is a pair of alternatives, or an effect that the runs could not show. With A true and B
-believed, a block is worth
+A question is a pair of alternatives, or an effect that the runs could not show. If A is true and B
+is assumed, the separation of a block is
 
-    separation = min over B's parameters of |C^(-1/2) (A - B)|² on old runs and block, less the same
-    on the old runs,
+    separation = min over B's parameters of |C^(-1/2) (A - B)|² on old runs and block, minus the
+    same on the old runs,
 
-over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson &
-Fedorov 1975). A has its fitted parameters, an effect that was not seen those of typical strength; C
-is the noise of the old runs and the model-form error, which is one function of the command over old
-runs and block: only what a changed condition shows counts. The smaller of both directions of a pair
-holds. Effects that the library calls alike in one orientation (or under one load) are separated by
-blocks that change it and by no others: other differences are the form of the library's laws.
-Alternatives are refitted in full, unseen effects against one linearised step. A block is worth, for
-each question that it settles, its separation a minute over that of the best block for this
-question. Blocks are first ranked by questions between two families of effects: a law is only worth
-asking for once its family is known. Limits: old runs are thinned (`simulate.OLD` frames), which
-makes separations smaller, not larger; several blocks are taken to add nothing to each other. Pinned
-by tests/experiment/test_next_experiment.py.
+divided by the over-dispersion of the diagnosis. It is the expected chi² difference (T-optimality;
+Atkinson & Fedorov 1975). A has its fitted parameters; an unseen effect has those of typical
+strength. C is the noise of the old runs plus the model-form error. That error is one function of
+the command over old runs and block, so only a changed condition adds evidence. The smaller value of
+the two directions of a pair counts. Effects that the library declares alike in one orientation (or
+under one load) are separated only by blocks that change it: other differences are the form of the
+library's laws. Alternatives are refitted in full, unseen effects against one linearised step. The
+value of a block for a question that it resolves is its separation per minute, relative to the best
+block. Questions between two families of effects rank first: a law is asked for only once its family
+is known. Limits: old runs are thinned (`simulate.OLD` frames), which makes separations smaller, not
+larger; blocks are assumed not to add to each other. Pinned by
+tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ from softmap_edge.run.run import Run
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
-SETTLED = DETECTABLE**2  # chi² from which a question counts as settled: five standard deviations
-UNSEEN = 0.25  # worth of an effect that was not seen, over that of a pair of alternatives
-BUDGET = 6.0  # minutes of a command file, unless asked otherwise
+SETTLED = DETECTABLE**2  # chi² from which a question is resolved: five standard deviations
+UNSEEN = 0.25  # weight of an unseen effect, relative to a pair of alternatives
+BUDGET = 6.0  # default length of a command file, minutes
 SCHEMA = "softmap.next/1"
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A block to record: what it settles, its separation, and its commands.
+    """A block to record: what it resolves, its separation, and its commands.
 
     The separation is the expected chi² difference between the hypotheses.
 
-    `separation` is that of the first question that it settles; None where nothing was simulated, as
-    is `plan`. `answers` are (question, separation) of all that was asked.
+    `separation` is that of the first question that it resolves. It and `plan` are None if nothing
+    was simulated. `answers` are (question, separation) of all questions.
     """
 
     block: str
@@ -63,7 +63,7 @@ class Experiment:
     separation: float | None
     plan: Protocol | None = None
     answers: tuple[tuple[OpenQuestion, float], ...] = ()
-    alone: str = ""  # why its run is to be diagnosed without the earlier ones, if so
+    alone: str = ""  # why its run must be diagnosed without the earlier ones, if so
 
     def to_dict(self) -> Document:
         """Return an entry of `next`: `{block, minutes, settles, separation}`."""
@@ -75,7 +75,7 @@ class Experiment:
         }
 
     def settled(self) -> list[OpenQuestion]:
-        """Return the questions that it settles, alternatives first."""
+        """Return the questions that it resolves, alternatives first."""
         found = [(q, s) for q, s in self.answers if s >= SETTLED]
         return [
             q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))
@@ -102,25 +102,24 @@ def next_experiment(
     progress: Callable[[float], None] | None = None,
     references: Sequence[Run] = (),
 ) -> list[Experiment]:
-    """Rank blocks of commands by how well a minute of each settles what a diagnosis left open.
+    """Rank blocks of commands by how well a minute of each resolves the open questions.
 
     Args:
         model: the model that was diagnosed.
-        diagnosis: what was found; its alternatives and what was not testable are the questions.
-        runs: the runs that it was made from; without any, each block is rated by itself, with
-            parameters of typical strength.
-        limits: of the robot; three quarters of the model's range by default.
-        progress: called with the share that is done.
-        references: the runs that the diagnosis is relative to, if it is; then a block counts as
-            played in both states.
+        diagnosis: its alternatives and untestable effects are the questions.
+        runs: the diagnosed runs; without any, each block is rated alone, with parameters of typical
+            strength.
+        limits: limits of the robot; three quarters of the model's range by default.
+        progress: called with the completed share.
+        references: the reference runs of the diagnosis, if any; then a block counts as played in
+            both states.
 
     Returns:
-        list: experiments, best first: by what separates families, then by all questions. Last what
-        no block settles, with the advice of the library. Empty where nothing is open.
+        list: experiments, best first: by separation of families, then by all questions. Questions
+        that no block resolves come last, with the advice of the library. Empty if nothing is open.
 
     Raises:
-        SoftmapError: the diagnosis is of another model or of other runs, or names effects that are
-            not known.
+        SoftmapError: the diagnosis is of another model or other runs, or names unknown effects.
     """
     if model.channels == 0:
         raise SoftmapError(
@@ -149,7 +148,7 @@ def next_experiment(
 def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[Experiment]:
     """Return which experiments to record together.
 
-    The first, and while there is time those that settle something more.
+    These are the first, then, while time remains, those that resolve further questions.
     """
     candidates = [e for e in experiments if e.plan is not None]
     still = list(dict.fromkeys(q for e in candidates for q in e.settled()))
@@ -166,14 +165,14 @@ def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[
 
 
 def _between_families(questions: Sequence[OpenQuestion]) -> list[OpenQuestion]:
-    """Return the questions between two families of effects: they precede those between laws."""
+    """Return the questions between two families of effects; they precede those between laws."""
     return [question for question in questions if question.families is not None]
 
 
 def _worth(
     experiments: Sequence[Experiment], questions: Sequence[OpenQuestion]
 ) -> dict[Experiment, float]:
-    """Return what each experiment is worth for some questions."""
+    """Return the value of each experiment for some questions."""
     worth = dict.fromkeys(experiments, 0.0)
     for question in questions:
         rate = {
@@ -202,7 +201,7 @@ def _experiment(
 
 
 def _rest(world: Outcomes, questions: Sequence[OpenQuestion]) -> list[Experiment]:
-    """Return, for questions that no block settles, the advice of the library."""
+    """Return the advice of the library for questions that no block resolves."""
     rows: dict[str, Experiment] = {}
     tried = set(world.questions)
     for question in sorted(questions, key=lambda q: q.families is None):

@@ -1,11 +1,11 @@
-"""What a diagnosis left open, and the outcomes of each answer.
+"""The open questions of a diagnosis, and the predicted outcome of each answer.
 
-They are predicted in a block of commands that is not recorded yet.
+Outcomes are predicted for a block of commands that is not recorded yet.
 
 `Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs;
-`answers` simulates a block and gives the error that the wrong answer would leave (`choose.py` has
-the formula). Predictions are those of the diagnosis itself: records, noise and model-form error,
-whitened features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
+`answers` simulates a block and returns the error of the wrong answer (`choose.py` has the formula).
+Predictions are those of the diagnosis itself: records, noise and model-form error, whitened
+features, bounded fits. Pinned by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-OLD = 300  # frames of the old runs that are simulated
+OLD = 300  # simulated frames of the old runs
 
 
 @dataclass(frozen=True)
 class OpenQuestion:
-    """An open question: two sets of effects that explain the runs alike.
+    """An open question: two sets of effects that explain the runs equally well.
 
-    With `hidden`, it is an effect that they hide.
+    With `hidden`, it is an effect that the runs cannot show.
     """
 
     one: tuple[str, ...]
     other: tuple[str, ...]
     hidden: str | None = None
-    # that the two sets are of, if they differ
+    # families of the two sets, if they differ
     families: tuple[str, str] | None = field(default=None, compare=False)
 
     @property
     def names(self) -> list[str]:
-        """The effects that it is about."""
+        """The effects of the question."""
         if self.hidden is not None:
             return [self.hidden]
         return [e for e in self.one if e not in self.other] + [
@@ -68,7 +68,7 @@ class OpenQuestion:
 
 
 class Outcomes:
-    """What a diagnosis left open, and each answer's prediction in a block not recorded yet."""
+    """The open questions, and each answer's prediction for a block not recorded yet."""
 
     def __init__(
         self, model: Model, diagnosis: Diagnosis, runs: list[Run], references: Sequence[Run] = ()
@@ -84,7 +84,7 @@ class Outcomes:
         self.beyond = [
             q for q in asked if q.hidden is None and any(model.missing_for(n) for n in q.other)
         ]
-        # what the model has no field for is not simulated
+        # effects without a field in the model are not simulated
         self.questions = [q for q in asked if q not in self.beyond]
         sets = list(
             dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)])
@@ -111,7 +111,7 @@ class Outcomes:
             self.params |= {key: self._middle(key) | found_params for key in sets}
 
     def blocks(self, limits: Limits) -> list[Block]:
-        """Return the blocks that the robot can do and that could matter."""
+        """Return the blocks that the robot can play and that could resolve a question."""
         needed = {field for name in self.names for field in self.registry[name].needs}
         return [
             b
@@ -123,7 +123,7 @@ class Outcomes:
     def answers(self, made: Protocol, changes: str) -> list[tuple[OpenQuestion, float]]:
         """Return the separation of each question in a block that `changes` a condition."""
         run = _blank(self.model, made, self.runs[0] if self.runs else None, self.setting)
-        own = [run] if self.paired else []  # the block is played in the state of the reference too
+        own = [run] if self.paired else []  # the block is also played in the state of the reference
         new = Record(self.model, run, own or None)
         parts = [] if self.old is None else [self.old]
         joint = record_of(self.model, [*_thinned(self.runs), run], [*self.references, *own] or None)
@@ -150,7 +150,7 @@ class Outcomes:
                 apart = apart if self._moved(question.hidden, new) >= VISIBLE_MM else 0.0
             elif new.missing(self.needs(question.hidden)):
                 apart = 0.0
-            else:  # the earlier runs do not show it: the new one by itself
+            else:  # the earlier runs do not show it: use the new one alone
                 apart = alone.left(question.hidden)
                 apart = (
                     apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
@@ -161,10 +161,7 @@ class Outcomes:
     # --- alternatives, refitted in full -----------------------------------------------------------
 
     def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
-        """Whether a block that `changes` a condition can separate a pair, by its declarations.
-
-        These are in the library.
-        """
+        """Whether a block that `changes` a condition can separate a pair, by the library."""
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
         if len(mine) != 1 or len(theirs) != 1:
@@ -185,13 +182,13 @@ class Outcomes:
     def _apart(
         self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]
     ) -> float:
-        """Return how much more `tried` is wrong with the block than without, where `true` holds."""
+        """Return the increase of the chi² of `tried` by the block, if `true` holds."""
         return self._left(problem, parts, true, tried) - self._before(true, tried)
 
     def _left(
         self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]
     ) -> float:
-        """Return the chi² that `tried` leaves at best where `true` holds."""
+        """Return the least chi² of `tried`, if `true` holds."""
         seen = np.isfinite(problem.record.seen)
         truth = np.concatenate([self.predicted(part, true, self.params[true]) for part in parts])
         problem.record.seen = np.where(seen, truth, np.nan)
@@ -235,7 +232,7 @@ class Outcomes:
         return self._kept[name]
 
     def _moved(self, name: str, new: Record) -> float:
-        """Return how far an unseen effect moves the centreline over old runs and block, mm RMS."""
+        """Return the effect size of an unseen effect over old runs and block, mm RMS."""
         squares = len(new) * new.rms_mm(self._shift(name, new)) ** 2
         frames = sum(run.frames for run in self.runs)
         if self.old is not None:
@@ -263,13 +260,13 @@ class Outcomes:
         return np.asarray(record.predict(layout.names, values[None])[0])
 
     def with_hidden(self, name: str) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Return what was found, with one effect more at typical strength."""
+        """Return the effects found, with one more effect at typical strength."""
         return (*self.found, name), self._middle((name,)) | self.params[self.found]
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
-        """Return parameters of typical strength: halfway from null to high, or the log start.
+        """Return parameters of typical strength: halfway from null to high, or the start.
 
-        The latter is for parameters on a log scale.
+        The start is for parameters on a log scale.
         """
         layout = self.bare.layout(tuple(effects))
         return dict(zip(layout.labels, map(float, layout.middle)))
@@ -286,7 +283,7 @@ class Outcomes:
 
 
 class _Linear:
-    """What an unseen effect adds to what was found, with one linearised step of parameters."""
+    """The signature of an unseen effect, after one linearised step of the parameters found."""
 
     def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
@@ -300,7 +297,7 @@ class _Linear:
 
     @cached_property
     def _jacobian(self) -> Floats:
-        """Slopes (P, n) of the white residual over what was found."""
+        """Slopes (P, n) of the white residual over the parameters found."""
         problem, world = self.problem, self.world
         if not world.found:
             return np.zeros((0, 1))
@@ -316,7 +313,7 @@ class _Linear:
         return problem.white(slopes)
 
     def left(self, name: str) -> float:
-        """Return the chi² that is left of an effect at typical strength."""
+        """Return the remaining chi² of an effect at typical strength."""
         shift = np.concatenate([self.world._shift(name, part) for part in self.parts])
         shift = np.where(np.isfinite(self.problem.record.seen), shift, np.nan)
         white = self.problem.white(self.problem.whitener.modes(shift) * self.problem.gain)
@@ -338,7 +335,7 @@ def _questions(
     asked = []
     for alternative in diagnosis.alternatives:
         effects = alternative.effects
-        # a refit of the model's own needs no experiment
+        # a refit of the model's own effects needs no experiment
         if set(effects) != set(found) and not set(effects) & set(own):
             asked.append(OpenQuestion(found, effects, families=_between(diagnosis, alternative)))
     recordable = [row.name for row in diagnosis.not_testable if not row.of_model]
@@ -347,7 +344,7 @@ def _questions(
 
 
 def _between(diagnosis: Diagnosis, alternative: Alternative) -> tuple[str, str] | None:
-    """Return the two families that an alternative is a question between; None within one family."""
+    """Return the two families of an alternative; None within one family."""
     own = next((one.name for one in diagnosis.families if alternative.member in one.effects), "")
     new = [name for name in alternative.effects if name not in {e.name for e in diagnosis.effects}]
     other = alternative.family or next(iter(families_of(new)), "")
@@ -393,7 +390,7 @@ def _check(
 def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
     """Reject references other than those of a diagnosis.
 
-    Those of its held-out run may come along.
+    References of its held-out run are accepted.
     """
     if recorded is None and given:
         raise SoftmapError(
@@ -415,7 +412,7 @@ def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
 
 
 def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
-    """Return a diagnosis' noise, the same for each coordinate, where its runs are missing."""
+    """Return the noise of a diagnosis without runs, equal for each coordinate."""
     stated = diagnosis.error.noise_floor
     mm = stated if stated is not None and 0 < stated < 1e3 else 0.3
     return Noise(
@@ -437,7 +434,7 @@ def _thinned(runs: Sequence[Run]) -> list[Run]:
 
 
 def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> Run:
-    """Return a protocol as a run in which nothing is seen yet, seen as `like` was."""
+    """Return a protocol as a run without measurements, observed in the way of `like`."""
     warm = made.temperature
     if warm is None and like is not None and like.temperature is not None:
         warm = np.full(made.t.size, setting.temperature)
@@ -468,6 +465,6 @@ def _blank_record(model: Model, setting: Setting) -> Record:
 
 
 def _of(params: Mapping[str, float], label: str, rest: Mapping[str, float]) -> float:
-    """Return a parameter by label; what belongs to one run only is taken from the first."""
+    """Return a parameter by label; a parameter per run is taken from the first run."""
     bare = label.split("@")[0]
     return params.get(label, params.get(bare, rest.get(label, rest.get(bare, 0.0))))

@@ -1,4 +1,4 @@
-"""Fingers as solids.
+"""Model fingers as solids.
 
-`finger.toml`, meshes, the simulator, models made with it, and its numbers fitted to a run.
+`finger.toml`, meshes, the simulator, models made with it, and fits of finger parameters to a run.
 """

@@ -1,8 +1,8 @@
 """The solid of a finger: a round tapered body, a plain block, or an imported mesh of tetrahedra.
 
-Each reads its part of `finger.toml`, makes its cells in the compiled core, and names another mesh
-of the same solid. The base frame has its origin at the centre of the clamped base and z to the tip;
-what lies at z = 0 or below is held.
+Each reads its part of `finger.toml`, makes its cells in the compiled core, and defines another mesh
+of the same solid. The base frame has its origin at the centre of the clamped base, with z to the
+tip. Nodes at z = 0 or below are fixed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _KEYS = ("profile_mm", "block", "mesh")  # of the top level
 class Tapered:
     """A round body: (z, radius) pairs in mm from z = 0.
 
-    With cells across the core, rings around it, and layers along z.
+    It also holds the cells across the core, rings around it, and layers along z.
     """
 
     profile: Pairs
@@ -108,7 +108,7 @@ class Block:
         return self.size[2]
 
     def cells(self, ends: Sequence[float]) -> _core.Mesh:
-        """Return the cells; a tendon ends at the layer below where it should."""
+        """Return the cells; a tendon ends at the layer below its declared end."""
         return _core.Mesh.block(self.size, self.cells_each_way)
 
     def other_mesh(self) -> Block:
@@ -133,7 +133,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Meshed:
-    """A mesh file of tetrahedra, and how it lies in the base frame.
+    """A mesh file of tetrahedra, and its pose in the base frame.
 
     file: VTK, VTU or Gmsh · unit: of its coordinates · axes: which of the file's axes are x, y and
     z of the base frame, as ("z", "x", "y") or with a minus · origin: the base frame's origin in the
@@ -191,7 +191,7 @@ class Meshed:
         return self.place(read_mesh(Path(self.file)).points)
 
     def groups(self) -> dict[str, NDArray[np.bool_]]:
-        """Return which cells (E,) of the refined mesh each group of the file holds, by name.
+        """Return a mask of the refined mesh's cells (E,) for each group of the file, by name.
 
         Raises FingerError.
         """
@@ -235,7 +235,7 @@ Solid = Tapered | Block | Meshed
 
 
 def solid_from(document: Document, folder: Path) -> Solid:
-    """Return the solid of a file; `folder` is where names of other files start.
+    """Return the solid of a file; `folder` is the base of relative file names.
 
     Raises FingerError.
     """

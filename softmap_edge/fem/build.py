@@ -1,10 +1,10 @@
 """Make a model from a finger: sweep, fields, compression to modes, and a measured model-form error.
 
-The model-form error is measured, not assumed: commands off the grid, solved on another mesh with
-the modulus 10 % up and 10 % down, against the table; per feature and over the vertices. For an
-imported mesh the other mesh is the refined one, eight times the cells: it is solved at a few
-commands only, from the equilibria of the first, and its difference is added to that of the modulus
-in squares.
+The model-form error is measured, not assumed. Commands off the grid are solved on another mesh,
+with the modulus 10 % up and 10 % down, and compared with the table, per feature and over the
+vertices. For an imported mesh, the other mesh is the refined one with eight times the cells. It is
+solved at a few commands only, from the equilibria of the first, and the squares of both differences
+are added.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ from softmap_edge.version import __version__
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MODES = 16  # 12 modes hold the shapes of a finger to 0.016 mm
+MODES = 16  # 12 modes represent the shapes of a finger to 0.016 mm
 FIELD_MODES = 40
-FIELD_PART = 3e-3  # of a field's size: to this its numbers are kept
+FIELD_PART = 3e-3  # of a field's size: stored precision
 PULL_STEP = 1e-3  # N
-FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
-COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where an imported mesh is slow
-# the same of second derivatives, a tenth to a third of what loads do:
+FIELD_STEPS = 11  # nodes per channel for smooth fields,
+COARSE_FIELD_STEPS = 7  # and for three channels, or for a slow imported mesh
+# the same for second derivatives, a tenth to a third of the load fields:
 SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5
-SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes, and numbers to this part of their size
+SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes; stored precision as a part of their size
 FORM_COMMANDS = 24
 MESHED_COMMANDS = 8
-REFINED_COMMANDS = 3  # a factor of the refined mesh takes seconds, not milliseconds
-USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands a channel of a sweep: 1681 of two, 2197 of three
-EVEN_STEPS = 21  # steps of a sweep from which they are even
-GRADED = 1.7  # power by which fewer stand closer about home
+REFINED_COMMANDS = 3  # factorising the refined mesh takes seconds, not milliseconds
+USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands per channel of a sweep: 1681 for two, 2197 for three
+EVEN_STEPS = 21  # steps of a sweep from which the spacing is uniform
+GRADED = 1.7  # power of the spacing of fewer steps, denser about home
 FORM_SEED = 20
-# g across the reference, a lean of 35 degrees: where the error under another gravity is measured
+# gravity across the reference, g, a lean of 35 degrees: measures the error under other gravity
 SIDEWAYS = 0.7
 
 
@@ -68,14 +68,14 @@ def build_model(
     """Simulate `finger` over its command range and return its table model.
 
     `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
-    command range. `progress` is called with (what, share). Raises NoEquilibriumError where the
-    simulator finds none, SoftmapError for a bad argument.
+    command range. `progress` is called with (what, share). Raises NoEquilibriumError if there is no
+    equilibrium, SoftmapError for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
     simulator = simulator_of(finger)
     grid_axes(finger, steps)
     handles_of(finger, simulator.template.vertices)
-    # the model-form error needs it: what cannot be built is refused before the sweep
+    # needed for the model-form error: reject a bad mesh before the sweep
     Simulator(finger.other_mesh())
     sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)
@@ -97,7 +97,7 @@ def simulator_of(finger: Finger) -> Simulator:
         try:
             solid = solid.other_mesh()
             simulator = Simulator(finger, template=Simulator(finger.replace(solid=solid)).template)
-        except FingerError:  # it cannot be refined; the code that needs the vertices reports it
+        except FingerError:  # it cannot be refined; the caller that needs the vertices reports it
             break
     return simulator
 
@@ -120,7 +120,7 @@ def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
 def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
     """Return `count` nodes from `low` to `high`.
 
-    Graded nodes are closer about home, where tendons go slack.
+    Graded nodes are denser about home, where tendons become slack.
     """
     even, far = np.linspace(low, high, count), max(-low, high)
     return (
@@ -144,7 +144,7 @@ def from_sweep(
     field_axes = [_axis(axis[0], axis[-1], steps, len(axis) < EVEN_STEPS) for axis in sweep.axes]
     report("fields", 0.0)
     grid = tensor_grid(field_axes)
-    # A tension given in N stays what it is under a load.
+    # A commanded tension in N does not change under a load.
     stiffness = finger.cable_stiffness_n_mm if finger.command_unit == "mm" else 0.0
     pull = np.zeros((len(grid), 0)) if tensions is None else tensions.evaluate(grid)
     fields = field_arrays(simulator.fields(grid, design=True), field_axes, pull, stiffness)
@@ -198,10 +198,10 @@ def from_sweep(
 
 
 def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
-    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all.
+    """Return the ascending indices of the handles among vertices `rest` (N, 3) mm, None for all.
 
-    The first is the farthest from the base, each next one the farthest from all before. Raises
-    FingerError if there are fewer vertices.
+    The first is the farthest from the base, each next one the farthest from all previous ones.
+    Raises FingerError if there are fewer vertices.
     """
     if finger.handles is None:
         return None
@@ -210,7 +210,7 @@ def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
             f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 "
             f"to {len(rest)}, or leave [template] out for all"
         )
-    # as a bundle keeps them, so that it can be reported again
+    # in the precision of a bundle
     places = np.asarray(np.float32(rest), float)
     chosen: list[int] = []
     nearest = np.sum(places**2, axis=1)
@@ -223,9 +223,9 @@ def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
 
 
 def compressed(axes: Sequence[Floats], values: Floats, modes: int) -> ModeArrays:
-    """Return the table of values (S, M) over the grid of `axes`, in as many modes.
+    """Return the table of values (S, M) over the grid of `axes`, with some modes.
 
-    In steps of 1/32767 of the largest: 0.001 mm RMS of a finger's sweep.
+    Values are quantised to 1/32767 of the largest: 0.001 mm RMS of a finger's sweep.
     """
     mean = values.mean(axis=0)
     centred = values - mean
@@ -237,19 +237,19 @@ def compressed(axes: Sequence[Floats], values: Floats, modes: int) -> ModeArrays
 def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
     """Measure the model error at held-out commands.
 
-    RMS (V, 3) mm of its features, RMS mm of its vertices, and by how much the latter grows for each
-    g by which gravity differs from the reference.
+    Return RMS (V, 3) mm of the features, RMS mm of the vertices, and the growth of the latter per g
+    of difference to the reference gravity.
 
-    The truth has another mesh and a modulus 10 % lower and higher; the same template points are
-    seen. The modulus matters under the weight of a leaning body, hardly under tendons whose
-    shortening is given.
+    The truth has another mesh and a modulus 10 % lower and higher, with the same template points.
+    The modulus matters under the weight of a leaning body, and hardly under tendons of given
+    shortening.
     """
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
     meshed = isinstance(finger.solid, Meshed)
     count = (MESHED_COMMANDS if meshed else FORM_COMMANDS) if model.channels else 1
     commands = rng.uniform(low * 0.85, high * 0.85, (count, model.channels))
-    if finger.command_unit == "N":  # nothing is pulled below zero: stay inside the range
+    if finger.command_unit == "N":  # no tendon is pulled below zero: stay inside the range
         commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)
     predicted = model.prior.evaluate(commands).reshape(count, -1, 3)
     leaning = _leaning(model.gravity_reference)
@@ -282,7 +282,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
 def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
     """Return the change (K, N, 3) mm on a mesh of eight times the cells.
 
-    It is at commands (K, C).
+    The commands are (K, C).
     """
     finer = Simulator(finger.other_mesh(), template=simulator.template)
     return finer.path_from(simulator, commands) - simulator.path(commands)
@@ -291,7 +291,7 @@ def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
 def _leaning(gravity: Floats) -> Floats:
     """Return the unit gravity (3,) of the finger with SIDEWAYS across `gravity` (3,) g.
 
-    The finger is turned for it.
+    This is the gravity of the turned finger.
     """
     across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
     across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
@@ -302,11 +302,11 @@ def _leaning(gravity: Floats) -> Floats:
 def field_arrays(
     compliance: Compliance, axes: list[Floats], pull: Floats, stiffness: float
 ) -> FieldArrays:
-    """Compress all fields to modes that they share, on the grid of `axes`.
+    """Compress all fields to shared modes, on the grid of `axes`.
 
-    At constant tension a change of design moves the body several times as far as it does once the
-    tendons have answered, so modes and steps are chosen by what is then left. `pull` (S, T) N at
-    the grid, `stiffness` N/mm (0: tensions are given and answer nothing).
+    At constant tension, a change of design moves the body several times as far as after the tendons
+    respond. So modes and steps are chosen by the motion after the response. `pull` (S, T) N at the
+    grid, `stiffness` N/mm (0: tensions are given and do not respond).
     """
     names = sorted(compliance.fields)
     flat = {name: compliance.fields[name].reshape(len(compliance.stretch), -1) for name in names}
@@ -336,15 +336,15 @@ def field_arrays(
 
 
 def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> SecondArrays:
-    """Compress what loads and moduli do beyond their fields, on the grid of `axes`.
+    """Compress the second derivatives by loads and moduli, on the grid of `axes`.
 
-    To a few modes, made of the `modes` (m, 3N) of the fields. Those of tensions only if they
-    `answers`.
+    They use a few modes, combined from the `modes` (m, 3N) of the fields. Tensions are included
+    only if `answers`.
     """
     loads, moduli, causes = len(_core.LOADS), len(_core.MODULI), bend.growth.shape[1]
     first, other = np.triu_indices(causes)
-    # Each pair counts as for amounts of gravity, of a force, of moduli and of tensions that bend
-    # the body alike.
+    # Pairs are weighted by amounts of gravity, force, moduli and tensions that bend the body
+    # equally.
     kind = np.repeat([0, 1, 2, 3], [3, loads - 3, moduli, causes - loads - moduli])
     size = np.sqrt(np.mean(bend.fields**2, axis=(0, 2, 3)))
     alike = [
@@ -382,9 +382,9 @@ def _rms(values: Floats) -> float:
 def _sizes(
     compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffness: float
 ) -> dict[str, float]:
-    """Return how far (mm RMS a coordinate) each field moves the body.
+    """Return the motion of the body by each field, mm RMS per coordinate.
 
-    This is once the tendons that pull have responded. For a tension it is 0.4 of the motion by 1 N.
+    It is the motion after the taut tendons respond. For a tension it is 0.4 of the motion by 1 N.
     """
     count = len(_core.FIELDS)
     size = {}

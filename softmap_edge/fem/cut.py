@@ -1,11 +1,10 @@
-"""A solid of bricks cut into 10-node tetrahedra: another element for the same body, coarse.
+"""Cut a solid of bricks into coarse 10-node tetrahedra: another element for the same body.
 
-Each face of a brick is cut from its corner of the smallest number, so that two bricks agree on the
-face that they share without knowing of each other; a brick is the six tetrahedra from its own
-smallest corner to the triangles of the three faces that do not hold it (Dompierre et al., How to
-subdivide pyramids, prisms and hexahedra into tetrahedra, 1999). With a node in the middle of each
-brick and twelve tetrahedra the factor is four times as large. Edges stay straight. Pinned by
-tests/synthetic/test_virtual.py.
+Each face of a brick is cut from its lowest-numbered corner, so two bricks agree on a shared face. A
+brick is the six tetrahedra from its lowest-numbered corner to the triangles of the three faces
+without it (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into tetrahedra,
+1999). With a node in the middle of each brick and twelve tetrahedra, the factor is four times as
+large. Edges stay straight. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from softmap_edge import _core
 from softmap_edge.fem.bodies import Block, Tapered
 from softmap_edge.fem.numbers import at
 
-ACROSS, LAYERS = 2, 8  # bricks across the core, and along the body at least
+ACROSS, LAYERS = 2, 8  # bricks across the core; least number along the body
 # outward
 FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 
@@ -60,7 +59,7 @@ def cut(bricks: _core.Mesh) -> _core.Mesh:
     cells = np.asarray(bricks.cells)
     faces = cells[:, FACES]  # (E, 6, 4)
     turned = (faces.argmin(axis=2)[..., None] + np.arange(4)) % 4
-    faces = np.take_along_axis(faces, turned, axis=2)  # each from its smallest corner on
+    faces = np.take_along_axis(faces, turned, axis=2)  # each rotated to its smallest corner
     apex = cells.min(axis=1)
     far = faces[faces[..., 0] != apex[:, None]]  # (3 E, 4)
     inward = np.stack([far[:, [2, 1, 0]], far[:, [3, 2, 0]]], axis=1).reshape(-1, 3)

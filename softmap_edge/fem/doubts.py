@@ -1,10 +1,10 @@
-"""Warn about a finger's numbers that may be in another unit, and about lost commands.
+"""Warn about values of a finger in a possibly wrong unit, and about lost commands.
 
-Those are lost in the stretch of its tendons.
+Commands are lost in the stretch of its tendons.
 
-Nothing is refused: a body may be hard plastic. A warning is given if a number lies far outside the
-range of soft bodies. It names a unit that would explain the number. The part of a command that only
-stretches the tendons is computed from the tensions of a sweep.
+Nothing is rejected: a body may be hard plastic. A warning is given for a value far outside the
+range of soft bodies, with a unit that would explain it. The part of a command that only stretches
+the tendons is computed from the tensions of a sweep.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ COMMAND = Typical(
 
 
 def doubts(finger: Finger) -> list[str]:
-    """Return a sentence for each suspicious number of a finger and its mesh file.
+    """Return a sentence for each suspicious value of a finger and its mesh file.
 
     Raises:
         FingerError: its mesh file cannot be read.
@@ -76,9 +76,9 @@ def doubts(finger: Finger) -> list[str]:
 
 
 def doubt(name: str, value: float, typical: Typical) -> str:
-    """Return a sentence if a value is hardly possible; else "".
+    """Return a sentence if a value is implausible; else "".
 
-    It has its ratio to usual ones, and the unit it may be in.
+    It states the ratio to usual values, and the unit it may be in.
     """
     low, high = typical.possible
     if low <= value <= high:
@@ -99,15 +99,15 @@ def doubt(name: str, value: float, typical: Typical) -> str:
 
 
 def lost_in_tendons(finger: Finger, command: Floats, pull: Floats) -> str:
-    """Return a sentence if the tendons' stretch takes most of the commands.
+    """Return a sentence if the tendons' stretch absorbs most of the commands.
 
     Args:
-        finger: driven by lengths; for tensions nothing is lost.
-        command: of a sweep, (S, C) mm.
-        pull: of the tendons, (S, T) N.
+        finger: a finger driven by lengths; with tensions nothing is lost.
+        command: commands of a sweep, (S, C) mm.
+        pull: pull of the tendons, (S, T) N.
 
     Returns:
-        str: the sentence, with the share and an example; "" if less is lost.
+        str: the sentence with the share and an example; "" if less is lost.
     """
     if not _by_length(finger) or not command.size:
         return ""

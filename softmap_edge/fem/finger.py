@@ -1,6 +1,6 @@
-"""A finger as a file describes it: solid, material, tendons, mounting and commands (`finger.toml`).
+"""The description of a finger: solid, material, tendons, mounting, commands (`finger.toml`).
 
-`Finger.builtin()` is the finger with the MOE dimensions; its file, with a comment on every number,
+`Finger.builtin()` is the finger with the MOE dimensions; its file, with a comment on every value,
 is the template. Solids are in `bodies.py`, tendons, commands and regions in `tendons.py`.
 """
 
@@ -45,13 +45,13 @@ _CABLE = {
     "guide_ring_mm": "guide_ring_mm",
     "anchor_disc_mm": "anchor_disc_mm",
 }
-# numbers that [fit] may give bounds for
+# parameters that [fit] may give bounds for
 _FITTED = ("young_mpa", "cable_stiffness_n_mm", "pretension_mm")
 
 
 @dataclass(frozen=True)
 class Finger:
-    """A finger, checked when it is made: a bad field raises FingerError with what is allowed.
+    """A finger, checked on construction: a bad field raises FingerError with the allowed values.
 
     solid: its body and cells · young_mpa · poisson · density_kg_m3 · gravity: (3,) multiples of g
     in the base frame · tendons · pairs: for each command the tendon it shortens (or pulls) and, if
@@ -85,7 +85,7 @@ class Finger:
 
     @property
     def fit(self) -> dict[str, tuple[float, float]]:
-        """Bounds (low, high) of the numbers that a fit to a run may change."""
+        """Bounds (low, high) of the parameters that a fit to a run may change."""
         return dict(self.bounds)
 
     def __post_init__(self) -> None:
@@ -164,7 +164,7 @@ class Finger:
     def load(cls, path: str | Path) -> Finger:
         """Read a `finger.toml`; raises FingerError that names the file and the field."""
         try:
-            if Path(path).exists() and not Path(path).is_file():  # a pipe would be waited for
+            if Path(path).exists() and not Path(path).is_file():  # reading a pipe would block
                 raise OSError("a folder" if Path(path).is_dir() else "no file")
             with Path(path).open(encoding="utf-8") as file:
                 text = file.read(_MOST_TEXT + 1)
@@ -180,7 +180,7 @@ class Finger:
 
     @classmethod
     def from_toml(cls, text: str, folder: Path = Path()) -> Finger:
-        """Return the finger of a file's text; files that it names are looked for from `folder`.
+        """Return the finger of a file's text; relative file names start at `folder`.
 
         Raises FingerError.
         """
@@ -256,10 +256,10 @@ class Finger:
                 )
 
 
-# other units, and what makes kg/m3 of them
+# other units, and their factors to kg/m3
 _DENSITIES = {"g/cm3": 1e3, "g/mm3": 1e6, "kg/mm3": 1e9, "t/mm3": 1e12}
 _MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
-_MOST_HANDLES = 50_000  # a bundle has no more vertices
+_MOST_HANDLES = 50_000  # limit of the vertices of a bundle
 _RANGES = [
     ("young_mpa", 1e-4, 1e5, "soft silicones have 0.1 to 0.6 MPa"),
     ("poisson", 0.01, 0.495, "silicones solve best at 0.45 to 0.48"),

@@ -1,22 +1,22 @@
-"""Fit the finger's own numbers to a run.
+"""Fit the finger's own parameters to a run.
 
-Modulus, cable stiffness, pretension, and the pose of the camera's frame.
+They are modulus, cable stiffness and pretension, with the pose of the camera's frame.
 
 One shape per dwell (the mean of its settled frames) is compared with the simulator at the same
-commands, gravity and load. Gauss-Newton with damping on scaled numbers x, each evaluation a
+commands, gravity and load. Damped Gauss-Newton on scaled parameters x, each evaluation a
 simulation:
 
     J(x, m) = Σ_k |f_k − R(m) F(solid(x, u_k, g_k, load_k))|² / s² + |x − x_start|²
 
-f features (mm), m the six numbers of the frame (rad, mm; no prior), x = ln(value / start) over half
-the log range for a stiffness, (value − start) over half the range for a length: the last term is
-the weak prior at the bounds' half range. s is the residual itself. Deviations come from the dwells
-(sandwich of the gradients of each, K/(K − P) for few): frames of one dwell are no independent
-evidence. A number whose deviation stays above half of its half range is not seen by the run: it
-keeps its start value and is reported as not identifiable. Of modulus and density only the ratio is
-seen unless a known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
-Known limit: what the finger lacks (play, creep, an unknown load) bends these numbers; diagnose with
-the fitted finger afterwards, and compare the error on the dwells that were kept out. Pinned by
+f features (mm), m the six parameters of the frame (rad, mm; no prior), x = ln(value / start) over
+half the log range for a stiffness, (value − start) over half the range for a length. The last term
+is a weak prior at the bounds' half range. s is the residual itself. Standard deviations come from
+the dwells (sandwich of the gradients of each, K/(K − P) for few), because frames of one dwell are
+not independent. A parameter with a deviation above half of its half range is not identifiable: it
+keeps its start value and is reported. Only the ratio of modulus and density is observable unless a
+known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g. Known limit:
+effects that the finger lacks (backlash, creep, an unknown load) bias these parameters. Diagnose
+with the fitted finger afterwards, and compare the error on the held-out dwells. Pinned by
 tests/fem/test_refit_finger.py.
 """
 
@@ -49,25 +49,25 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SETTLED = 1.0  # s after the command stopped
-# dwells that are fitted and that validate the fit, spread over commands and orientations
+# dwells for fit and validation, spread over commands and orientations
 DWELLS, KEPT_OUT = 24, 12
 FRAME_DWELLS = 3  # fewer shapes do not separate the frame from the finger
-# fewer dwells do not show how they scatter: their deviations come from the size of what is left
+# fewer dwells do not show their scatter: deviations then come from the residual
 SANDWICH = 8
 ITERATIONS = 6
-STEP = 0.08  # of x: a tenth of the usual range, far above the solver's tolerance
-SEEN = 0.5  # of the half range: above this deviation the run does not identify the number
-# independent numbers of a dwell: a section's features say nearly the same as its neighbours'
+STEP = 0.08  # step of x: a tenth of the usual range, far above the solver's tolerance
+SEEN = 0.5  # of the half range: deviation above which a parameter is not identifiable
+# independent values per dwell: features of neighbouring sections are nearly the same
 EVIDENCE = 6.0
-FLOOR_MM = 0.02  # no residual is trusted below it
-TWINS = 0.95  # correlation from which two numbers are reported as seen only together
+FLOOR_MM = 0.02  # least residual that is trusted
+TWINS = 0.95  # correlation above which only a combination of two parameters is identifiable
 UNITS = {"young_mpa": "MPa", "cable_stiffness_n_mm": "N/mm", "pretension_mm": "mm"}
 MOUNT = ("turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
 
 
 @dataclass(frozen=True)
 class FingerNumber:
-    """A fitted number: value ± sigma in its unit, its start, and why it is not fitted, if so."""
+    """A fitted parameter: value ± sigma in its unit, its start, and why it is not fitted, if so."""
 
     value: float
     sigma: float | None
@@ -79,18 +79,18 @@ class FingerNumber:
 
 @dataclass(frozen=True)
 class FingerFit:
-    """A finger with the numbers that a run shows, and its errors before and after.
+    """A finger with fitted parameters, and its errors before and after.
 
-    They are on dwells that were held out.
+    The errors are on held-out dwells.
     """
 
     finger: Finger
     numbers: dict[str, FingerNumber]
     mount: dict[str, FingerNumber]
-    together: tuple[tuple[str, str, float], ...]  # pairs seen only together, with their correlation
+    together: tuple[tuple[str, str, float], ...]  # pairs not separable, with correlation
     dwells: int
     kept_out: int
-    # on the dwells kept out, None without any: finger and frame as they were
+    # on held-out dwells, None without any: unchanged finger and frame
     as_it_was_mm: float | None
     frame_fitted_mm: float | None
     finger_fitted_mm: float | None
@@ -160,17 +160,17 @@ class FingerFit:
 
 
 def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> FingerFit:
-    """Fit the numbers that `finger.fit` gives bounds for, and the frame of the camera, to a run.
+    """Fit the parameters with bounds in `finger.fit`, and the camera's frame, to a run.
 
     Args:
-        finger: where to start; `finger.fit` maps names of numbers to (low, high).
+        finger: the start of the fit; `finger.fit` maps names of parameters to (low, high).
         run: vertices of the finger's template or markers with `marker_rest`, commands in mm,
             dwells.
-        progress: called with (what, share done).
+        progress: called with (what, completed share).
 
     Returns:
-        FingerFit: the finger with its new numbers, deviations, and errors on dwells that were kept
-        out.
+        FingerFit: the finger with its new parameters, their deviations, and errors on held-out
+        dwells.
 
     Raises:
         SoftmapError: too few dwells, a run of another robot, nothing to fit, no equilibrium.
@@ -219,12 +219,12 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
 
 @dataclass(frozen=True, eq=False)
 class _Dwells:
-    """What was commanded and seen while the robot stood still: one row a dwell."""
+    """Commands and measurements at rest: one row per dwell."""
 
     command: Floats  # (D, C) mm
     gravity: Floats  # (D, 3) g
     load: Floats  # (D,) g
-    points: Floats  # (D, M, 3) mm, NaN where nothing was seen
+    points: Floats  # (D, M, 3) mm, NaN where hidden
 
 
 def _settled(finger: Finger, run: Run) -> _Dwells:
@@ -274,7 +274,7 @@ def _nanmean(frames: Floats) -> Floats:
 def _spread(dwells: _Dwells) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the dwells to fit and those held out.
 
-    Each next one is the farthest from all before, in turn.
+    Each next dwell is the farthest from all previous ones, for both in turn.
     """
     span = np.maximum(np.ptp(dwells.command, axis=0), 1e-9)
     heavy = dwells.load[:, None] / max(float(np.ptp(dwells.load)), 1e-9)
@@ -290,7 +290,7 @@ def _spread(dwells: _Dwells) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 class _Bench:
-    """A finger, the dwells of a run, and the simulator between them; solved shapes are kept."""
+    """A finger, the dwells of a run, and the simulator; solved shapes are cached."""
 
     def __init__(self, finger: Finger, run: Run, report: Progress) -> None:
         self.start, self.report, self.dwells = finger, report, _settled(finger, run)
@@ -318,7 +318,7 @@ class _Bench:
         self._solved: dict[tuple[Finger, int, bytes], Floats] = {}
 
     def half(self, name: str) -> float:
-        """Return half the range of a number, of its logarithm if it is positive."""
+        """Return half the range of a parameter, of its logarithm if positive."""
         low, high = self.start.fit[name]
         return 0.5 * float(np.log(high / low)) if low > 0 else 0.5 * (high - low)
 
@@ -330,7 +330,7 @@ class _Bench:
         ) / self.half(name)
 
     def finger(self, names: Sequence[str], x: Floats) -> Finger:
-        """Return the finger with scaled numbers x (P,)."""
+        """Return the finger for scaled parameters x (P,)."""
         values = {}
         for name, step in zip(names, x * [self.half(name) for name in names]):
             start, (low, high) = float(getattr(self.start, name)), self.start.fit[name]
@@ -340,9 +340,9 @@ class _Bench:
         return self.start.replace(**values)
 
     def shapes(self, names: Sequence[str], batch: Floats, which: NDArray[np.intp]) -> Floats:
-        """Return the simulated points (B, d, M, 3) mm of numbers x (B, P), on all cores.
+        """Return the simulated points (B, d, M, 3) mm for parameters x (B, P), on all cores.
 
-        They are at the dwells `which`.
+        They are for the dwells `which`.
         """
         parts = [which[self.group[which] == g] for g in np.unique(self.group[which])]
         jobs = [(self.finger(names, x), part) for x in batch for part in parts]
@@ -382,15 +382,15 @@ class _Bench:
 
     @property
     def frame_is_free(self) -> bool:
-        """Whether there are enough shapes to separate the camera's frame from the numbers."""
+        """Whether there are enough shapes to separate the camera's frame from the parameters."""
         return len(self.fitted) >= FRAME_DWELLS
 
     def rms(
         self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats
     ) -> float | None:
-        """Return the RMS distance (mm) over seen section centroids or markers.
+        """Return the RMS distance (mm) over visible section centroids or markers.
 
-        None without dwells.
+        Return None without dwells.
         """
         if not len(which):
             return None
@@ -405,7 +405,7 @@ class _Bench:
 def moved(points: Floats, mount: Floats) -> Floats:
     """Return points (..., 3) mm turned about the base and shifted.
 
-    The vector is mount[:3] (rad), the shift mount[3:] (mm).
+    The rotation vector is mount[:3] (rad), the shift mount[3:] (mm).
     """
     return RigidPose(rotation(mount[:3]), mount[3:])(points)
 
@@ -422,9 +422,9 @@ class _Found:
 
 
 def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
-    """Fit the numbers `names` and the frame to the dwells: damped Gauss-Newton.
+    """Fit the parameters `names` and the frame to the dwells by damped Gauss-Newton.
 
-    Bounds are kept by clipping.
+    Clipping enforces the bounds.
     """
     which, count = bench.fitted, len(names)
     low, high = (

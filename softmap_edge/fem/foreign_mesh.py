@@ -1,6 +1,6 @@
 """Parse a mesh file with meshio in a child process, as plain arrays and groups of cells.
 
-They are the groups that it names.
+Groups are the named groups of the file.
 
 The content selects the reader, not the file name: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are
 Gmsh's physical volumes, and cell data that label cells (material ids): integers with few distinct
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from meshio import Mesh
 
 KINDS = ("tetra", "tetra10")
-# in one array of labels, and cells a group on average; else they number the cells
+# most labels in an array, and least cells per label on average; else they number the cells
 MOST_GROUPS, LEAST_CELLS = 64, 3
-_HEAD = 4096  # bytes from which a kind of file is recognised
-_MOST_NAMES = 200  # of groups and of cell types that are returned
+_HEAD = 4096  # bytes that identify a file format
+_MOST_NAMES = 200  # limits of returned groups and cell types
 OTHERS = [
     (b"solid", "an STL surface: mesh its volume first"),
     (b"ply", "a PLY surface: mesh its volume first"),
@@ -66,9 +66,9 @@ def kind_of(path: Path) -> str:
 def parse(path: str, kind: str) -> Document:
     """Return `points` (n, 3), `cells` by kind, the names of all `types`, and `groups`.
 
-    `types` are of cells, `groups` by name: (E,) of cells.
+    `types` are cell types; `groups` are masks (E,) of cells by name.
 
-    Runs in a child process: any error may come out of it.
+    It runs in a child process, and may raise any error.
     """
     import meshio
 
@@ -92,7 +92,7 @@ def parse(path: str, kind: str) -> Document:
 
 
 def _check_pieces(content: bytes) -> None:
-    """Refuse several pieces: meshio keeps only the cells of the last one."""
+    """Reject several pieces: meshio keeps only the cells of the last one."""
     pieces = [
         int(n)
         for n in re.findall(rb"""<Piece\b[^>]*\bNumberOfCells\s*=\s*["'](\d{1,12})["']""", content)
@@ -104,7 +104,7 @@ def _check_pieces(content: bytes) -> None:
 
 
 def _take_any_version() -> None:
-    """Let meshio read unknown versions, in this child only: tetrahedra are the same in all."""
+    """Let meshio read unknown versions, in this process only: tetrahedra are the same in all."""
     from xml.etree import ElementTree
 
     parse_file, from_text = ElementTree.parse, ElementTree.fromstring
@@ -125,9 +125,9 @@ def _take_any_version() -> None:
 
 
 def _groups(mesh: Mesh, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
-    """Return which of the `count` cells of a kind each group holds, by name.
+    """Return a mask of the `count` cells of a kind for each group, by name.
 
-    None if it holds all cells or none.
+    The value is None if a group holds all cells or none.
     """
     blocks = [k for k, block in enumerate(mesh.cells) if block.type == kind]
     labels = {str(name): _label(data, blocks, count) for name, data in mesh.cell_data.items()}
@@ -150,7 +150,7 @@ def _groups(mesh: Mesh, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
 def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.int64] | None:
     """Return the labels (E,) of the cells if an array holds labels.
 
-    Those are integers with few distinct values, one per cell.
+    Labels are integers with few distinct values, one per cell.
     """
     parts = [np.asarray(data[k]) for k in blocks]
     values = (
@@ -170,7 +170,7 @@ def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.
 
 
 def _named(mesh: Mesh, physical: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
-    """Return the groups of Gmsh's physical tags, by the names of volumes where there are any."""
+    """Return the groups of Gmsh's physical tags, by the names of volumes if there are any."""
     names = {
         int(tag): str(name)
         for name, (tag, dimension) in mesh.field_data.items()
@@ -193,5 +193,5 @@ def _sets(mesh: Mesh, blocks: list[int]) -> dict[str, NDArray[np.bool_]]:
 
 
 def _clean(name: str) -> str:
-    """Return a name as a message can show it."""
+    """Return a name in a form for messages."""
     return "".join(c if c.isprintable() else "?" for c in name.strip().strip('"'))[:60] or "?"

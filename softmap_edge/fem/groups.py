@@ -1,6 +1,6 @@
-"""The groups of cells that a mesh file names, and regions with a modulus of their own.
+"""Match the named cell groups of a mesh file with regions of another modulus.
 
-They are the regions of a finger.
+The regions are those of a finger.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from softmap_edge.fem.finger import Finger
 from softmap_edge.files.printable import listed
 from softmap_edge.files.toml import quoted
 
-_SHOWN = 6  # groups that a message lists
+_SHOWN = 6  # most groups listed in a message
 
 
 def named_cells(finger: Finger) -> list[list[bool] | None]:
-    """Return for each region whether it holds each cell; None for one without a name.
+    """Return a mask of cells for each region; None for a region without a name.
 
     Raises:
-        FingerError: the mesh file names no such group.
+        FingerError: the mesh file has no such group.
     """
     if not isinstance(finger.solid, Meshed) or all(
         region.name is None for region in finger.regions

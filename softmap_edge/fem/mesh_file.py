@@ -1,6 +1,6 @@
 """Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells.
 
-Data only; nothing in it is ever run.
+The file is data only; nothing in it is executed.
 
 meshio parses in a child process with limits on memory and time (foreign_mesh.py); any failure
 becomes a one-line error. The core checks the mesh itself (rust/fem/tetrahedra.rs).
@@ -21,12 +21,12 @@ from softmap_edge.fem.foreign_mesh import kind_of, parse
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
 
-_MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB
-_MOST_TEXT = 1 << 20  # of a file of guides
-_FARTHEST = 1e9  # of any unit: beyond any finger, and far from where float64 overflows
+_MOST_BYTES = 64 << 20  # limit of a mesh file; 60 000 tetrahedra need 4 MB
+_MOST_TEXT = 1 << 20  # limit of a file of guides
+_FARTHEST = 1e9  # in any unit: beyond any finger, and far below overflow of float64
 _KINDS = {"vtk": "legacy VTK", "vtu": "VTU", "msh": "Gmsh's MSH"}
-_MEGABYTES = 800  # of the child that parses
-# of its processor time for a small file, and bytes that it parses in a second
+_MEGABYTES = 800  # memory limit of the parsing child
+# processor time for a small file, s, and parsing rate, bytes/s
 _SECONDS, _PER_SECOND = 2.5, 1 << 20
 
 
@@ -34,9 +34,8 @@ _SECONDS, _PER_SECOND = 2.5, 1 << 20
 class MeshFile:
     """The content of a mesh file.
 
-    Nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10), and `groups`: which of the
-    cells (E,) each material, physical volume or label of the file holds, by name; none of a single
-    material.
+    Nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10), and `groups`: masks of the
+    cells (E,) of each material, physical volume or label, by name; empty for a single material.
     """
 
     points: NDArray[np.float64]
@@ -48,14 +47,14 @@ def read_mesh(path: Path) -> MeshFile:
     """Return the tetrahedra of a mesh file and its groups of cells.
 
     Raises:
-        FingerError: the file is no mesh, meshio is absent, or there are no tetrahedra of one kind.
+        FingerError: not a mesh file, meshio is missing, or no tetrahedra of one kind.
     """
     _check(path, _MOST_BYTES, "a mesh; give a VTK (.vtk, .vtu) or Gmsh (.msh) file")
     stat = path.stat()
     return _read(path, stat.st_mtime_ns, stat.st_size, stat.st_ino)
 
 
-@lru_cache(maxsize=4)  # a build asks several times
+@lru_cache(maxsize=4)  # a build reads it several times
 def _read(path: Path, *_state: int) -> MeshFile:
     mesh = _parsed(path)
     there, points = mesh["cells"], mesh["points"]
@@ -83,9 +82,9 @@ def _read(path: Path, *_state: int) -> MeshFile:
 
 
 def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
-    """Reject cells given twice, which count twice, and nodes at one place.
+    """Reject duplicate cells, which would count twice, and coincident nodes.
 
-    There cells touch and are not joined.
+    At coincident nodes, cells touch without being joined.
     """
     twice = len(cells) - len(np.unique(np.sort(cells[:, :4], axis=1), axis=0))
     if twice:
@@ -138,7 +137,7 @@ def _check(path: Path, most: int, what: str) -> None:
 
 
 def _parsed(path: Path) -> Document:
-    """Return the result of `parse` in a child process; any foreign failure is one error."""
+    """Return the result of `parse` in a child process; any failure there becomes one error."""
     try:
         import meshio  # noqa: F401  # here, so that the child has it
     except ImportError:

@@ -1,6 +1,6 @@
-"""Checks of the numbers and keys of a `finger.toml`.
+"""Check the numbers and keys of a `finger.toml`.
 
-Each error names the field, what it got and what is allowed.
+Each error states the field, its value and the allowed values.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ COMPARE = "compare with the built-in finger's file"
 def check_keys(
     table: str, document: Mapping[str, object], needed: Iterable[str], optional: Iterable[str] = ()
 ) -> None:
-    """Refuse unknown and missing keys of a table; "" is the top level. Raises FingerError."""
+    """Reject unknown and missing keys of a table; "" is the top level. Raises FingerError."""
     where = f"[{table}]" if table else "the file"
     allowed = set(needed) | set(optional)
     if unknown := set(document) - allowed:
@@ -91,7 +91,7 @@ def check_vector(field: str, value: object, low: float, high: float, remedy: str
 
 def finite(value: object) -> bool:
     """Whether `value` is a number that can be one of mm, MPa or N."""
-    # numpy numbers are floats or have __float__; bool is an int but never meant as a number here
+    # numpy numbers are floats or have __float__; bool is an int, but not a number here
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 1e300 and math.isfinite(value)

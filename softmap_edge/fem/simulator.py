@@ -1,10 +1,10 @@
 """Simulate a finger: shapes over a grid or along a path, and responses.
 
-They are responses to loads and changes of design.
+Responses are to loads and changes of design.
 
     sweep = Simulator(Finger.builtin()).sweep([np.linspace(-16, 16, 41)] * 2)
 
-Quasi-static finite elements in the compiled core; all local cores are used, Ctrl-C stops.
+Quasi-static finite elements in the compiled core; all local cores are used, Ctrl-C interrupts.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _NUMBERS = tuple(UNITS)
 class FingerTemplate:
     """A finger's surface at rest: vertices (N, 3) mm in the base frame, triangles (F, 3).
 
-    The triangles are outward, int32.
+    Triangles are int32, with outward orientation.
     """
 
     vertices: Floats
@@ -49,7 +49,7 @@ class FingerTemplate:
 class Compliance:
     """The response of S equilibria to loads, changes of design and tensions.
 
-    All (other) tensions of the T tendons stay.
+    All (other) tensions of the T tendons are constant.
 
     fields: displacement (S, N, 3) mm per unit of those of `_core.FIELDS` that there are (per 1 g
     `gravity_x|y|z`, per 1 N on the tip `tip_force_x|y|z`; if asked for, the changes of design that
@@ -66,11 +66,11 @@ class Compliance:
 class Bend:
     """Second derivatives of S equilibria by loads, moduli and tensions.
 
-    They are for each of the P pairs of `_core.LOADS`, `_core.MODULI` and the T tensions, row by
-    row.
+    They are given for each of the P pairs of `_core.LOADS`, `_core.MODULI` and the T tensions, row
+    by row.
 
     fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L
-    + M + T), by what share the answers to loads and tensions grow for a unit of each.
+    + M + T), relative growth of the responses to loads and tensions per unit of each.
     """
 
     fields: Floats
@@ -80,7 +80,7 @@ class Bend:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid, and of what.
+    """Shapes over a grid of commands.
 
     One array a command, command (S, C) mm (N by tension), vertices (S, N, 3) mm, pull (S, T) N of
     the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its
@@ -104,7 +104,7 @@ class Sweep:
         return np.maximum(self.pull, 0.0)
 
     def save(self, path: str | Path) -> None:
-        """Write the sweep as `.npz` without pickles; the finger goes along as its `finger.toml`."""
+        """Write the sweep as `.npz` without pickles, with the finger's `finger.toml`."""
         arrays: dict[str, NDArray[np.generic]] = {
             f"axis{c}": axis for c, axis in enumerate(self.axes)
         }
@@ -115,13 +115,13 @@ class Sweep:
             "finger": self.finger.to_toml(),
             "units": json.dumps(units, sort_keys=True),
         }
-        # The simulator applies no effects of the library; an imported sweep names its own.
+        # The simulator applies no effects of the library; an imported sweep declares its own.
         texts |= {"effects": "[]", "written_by": f"softmap-edge {__version__}"}
         write_npz(Path(path), arrays | {name: np.array(text) for name, text in texts.items()})
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
-        """Read a sweep; raises SimulationError when the file is not one, damaged or newer."""
+        """Read a sweep; raises SimulationError if the file is not one, damaged or newer."""
         content = read_npz(Path(path), SimulationError)
         schema = str(content.get("schema", "none"))[:80]
         if schema != SCHEMA:
@@ -178,7 +178,7 @@ class Sweep:
 def tensor_grid(axes: Sequence[Floats]) -> Floats:
     """Return the commands (S, C) of a grid of `axes`, the last one fastest.
 
-    Of no axes, it is one command of no channels.
+    Without axes, it is one command without channels.
     """
     size = math.prod(len(axis) for axis in axes)
     columns = [column.ravel() for column in np.meshgrid(*axes, indexing="ij")]
@@ -186,7 +186,7 @@ def tensor_grid(axes: Sequence[Floats]) -> Floats:
 
 
 def tour(places: Floats) -> NDArray[np.intp]:
-    """Return an order of the places (K, C) that goes on to the nearest each time."""
+    """Return an order of the commands (K, C), each followed by the nearest remaining one."""
     left = np.ones(len(places), bool)
     order = [int(np.argmin(np.sum(places**2, axis=1)))]
     for _ in range(len(places) - 1):
@@ -199,13 +199,13 @@ def tour(places: Floats) -> NDArray[np.intp]:
 class Simulator:
     """The finite elements of one finger.
 
-    finger: what to simulate · template: report these material points (embedded at rest) instead of
-    the own surface, so that fingers on different meshes give the same vertices · change: by how
-    much the body differs from the finger's file, in the units of the fields of a design: `stiff_0`
-    … `stiff_6` and `stiff_x|y` are logarithms of the modulus (in seven stretches from base to tip;
-    from the axis to the sides), `curve_x|y` mm of the tip and `twist` degrees at the tip at rest,
-    `routing_c` degrees by which the tendons of command c are turned about the axis. Raises
-    FingerError when the finger cannot be built or the template does not lie in it.
+    finger: the finger to simulate · template: report these material points (embedded at rest)
+    instead of the surface, so fingers on different meshes give the same vertices · change:
+    differences of the body from the finger's file, in the units of the fields of a design:
+    `stiff_0` … `stiff_6` and `stiff_x|y` are logarithms of the modulus (in seven stretches from
+    base to tip; from the axis to the sides), `curve_x|y` mm of the tip and `twist` degrees at the
+    tip at rest, `routing_c` degrees by which the tendons of command c are turned about the axis.
+    Raises FingerError when the finger cannot be built or the template does not lie in it.
     """
 
     def __init__(
@@ -309,7 +309,7 @@ class Simulator:
         load: ArrayLike = (0.0, 0.0, 0.0),
         progress: Progress | None = None,
     ) -> tuple[Floats, Floats]:
-        """Return what `path` does and the pull (K, T) N of the tendons (below zero: how slack)."""
+        """Return the result of `path`, and the pull (K, T) N of the tendons (negative: slack)."""
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         g = np.asarray(self.finger.gravity if gravity is None else gravity, dtype=np.float64)
         g = np.ascontiguousarray(np.broadcast_to(g, (len(u), 3))) if g.shape == (3,) else g
@@ -320,11 +320,11 @@ class Simulator:
     def path_from(
         self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None
     ) -> Floats:
-        """Return what `path` does, from the equilibria of `other` on a coarser mesh.
+        """Return the result of `path`, from the equilibria of `other` on a coarser mesh.
 
-        It is the same finger.
+        `other` simulates the same finger.
 
-        For meshes on which the way from home would take hours. Raises SimulationError.
+        Use it for meshes on which the path from home would take hours. Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         with _core_faults():
@@ -340,8 +340,8 @@ class Simulator:
     ) -> Compliance:
         """Return the response of equilibria to small loads and tensions.
 
-        They are at commands (S, C) mm under `gravity` and `load`. Also to changes of `design` if
-        asked.
+        Equilibria are at commands (S, C) mm under `gravity` and `load`. With `design`, include
+        responses to changes of design.
 
         Raises SimulationError.
         """
@@ -355,7 +355,7 @@ class Simulator:
     def bends(self, commands: ArrayLike, progress: Progress | None = None) -> Bend:
         """Return the second derivatives by loads, moduli and tensions.
 
-        They are at the equilibria of commands (S, C) mm under the finger's own gravity.
+        Equilibria are at commands (S, C) mm under the finger's own gravity.
 
         Raises SimulationError.
         """
@@ -414,7 +414,7 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 
 @contextmanager
 def _core_faults() -> Iterator[None]:
-    """Raise what the core refuses as a SimulationError."""
+    """Raise errors of the core as SimulationError."""
     try:
         yield
     except _core.CoreError as error:

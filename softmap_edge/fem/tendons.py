@@ -1,4 +1,4 @@
-"""What else a finger's file names: tendons, their commands, regions of another modulus.
+"""Tendons of a finger's file, their commands, and regions of another modulus.
 
 Tendons are given by formula or by points.
 """
@@ -40,8 +40,8 @@ class Tendon:
     """A tendon up to its anchor: by formula or by points.
 
     angle_deg: about z · route: (z, distance from the axis) pairs in mm; equal distances run
-    straight, others tapered · turn_deg: by how much the angle turns evenly along the full length, a
-    helix · points: instead of these, guides (x, y, z) in mm of the base frame.
+    straight, others tapered · turn_deg: uniform turn of the angle along the full length, a helix ·
+    points: instead of these, guides (x, y, z) in mm of the base frame.
     """
 
     angle_deg: float = 0.0
@@ -67,7 +67,7 @@ class Tendon:
         return guides
 
     def way(self) -> Formula | list[Vector]:
-        """Return the tendon as the core takes it: (angle, turn, pairs) in rad and mm, or points."""
+        """Return the tendon for the core: (angle, turn, pairs) in rad and mm, or points."""
         return list(self.points) or (
             radians(self.angle_deg),
             radians(self.turn_deg),
@@ -131,10 +131,10 @@ class Tendon:
 class Region:
     """A region with another modulus.
 
-    A box in mm (None: all along an axis), or its half that faces `side_deg`, or what of these lies
-    in the cells that a mesh file groups by `name` (a physical volume, a material id).
+    A box in mm (None: all along an axis), or its half that faces `side_deg`, or the part of these
+    in the cells of group `name` of a mesh file (a physical volume, a material id).
 
-    The last region that holds a place decides.
+    Where regions overlap, the last one applies.
     """
 
     young_mpa: float
@@ -178,7 +178,7 @@ class Region:
             )
 
     def check_meets(self, field: str, low: Sequence[float], high: Sequence[float]) -> None:
-        """Refuse a region that lies outside a solid from corner `low` to `high` mm.
+        """Reject a region outside a solid from corner `low` to `high` mm.
 
         Raises FingerError.
         """
@@ -195,7 +195,7 @@ class Region:
     ) -> tuple[Vector, Vector, float | None, float, list[bool] | None]:
         """Return the region for the core: corners mm, side rad, modulus MPa, cells if named.
 
-        The corners are low and high.
+        The corners are (low, high).
         """
         (x0, x1), (y0, y1), (z0, z1) = (
             limits or (-inf, inf) for limits in (self.x, self.y, self.z)
@@ -218,7 +218,7 @@ class Region:
 def check_commands(
     pairs: Sequence[Sequence[int]], ranges: Pairs, unit: str, tendons: int, height: float | None
 ) -> None:
-    """Check which tendons each command moves and how far: mm of shortening, or N of tension.
+    """Check the tendons and range of each command: mm of shortening, or N of tension.
 
     Raises FingerError.
     """

@@ -1,1 +1,1 @@
-"""Robots as rods: `robot.toml`, models learned from a reference run."""
+"""Model robots as rods: `robot.toml`, and models learned from a reference run."""

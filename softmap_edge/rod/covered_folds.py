@@ -3,11 +3,10 @@
 A recording of one or two sweeps visits each command once or twice. A long block then holds all
 frames of its commands, and its error measures the extrapolation of a polynomial, not its accuracy.
 So blocks and the gaps next to them are halved until the rest covers them, by the leverage of the
-terms of the map that is to be fitted (`model/coverage.py`). The few frames that stay uncovered are
-not tested: one of them can weigh more than all others, and a diagnosis sets such frames aside.
-Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the
-given blocks. Pinned by tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and
-tests/rod/test_splined_rod.py.
+terms of the fitted map (`model/coverage.py`). The few uncovered frames are not tested: one of them
+can outweigh all others, and a diagnosis excludes such frames. If squares replace too many terms,
+all frames are tested. Long recordings keep the given blocks. Pinned by
+tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.run.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
-LEAST_COVERED = 0.5  # share of the frames that must be covered, or all are tested
-MOST_GAP = 0.5  # of a block: more would leave too little of a short run to learn from
-MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
+LEAST_COVERED = 0.5  # share of covered frames below which all frames are tested
+MOST_GAP = 0.5  # of a block: larger gaps leave too little of a short run
+MOST_BLOCKS, LEAST_FRAMES = 40, 4  # most blocks of a run, and least frames of a block
 
 
 def covered_folds(
@@ -32,8 +31,9 @@ def covered_folds(
     """Return folds of at least `blocks` time blocks, and the gap (s, at most `gap_s`) next to each.
 
     Args:
-        seen: the frames. basis: the richest map that may be fitted to them.
-        blocks, gap_s: as asked for.
+        seen: the frames.
+        basis: the richest map that may be fitted to them.
+        blocks, gap_s: as requested.
 
     Raises:
         RunError: too few frames.
@@ -52,9 +52,9 @@ def covered_folds(
 
 
 def search_folds(seen: ReferenceFrames, basis: Basis) -> Folds:
-    """Return the folds of a search: labels, or time blocks; and runs covered by others.
+    """Return the folds of a search: labels, or time blocks, and runs covered by others.
 
-    The commands of the others cover them.
+    A run is covered if its commands occur in other runs.
     """
     parts = (
         run_folds(seen.t, seen.labels)

@@ -2,7 +2,7 @@
 
 It is damped by the diagonal of the normal equations.
 
-Numbers at a bound whose gradient points outward are left out of a step. Pinned by
+Parameters at a bound with an outward gradient are fixed in a step. Pinned by
 tests/rod/test_elastic.py (exact recovery) and tests/rod/test_learned_memory.py.
 """
 
@@ -19,7 +19,7 @@ Term = Callable[
 ]  # x, whether slopes are needed → residuals (m,), their slopes (m, D) or (0, D)
 
 ITERATIONS = 60
-ENOUGH = 1e-7  # share of the sum of squares: a step that lowers it by less is the last one
+ENOUGH = 1e-7  # share of the sum of squares: a smaller fall ends the descent
 
 
 def descend(
@@ -45,7 +45,7 @@ def descend(
             step = np.zeros(len(x))
             try:
                 step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
-            # two numbers with the same effect, and damping lost in round-off
+            # two parameters with the same effect, and damping lost in round-off
             except np.linalg.LinAlgError:
                 damping *= 8.0
                 continue

@@ -1,18 +1,17 @@
-"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions.
+"""Fit an elastic-tendon rod to a run by bounded Levenberg-Marquardt on marker positions.
 
-It runs from several starts.
+Several starts are used.
 
     minimise Σ |predicted(x) − seen|²  over x within bounds,
-        x = the free numbers (`elastic.Coordinates`)
+        x = the free parameters (`elastic.Coordinates`)
 
 Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit
-without it. A fold is a part of the run's `block` labels (dealt out in turn, so that no fold holds
-all of one kind of move), else a block of time. Uncertainty: the larger of what the linearised fit
-says with frames taken as independent, and of the spread of those refits (jackknife), since
-neighbouring frames repeat the same model-form error. A number is *not identified* by the run when
-it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one
-and follows another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what
-is identified.
+without it. A fold is a part of the run's `block` labels (dealt in turn, so no fold holds all moves
+of one kind), else a block of time. The uncertainty is the larger of two: that of the linearised fit
+with independent frames, and the spread of those refits (jackknife), because neighbouring frames
+share the model-form error. A parameter is *not identified* by the run if it is less certain than a
+guess (`Kind.doubt`), or if it is less certain than a tenth of one and correlated with another
+(`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and the identified parameters.
 """
 
 from __future__ import annotations
@@ -39,24 +38,24 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STARTS = 4
-# degrees of the polynomial that supports a described rod while its delay is fitted
+# degrees of the polynomial added to a described rod while its delay is fitted
 SUPPORT_DEGREES = (1, 2)
-# markers times frames of a fit; more frames, but not these, are thinned evenly
+# markers times frames of a fit, above which frames are thinned evenly
 MOST_SEEN, LEAST_FRAMES = 8000, 200
-CHUNK = 4_000_000  # slopes by all numbers that are held at once
-EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
-TRADED = 0.995  # correlation of two numbers from which the run identifies them only together
+CHUNK = 4_000_000  # most slope values in memory
+EXACT = 1e-4  # least camera noise, mm; keeps the uncertainty of a perfect fit above zero
+TRADED = 0.995  # correlation of two parameters above which only their combination is identified
 
 
 def fit_elastic(
     seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool
 ) -> Fitted:
-    """Fit the free numbers of an elastic rod, then the drive's delay.
+    """Fit the free parameters of an elastic rod, then the drive's delay.
 
     The delay is fitted if the log identifies it and not `static`.
 
     Raises:
-        RunError: a fold leaves too little to fit the numbers from.
+        RunError: a fold leaves too little data for the fit.
     """
     least, free = (
         min(len(train) for train, _ in parts) * seen.markers[0].size,
@@ -90,9 +89,9 @@ def fit_elastic(
 
 
 def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> Memory:
-    """Find the drive's delay with the rod fitted to the commands and a small polynomial.
+    """Find the drive's delay with the rod fitted to the commands, plus a small polynomial.
 
-    Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
+    Other memory is left to the diagnosis: the rod has its own laws for slack and friction.
     """
     few = seen.every(-(-len(seen.t) // FRAMES))
     rod, parts = robot.layout.compiled(fitted), search_folds(few, Basis(max(SUPPORT_DEGREES)))
@@ -115,7 +114,7 @@ def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> M
 
 
 def fit_for(robot: Robot, seen: ReferenceFrames) -> ReferenceFrames:
-    """Check that a run is one of this robot, and thin its frames to what a fit needs."""
+    """Check that a run is of this robot, and thin its frames for a fit."""
     channels, markers = seen.drive.channels, seen.markers.shape[1]
     if (channels, markers) != (robot.layout.channels, len(robot.layout.at)):
         raise RobotError(
@@ -150,7 +149,7 @@ def _sides(robot: Robot, u: Floats, markers: Floats) -> Floats:
 
 
 class Data:
-    """Commands u (n, C) and markers (n, M, 3) mm, and how far a rod is off."""
+    """Commands u (n, C) and markers (n, M, 3) mm, and the residuals of a rod."""
 
     def __init__(self, coordinates: Coordinates, u: Floats, markers: Floats) -> None:
         self.coordinates, self.u = coordinates, np.ascontiguousarray(u)
@@ -175,7 +174,7 @@ class Data:
         return np.concatenate(parts).reshape(-1, len(x))
 
     def term(self, frames: NDArray[np.intp] | None = None) -> Term:
-        """Return the residuals of some frames as `descend` asks for them."""
+        """Return the residuals of some frames in the form of `descend`."""
         some = np.arange(len(self.u)) if frames is None else frames
 
         def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:
@@ -189,7 +188,7 @@ class Data:
 def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
     """Fit from the file's start and random ones around it; return the best x and its count.
 
-    The count is how many starts reach it.
+    The count is the number of starts that reach it.
     """
     space, rng = data.coordinates, np.random.default_rng(seed)
     tried = [np.zeros(len(space.labels))]
@@ -241,8 +240,7 @@ def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, F
 
     The correlations are without the diagonal.
 
-    A guess of width ten `doubt` is added to the data, so that a direction which the data do not see
-    at all stays finite.
+    A prior of width ten `doubt` is added to the data, so unobserved directions stay finite.
     """
     scaled = jacobian * doubt  # x in units of doubt
     information = scaled.T @ scaled / max(variance, EXACT**2) + 1e-2 * np.eye(len(doubt))

@@ -1,15 +1,15 @@
-"""Laws of memory as the chain computes them, each fitted with the static map solved again.
+"""Fit laws of memory, computed by the chain, with the static map solved again.
 
-It is solved for every set of numbers.
+The map is solved for every parameter set.
 
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
-Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is
-not smooth. So a scan of the held-out loss over the complete range comes first, then a bounded
-Levenberg-Marquardt from the best few. Ranges declared in mm are those of a drive of ±16 mm and
-scale with the drive. A gap may be nearly the complete range, and the held-back share may be all of
-the motion, because an output may be a force. σ is the larger of that of the linearised fit and that
-of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
+Parameters are scaled to 0 … 1 over their range, logarithmically for a positive range. Play is not
+smooth. So a scan of the held-out loss over the complete range comes first, then a bounded
+Levenberg-Marquardt from the best few points. Ranges declared in mm are those of a drive of ±16 mm
+and scale with the drive. A gap may be nearly the complete range, and the held-back share may be all
+of the motion, because an output may be a force. σ is the larger of that of the linearised fit and
+that of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from softmap_edge.rod.static_map import StaticMap
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-WIDEST = 1.95  # half ranges: a wider gap would never move what it drives
+WIDEST = 1.95  # half ranges: a wider gap would never transmit motion
 # share of the motion held back: at this value the held-back part is the complete response
 HELD_BACK = 30.0
-SCAN = 24  # sets for each number of a scan
-SCAN_ALONG = 12  # of one number while the others are fixed
+SCAN = 24  # sets per parameter of a scan
+SCAN_ALONG = 12  # sets of one parameter while the others are fixed
 TOGETHER = 24  # sets rolled out at a time
-REFINED = 2  # of the scanned sets
-MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and the folds differ by more
-STEP = 1e-3  # of the range, for slopes: wider than the kinks of a play that is sampled
-BOUND = 1e-3  # of the range, from where a number counts as at its bound
-IDLE = 0.02  # of half the range: a number that changes the commands by less does nothing
+REFINED = 2  # best sets of a scan that are refined
+MOST_STEPS, ENOUGH = 15, 1e-4  # tolerance: play is not smooth, and folds differ by more
+STEP = 1e-3  # of the range, step for slopes: wider than the kinks of sampled play
+BOUND = 1e-3  # of the range: distance within which a parameter is at its bound
+IDLE = 0.02  # of half the range: a parameter with a smaller effect on the commands is inactive
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A chain of effects, and which free number (D,) each parameter (P,) takes, with ranges."""
+    """A chain of effects, the free number (D,) of each parameter (P,), and ranges."""
 
     names: tuple[str, ...]
     chain: _core.Chain
@@ -68,7 +68,7 @@ class Law:
         return np.ascontiguousarray(self.values(x)[..., self.of])
 
     def at(self, values: Mapping[str, float]) -> Floats:
-        """Return x (D,) of numbers by label, the middle of the range where one is not given."""
+        """Return x (D,) of values by label; missing ones are at the middle of the range."""
         x = np.full(len(self.labels), 0.5)
         for i, label in enumerate(self.labels):
             value = next(
@@ -87,7 +87,7 @@ class Law:
 
 
 def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
-    """Return the law of a chain: one number for all.
+    """Return the law of a chain with one number for all channels.
 
     The effects in `each` have one for each channel or cable.
     """
@@ -137,7 +137,7 @@ class FittedLaw:
 
     The loss is (folds,) mm².
 
-    Numbers at a bound that do nothing there are `idle` (D,): a channel may have no play.
+    Numbers without effect at their bound are `idle` (D,): a channel may have no play.
     """
 
     law: Law
@@ -158,7 +158,7 @@ class FittedLaw:
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
-        """Which free numbers (D,) stand at a bound of their range and matter there."""
+        """Which free numbers (D,) are at a bound of their range with an effect there."""
         return _at_bound(self.x) & ~self.idle
 
 
@@ -169,7 +169,7 @@ def _at_bound(x: Floats) -> NDArray[np.bool_]:
 class LawFit:
     """The data of a law's fit: a drive, in its unit, and a static map.
 
-    The map is solved again for every set of numbers.
+    The map is solved again for every parameter set.
     """
 
     def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
@@ -178,7 +178,7 @@ class LawFit:
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
         """Fit a law from a scan of all numbers, except those `known` by label.
 
-        These start at their value.
+        Known numbers start at their value.
         """
         start = law.at(known)
         open_ = [i for i, label in enumerate(law.labels) if label not in known]
@@ -215,7 +215,7 @@ class LawFit:
         return FittedLaw(law, x, acting, self.static.losses(acting), self._idle(law, x, acting))
 
     def _idle(self, law: Law, x: Floats, acting: Floats) -> NDArray[np.bool_]:
-        """Return which numbers at a bound do no more to the commands (n, C) than at their null."""
+        """Return the numbers at a bound with no more effect on the commands (n, C) than at null."""
         idle = _at_bound(x)
         for i in np.flatnonzero(idle):
             without = np.where(law.of == i, law.chain.null, law.params(x))
@@ -229,7 +229,7 @@ class LawFit:
         residual, slopes = self._term(law, None)(x, True)
         zero, one = np.zeros(len(x)), np.ones(len(x))
         variance = float(residual @ residual) / max(1, len(residual) - len(x))
-        # where unseen, as wide as the range
+        # if not observable, as wide as the range
         information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))
         linear = np.sqrt(np.diag(np.linalg.inv(information)))
         refits = np.stack(
@@ -248,7 +248,7 @@ class LawFit:
             law.high - law.low,
         )
         sigma = np.maximum(linear, jackknife) * scale
-        # anything down to nothing
+        # any value down to zero
         sigma = np.where(fitted.idle, np.maximum(sigma, law.values(x)), sigma)
         units = {
             label.partition("[")[0]: self.unit + unit.removeprefix("mm")

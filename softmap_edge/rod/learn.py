@@ -1,14 +1,14 @@
-"""Fit a rod to reference runs: the prior of a robot that has no simulator.
+"""Fit a rod to reference runs: the prior of a robot without a simulator.
 
-Seconds; numpy and the core only.
+The fit takes seconds and needs only numpy and the core.
 
 Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`),
 it is the elastic one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a
-polynomial (`polynomial.py`). With both, the memory that was in the robot is found (`memory.py`):
-its law joins the chain by name, with its alternatives. `static` leaves it out. With an elastic rod
-only delays join; other memory is reported. Degree, ridge and law are those with the lowest error.
-Frames closer than `gap_s` to a block are not used to predict it. These few choices are made on the
-blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used.
+polynomial (`polynomial.py`). With both, the memory of the robot during the runs is identified
+(`memory.py`): its law joins the chain by name, with its alternatives. `static` leaves it out. With
+an elastic rod only delays join; other memory is reported. Degree, ridge and law are those with the
+lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices
+use the blocks of the stated error, so it is slightly low. Frames in `hold_out` are never used.
 tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin exact
 recovery and the error on real data.
 """
@@ -51,14 +51,14 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
-# share of that straying from which a held-out error shows that commands explain little
+RATE_HZ = 20.0  # neighbouring frames are redundant; more only cost time
+# share of the marker motion: a larger held-out error means commands explain little
 USELESS = 0.8
-DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
-ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
-TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
-GAP_S = 2.0  # s next to a held-out block that are not used to predict it
-POOR = 0.4  # of the same: a rod with the right commands leaves a tenth
+DEPENDENT = 0.01  # of the largest singular value of the commands: below it, no motion
+ROUNDED = 0.02  # smaller weights in such a direction are encoder rounding
+TURNED_DEG = 10.0  # between orientations: from here the robot's weight bends it differently
+GAP_S = 2.0  # unused time next to a held-out block, s
+POOR = 0.4  # of the marker motion: a rod with the right commands leaves a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class LearnedRod:
     notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Say in a few lines what was fitted and how far it is off."""
+        """Summarise the fit and its error in a few lines."""
         memory = ", ".join(self.chain_names) or (
             "no law of memory" if self.learned_in else "no memory"
         )
@@ -140,20 +140,19 @@ def learn(
         blocks: contiguous blocks of the cross-validation. A short run that visits its commands once
             gets more. An elastic rod uses the runs' `block` labels if they have any.
         gap_s: s, frames this close to a block are not used to predict it; at most half a block.
-        hold_out: intervals (t0, t1) s whose frames are not used at all, in each run.
+        hold_out: intervals (t0, t1) s of each run whose frames are not used.
         base: (3,) mm, the point from which the first chord starts; None is the origin of the base
             frame. It is not fitted, because markers do not identify it (on the trunk any depth from
             0 to 94 mm predicts equally well within 0.1 mm).
-        degree: of the polynomial; None chooses among 1, 2, 3 (of one command up to 5).
-        rate_hz: at most so many frames a second are used.
-        robot: a description of the robot's tendons; with it the rod is elastic, without it a
-            polynomial.
-        static: learn the static map alone and leave all memory to the diagnosis.
-        seed: of the scans, and of the starts of an elastic fit.
+        degree: degree of the polynomial; None chooses among 1, 2, 3 (up to 5 for one command).
+        rate_hz: limit of the frames used per second.
+        robot: a description of the robot's tendons for an elastic rod; without it, a polynomial.
+        static: learn only the static map, and leave all memory to the diagnosis.
+        seed: seed of the scans, and of the starts of an elastic fit.
 
     Raises:
         RunError: a run has no markers or no commands, too few frames, or hardly moves.
-        RobotError: a run is not one of that robot.
+        RobotError: a run is not of that robot.
     """
     together = [runs] if isinstance(runs, Run) else list(runs)
     if not together:
@@ -191,7 +190,7 @@ def learn(
 def _learned(
     seen: ReferenceFrames, fitted: Fitted, made_from: Document, lost: Sequence[str]
 ) -> LearnedRod:
-    """Put together what was fitted, how far off it is, and what to beware of."""
+    """Assemble the fit, its errors and warnings."""
     residuals, memory = fitted.residuals, fitted.memory
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
@@ -228,7 +227,7 @@ def _learned(
 
 
 def _notes(seen: ReferenceFrames, fitted: Fitted, error: float, gap_s: float) -> tuple[str, ...]:
-    """Return what the user should know before trusting the rod."""
+    """Return the warnings about a rod."""
     notes, unit = [], seen.unit
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
@@ -268,7 +267,7 @@ def _notes(seen: ReferenceFrames, fitted: Fitted, error: float, gap_s: float) ->
 
 
 def _turned(runs: Sequence[Run]) -> list[str]:
-    """Return a sentence if the robot had several orientations, unknown to its model."""
+    """Return a sentence if the robot had several orientations, which its model ignores."""
     every = [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None]
     if not every:
         return []
@@ -290,7 +289,7 @@ def _apart(commands: Floats) -> list[str]:
     The rod then cannot learn their joint effect.
     """
     if _dependent(commands, ""):
-        return []  # reported as such
+        return []  # reported separately
     pairs = apart(commands)
     if not pairs:
         return []
@@ -310,7 +309,7 @@ def _flat(runs: Sequence[Run]) -> list[str]:
 def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
     """Return a sentence if blocks are shorter than the gap next to them.
 
-    The gap had to be shortened or left out.
+    The gap was shortened or omitted.
     """
     counts = [len(train) for train, _ in fitted.parts]
     if seen.timeless or not counts:
@@ -332,7 +331,7 @@ def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
 
 
 def _rest(reach: Floats) -> Floats:
-    """Return the command (C,) at rest: 0, or the middle of a range (C, 2) that lies far from 0."""
+    """Return the command (C,) at rest: 0, or the middle of a range (C, 2) far from 0."""
     return np.where(far_from_home(reach), reach.mean(axis=1), 0.0)
 
 
@@ -361,7 +360,7 @@ def _from_home(commands: Floats, run: Run) -> list[str]:
 
 
 def _dependent(commands: Floats, unit: str) -> list[str]:
-    """Return a sentence for each sum of commands that does not move, and its consequence."""
+    """Return a sentence for each constant sum of commands, and its consequence."""
     half = 0.5 * np.ptp(commands, axis=0)
     moving = np.flatnonzero(half > 0)
     centred = (commands - commands.mean(axis=0))[:, moving] / half[moving]
@@ -390,7 +389,7 @@ def _term(weight: float, number: int) -> str:
 
 
 def _reduced(rows: Floats) -> Floats:
-    """Return a basis of the same space with as many zeros as elimination gives."""
+    """Return a basis of the same space, made sparse by elimination."""
     rows = rows.copy()
     for i in range(len(rows)):
         pivot = int(np.argmax(np.abs(rows[i])))
@@ -407,7 +406,7 @@ def learn_model(
     robot: Robot | None = None,
     **options: Unpack[LearnOptions],
 ) -> Model:
-    """Learn a rod and return it as a model; arguments as for `learn`."""
+    """Learn a rod and return it as a model; the arguments are those of `learn`."""
     learned = learn(runs, input, hold_out=hold_out, robot=robot, **options)
     return learned_model(runs, learned)
 
@@ -449,5 +448,5 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
 
 def _gravity(run: Run) -> Floats:
     if run.gravity is None:
-        return np.array([0.0, 0.0, 1.0])  # hanging, as the built-in finger
+        return np.array([0.0, 0.0, 1.0])  # hanging, like the built-in finger
     return np.asarray(run.gravity if run.gravity.ndim == 1 else run.gravity.mean(axis=0), float)

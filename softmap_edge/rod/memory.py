@@ -1,25 +1,25 @@
-"""The memory that was in a robot while it was learned: first its family, then its law.
+"""Identify the memory of a robot in its reference runs: first its family, then its law.
 
 Level 1. The signals of each family (`signals.py`) are added to the static map as columns, with
-powers up to three where there are few channels. A family counts if it lowers the held-out loss by
-more than one paired standard error over the folds, in most folds, by a share of the loss and of the
-loss above the noise, and visibly. If the best family fails, none is taken, because the next best
-would only replace it. The B-splines of the command are the control. If they do as well as the best
+powers up to three if there are few channels. A family counts if it lowers the held-out loss by more
+than one paired standard error over the folds, in most folds, by a share of the loss and of the loss
+above the noise, and visibly. If the best family fails, none is taken, because the next best would
+only replace it. The B-splines of the command are the control. If they fit as well as the best
 family, they join the map, and the families are compared with this map.
 
 Level 2. The members of the families that fall are fitted with the static map solved again
 (`law.py`), with one number for all channels and with a number per channel. A law *reaches* if it
-does as well as the best of all, representatives included. The law with the fewest numbers wins; the
-other laws that reach are its alternatives. Numbers for each channel count as one. A law is open if
-its family still explains a good part of what it leaves, or if all laws leave a good part of the
-first loss: a map that fits badly and a wrong law look alike. A law that does not reach, or that is
-at a bound, is only reported if it is weak, if it explains only part of what its family does, or if
-a family without laws is near: it would only replace another cause. The law joins the chain, its
-effective commands replace the commands, and the families are tried again.
+fits as well as the best of all, representatives included. Of the laws that reach, the one with the
+fewest numbers is chosen; the others are its alternatives. Numbers for each channel count as one. A
+law is open if its family still explains a good part of the remaining loss, or if all laws leave a
+good part of the first loss: a bad map and a wrong law look alike. A law that does not reach, or
+that is at a bound, is only reported if it is weak, if it explains only part of its family's fall,
+or if a family without laws is near: it would only replace another cause. The law joins the chain,
+its effective commands replace the commands, and the families are tried again.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates
-families that draw the same loop at one amplitude and speed. Limits: laws act in series with the
-map; a rate alone has no law in the library. Pinned by tests/rod/test_learned_memory.py.
+families with the same loop at one amplitude and speed. Limits: laws act in series with the map; a
+rate alone has no law in the library. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -41,32 +41,30 @@ from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
 
-FRAMES = 1500  # of a search; neighbouring frames hold the same information
-FEW_CHANNELS = 3  # up to here signals get powers; with more channels there are too few frames
+FRAMES = 1500  # frames of a search; neighbouring frames are redundant
+FEW_CHANNELS = 3  # most channels for powers of signals; with more there are too few frames
 POWERS = 3
-LEAST = 0.03  # of the loss that a family must explain: less is within the choice of folds
-# the same of the loss above the noise; later ones divide the remainder of the first
+LEAST = 0.03  # least share of the loss that a family explains; less depends on the choice of folds
+# the same of the loss above the noise; later families share the remainder
 FIRST, LATER = 0.05, 0.3
-MOST_FOLDS = 0.6  # share of the folds in which it must
-FALL = 0.01  # of its loss by which a fold falls
-# of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
+MOST_FOLDS = 0.6  # share of the folds in which it must fall
+FALL = 0.01  # of a fold's loss: least fall
+# of the robot's length, RMS: camera limit (0.12 mm for a finger of 120)
 VISIBLE = 1e-3
-FORM = 0.025  # of the explained loss: laws closer than this differ by their model-form error only
-# share of at least so many folds that decides where the mean difference does not
+FORM = 0.025  # of the explained loss: closer laws differ only by model-form error
+# share and least number of folds that decide if the mean difference does not
 AGREE, FOLDS_THAT_AGREE = 0.85, 5
-# Shares of the loss above the noise: what an identified or unknown law must explain, and what it
-# may leave in all, or to its family.
+# Shares of the loss above the noise: least explained by an identified or unknown law, and most left
+# in total, or to its family.
 SURE = 0.2
-# of what the best family explains: a law that does not reach must explain more, or it stands in for
-# another
+# of the best family's fall: a law that does not reach must explain more, or it replaces another
 PART = 0.6
-# of a law's remainder above the noise: a second law of its family that explains less is model-form
-# error
+# of a law's remainder above the noise: a second law of its family with less is model-form error
 PAIR = 0.8
-EACH = 0.05  # of the loss that a number per channel must explain more than one for all
-EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
+EACH = 0.05  # of the loss: least gain from a number per channel over a shared one
+EACH_TRIED = 3  # best laws with shared numbers that are tried with a number per channel
 MOST_LAWS = 3
-SHORT = 2  # effects that are named as the nearest where none reaches
+SHORT = 2  # nearest effects that are named if none reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ class Memory:
     notes: tuple[str, ...] = ()
 
     def acting(self, drive: Drive) -> Floats:
-        """Return the effective commands (n, C) at the seen times."""
+        """Return the effective commands (n, C) at the frame times."""
         return drive.acting(self.names, self.params)
 
 
@@ -94,9 +92,9 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """An effect `name` that may be a family's law, or a family without one.
+    """A candidate: an effect `name` as a family's law, or a family without one.
 
-    With its held-out loss (folds,).
+    It holds the held-out loss (folds,).
     """
 
     family: Family
@@ -122,7 +120,7 @@ class _Found:
 
     They are `short` if they do not reach the best of all, and `weak` if they explain a small part
     of the loss. Their family explains `more` if its signals, on top of them, lower the remainder
-    clearly. They leave a `rest` if a good part of the first loss is unexplained in the end.
+    clearly. They leave a `rest` if a good part of the first loss remains unexplained.
     """
 
     family: Family
@@ -139,7 +137,7 @@ class _Found:
     def certainty(self) -> Certainty:
         """Whether the law is identified.
 
-        It is strong, not at a bound, has no alternative as good, and leaves little error.
+        It must be strong, not at a bound, without an equal alternative, and leave little error.
         """
         if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
@@ -147,7 +145,7 @@ class _Found:
         return "ambiguous" if alike or self.weak else "identified"
 
     def _is_as_good(self, other: _Candidate) -> bool:
-        """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
+        """Whether an alternative is of another family, has as few numbers, or fits better."""
         if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
             return True
         fall = self.fitted.losses - other.losses
@@ -175,7 +173,7 @@ class _Search:
         self.seen, self.static, self.members = seen, static, members
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
-        # times a frame is held out
+        # how often a frame is held out
         self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)
         self.notes: list[str] = []
         self.unknown: tuple[LearnedIn, ...] = ()
@@ -204,7 +202,7 @@ class _Search:
     # --- one family ------------------------------------------------------------------------------
 
     def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
-        """Return the families that this log can show, the lowest held-out loss first."""
+        """Return the families that this log can show, lowest held-out loss first."""
         possible = [
             family
             for family in self.families
@@ -220,7 +218,7 @@ class _Search:
     def _static_suffices(
         self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
     ) -> bool:
-        """Whether a map of another form does as well as any memory."""
+        """Whether a map of another form fits as well as any memory."""
         now, best = self.static.losses(acting), represented[0].losses
         if not self._falls(now, best, LATER if found else FIRST):
             return False
@@ -229,7 +227,7 @@ class _Search:
     def _with_more(
         self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
     ) -> list[_Found]:
-        """Return what was found, its last law marked if its family explains much of the rest."""
+        """Return the result; mark its last law if its family explains much of the remainder."""
         if not found:
             return []
         now, last = self.static.losses(acting), found[-1]
@@ -242,7 +240,7 @@ class _Search:
     def _step(
         self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
     ) -> _Found | None:
-        """Return the law that is to join the chain, or None."""
+        """Return the law to add to the chain, or None."""
         now, best = self.static.losses(acting), represented[0]
         if not self._falls(now, best.losses, LATER if found else FIRST):
             return None
@@ -291,7 +289,7 @@ class _Search:
         best = min(laws, key=lambda one: float(one.losses.sum()), default=None)
         if best is None or not self._apart(best.law):
             return laws
-        # A law with a number for each channel is compared with others that have them too.
+        # Compare a law with a number per channel with others of the same kind.
         return [
             self._each(one, asked=False) if one.family.name == best.family.name else one
             for one in laws
@@ -334,7 +332,7 @@ class _Search:
     def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
         """Return the law with a second member of its family if that explains the remainder.
 
-        Both together must explain nearly all of what the first one leaves.
+        The pair must explain nearly all of the first law's remainder.
         """
         fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
@@ -363,7 +361,7 @@ class _Search:
     def _each(self, candidate: _Candidate, asked: bool = True) -> _Candidate:
         """Return a law with a number per channel of its newest effect, if the evidence requires it.
 
-        Without `asked` it is enough that it leaves less.
+        Without `asked`, a lower loss is sufficient.
         """
         fitted, name = candidate.law, candidate.name
         other = law(fitted.law.names, self.seen.drive, [*self._apart(fitted), name])
@@ -504,12 +502,12 @@ def _numbers(fitted: FittedLaw) -> int:
 
 
 def _twins(name: str) -> list[str]:
-    """Return the effects that no run distinguishes from the effect `name`."""
+    """Return the effects that no run can distinguish from the effect `name`."""
     return [info.name for info in registry().values() if info.alike.get(name) == "never"]
 
 
 def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, seed: int) -> Memory:
-    """Return the memory with its numbers fitted again with another map of the same targets."""
+    """Refit the numbers of the memory with another map of the same targets."""
     if not memory.names:
         return memory
     each = sorted(

@@ -1,11 +1,11 @@
 """The polynomial rod in Python, and its fit.
 
-Its chords have bending angles that are a polynomial of the commands.
+The bending angles of its chords are a polynomial of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-Where a command pulls one cable above 0 and another one below, v may be a polynomial of max(q, 0)
-and max(−q, 0): a cable that falls slack puts a kink there. Weights are found by ridge regression;
+If a command pulls one cable above 0 and another below, v may be a polynomial of max(q, 0) and
+max(−q, 0): a cable that becomes slack causes a kink there. Weights are found by ridge regression;
 penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Basis
 and ridge are those with the lowest cross-validation error (`regression.py`). Known limit: one
 marker at the end of each chord, base to tip. tests/rod/test_rod.py and tests/rod/test_pulled_rod.py
@@ -31,11 +31,11 @@ from softmap_edge.run.folds import Folds
 Floats = NDArray[np.float64]
 
 DEGREES = (1, 2, 3)
-# of a single command: the highest that the frames identify, without a ridge
+# degree for a single command: the highest identified without a ridge
 DEGREES_OF_ONE = (1, 2, 3, 4, 5)
 CUBIC = 3
-INTERVALS = 8  # of splines: eight make (8 + 3)² = 121 terms of two commands
-SPLINED_CHANNELS = 2  # up to here splines are tried; of three commands they would have 1331 terms
+INTERVALS = 8  # spline intervals: eight make (8 + 3)² = 121 terms of two commands
+SPLINED_CHANNELS = 2  # most commands for splines; three would have 1331 terms
 # of the range of markers: a height below this is constant, an output; base of outputs
 LEVEL, FAR_BELOW = 1e-6, 20.0
 
@@ -55,8 +55,8 @@ def fit_polynomial(
     """
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Blocks are covered in the terms of the richest polynomial; of one command, or of many, in
-    # squares: no log has all.
+    # Coverage uses the terms of the richest polynomial; for one command, or for many, squares,
+    # because no log covers all terms.
     richest = (
         [b for b in bases if not b.intervals][-1]
         if 1 < seen.drive.channels <= FEW_CHANNELS
@@ -107,7 +107,7 @@ def fit_polynomial(
 def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Basis, ...]:
     """Return the bases that `smallest` frames can identify.
 
-    They include pulls where several commands move to both sides of 0.
+    They include pulls if several commands move to both sides of 0.
     """
     channels, commands = seen.drive.channels, seen.drive.commands
     some = (DEGREES if channels > 1 else DEGREES_OF_ONE) if degree is None else (degree,)
@@ -120,7 +120,7 @@ def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Ba
     found = found if channels > 1 else found[-1:]
     splines = Basis(SPLINE_DEGREE, intervals=INTERVALS)
     if degree is None and channels <= SPLINED_CHANNELS and splines.count(channels) < smallest:
-        # their smoothness is chosen, so they need fewer frames than numbers without a ridge
+        # their smoothness is chosen, so they need fewer frames than without a ridge
         found = (*found, splines)
     if not any(not basis.pulled and not basis.intervals for basis in found):
         raise RunError(
@@ -158,7 +158,7 @@ def _memory(
 def _plane(fit: Regression) -> Floats:
     """Return chords as plane coordinates (n, 2K) mm.
 
-    For each marker Σ length × angle over the chords below it.
+    Each marker has Σ length × angle over the chords below it.
     """
     turned = fit.angles.reshape(len(fit.angles), -1, 2) * fit.lengths.mean(axis=0)[:, None]
     return np.asarray(np.cumsum(turned, axis=1).reshape(len(turned), -1))
@@ -167,7 +167,7 @@ def _plane(fit: Regression) -> Floats:
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
     """Return the first chord's start: a given point, the origin, or far below an output.
 
-    Markers of constant height are outputs and do not bend: seen from far below, a chord's angle is
+    Markers of constant height are outputs and do not bend: from far below, a chord's angle is
     linear in them.
     """
     if base is None:

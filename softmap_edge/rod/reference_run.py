@@ -1,6 +1,6 @@
-"""The part of a reference run that a rod is learned from: frames, and their commands.
+"""The training data of a reference run: frames and their commands.
 
-The frames are thinned and checked.
+Frames are thinned and checked.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SLOW = 0.25  # s between samples of the command from which a log shows nothing of delay and lag
-APART = 1000.0  # s between runs that are learned from together: more than any gap next to a block
-STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
+SLOW = 0.25  # s between command samples above which delay and lag are not observable
+APART = 1000.0  # s between training runs: more than any gap next to a block
+STILL = 0.005  # of the robot's length: least motion of the markers about their mean
 
 
 @dataclass(frozen=True)
 class FittedNumber:
     """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`.
 
-    `note` is why if it is not identified.
+    If it is not identified, `note` is the reason.
     """
 
     label: str
@@ -47,7 +47,7 @@ class FittedNumber:
     note: str = ""
 
     def to_dict(self) -> Document:
-        """Return it as documents have it, to six digits."""
+        """Return it in document form, with six digits."""
         return asdict(self) | {
             "value": float(f"{self.value:.6g}"),
             "sigma": float(f"{self.sigma:.3g}"),
@@ -60,7 +60,7 @@ class FittedNumber:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrames:
-    """The data of one run or of several to learn from.
+    """The training data of one or several runs.
 
     `frames` (n_i,) of each run, their `markers` (n, K, 3) mm, and the commands behind them.
     """
@@ -83,7 +83,7 @@ class ReferenceFrames:
 
     @property
     def t(self) -> Floats:
-        """Times (n,) s of the frames; the runs stand one after the other, `APART` apart."""
+        """Times (n,) s of the frames; runs follow each other with gaps of `APART`."""
         times: list[Floats] = []
         start = 0.0
         for run, index in zip(self.runs, self.frames):
@@ -94,7 +94,7 @@ class ReferenceFrames:
 
     @property
     def seconds(self) -> float:
-        """The total seen duration of the runs."""
+        """The total recorded duration of the runs."""
         spans = [
             float(np.ptp(run.t_seen[index]))
             for run, index in zip(self.runs, self.frames)
@@ -131,7 +131,7 @@ class ReferenceFrames:
         return rms(self.markers - self.markers.mean(axis=0))
 
     def every(self, step: int) -> ReferenceFrames:
-        """Return the same with every `step`-th frame."""
+        """Return the data with every `step`-th frame."""
         kept = np.concatenate([np.arange(len(index)) % step == 0 for index in self.frames])
         frames = tuple(index[::step] for index in self.frames)
         return ReferenceFrames(
@@ -147,7 +147,7 @@ class ReferenceFrames:
 class Fitted:
     """A rod, its memory, held-out residuals (n, K, 3) mm, and the folds that gave them.
 
-    `basis` has the terms in which its runs cover commands.
+    `basis` has the terms for the coverage of commands.
     """
 
     rod: RodArrays
@@ -165,7 +165,7 @@ def observe(
     hold_out: Sequence[tuple[float, float]],
     rate_hz: float,
 ) -> ReferenceFrames:
-    """Return the frames to learn from; RunError if markers, commands or motion are missing."""
+    """Return the training frames; RunError if markers, commands or motion are missing."""
     runs = tuple(_in_scale(run, runs[0].output) for run in from_home(runs)[0])
     if len({run.hash() for run in runs}) < len(runs):
         raise RunError(
@@ -207,7 +207,7 @@ def observe(
 
 
 def _in_scale(run: Run, first: Output | None) -> Run:
-    """Return a run of outputs in the scale of the first one, if both are of the same outputs."""
+    """Scale a run of outputs like the first one, if both have the same outputs."""
     own = run.output
     if (
         own is None
@@ -232,7 +232,7 @@ def _drive(runs: Sequence[Run], source: Source, frames: Sequence[NDArray[np.intp
 
 
 def _alike(runs: Sequence[Run], source: Source) -> None:
-    """Raise RunError where runs that are learned from together are not runs of one robot."""
+    """Raise RunError if the training runs are not of one robot."""
     first = runs[0]
     for number, run in enumerate(runs[1:], start=2):
         for what, one, other in (

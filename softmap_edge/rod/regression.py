@@ -1,8 +1,8 @@
 """The regression behind `learn`: chords to angles, ridge on a polynomial, blocked cross-validation.
 
-All is linear algebra on sums of products. The sums of all frames less those of the omitted frames
-give every fold its system. The effects themselves compute the effective commands, so the fit and
-the chain agree.
+All computations use sums of products. The sums of all frames minus those of the omitted frames give
+the system of each fold. The effects themselves compute the effective commands, so fit and chain
+agree.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ def normalise(u: Floats) -> Floats:
 
 
 def _angles(markers: Floats, base: Floats) -> tuple[Floats, Floats]:
-    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords from `base`.
+    """Return angles (n, 2K) rad and lengths (n, K) mm of the chords through the markers.
 
-    They go through `markers` (n, K, 3).
+    Chords start at `base` and go through `markers` (n, K, 3).
     """
     first = np.broadcast_to(base, (len(markers), 1, 3))
     chord = np.diff(np.concatenate([first, markers], axis=1), axis=1)
@@ -121,7 +121,7 @@ class Record:
     t_seen: Floats
 
     def read(self, rows: Floats) -> Floats:
-        """Return rows (B, T, C) at the seen times (B, n, C): linear between rows, held outside."""
+        """Interpolate rows (B, T, C) at the frame times (B, n, C): linear, constant outside."""
         after = np.clip(np.searchsorted(self.t, self.t_seen), 1, len(self.t) - 1)
         share = (self.t_seen - self.t[after - 1]) / (self.t[after] - self.t[after - 1])
         before = rows[:, after - 1]
@@ -130,7 +130,7 @@ class Record:
 
 
 class Drive:
-    """The commands of one run or of several, after a chain of effects, at the seen times.
+    """The commands of one or several runs after a chain of effects, at the frame times.
 
     Memory begins in equilibrium in each run.
     """
@@ -142,7 +142,7 @@ class Drive:
 
     @cached_property
     def commanded(self) -> Floats:
-        """The commands (n, C) at the seen times, before any effect."""
+        """The commands (n, C) at the frame times, before any effect."""
         read: list[Floats] = [record.read(record.u[None])[0] for record in self.records]
         return np.concatenate(read)
 
@@ -166,7 +166,7 @@ class Drive:
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
         """Return effective commands (n, C) of a chain of `names`.
 
-        Its parameters are by label; others keep their null.
+        Parameters are given by label; the others stay at null.
         """
         if not names:
             return self.commanded
@@ -180,7 +180,7 @@ def choose_basis(
     """Return the basis and the ridge with the lowest cross-validation error.
 
     A richer form, pulls and then splines, must lower it by more than one standard error over the
-    folds. Splines always have their choice of ridges, which is that of their smoothness.
+    folds. The ridge of splines is always chosen; it sets their smoothness.
     """
     found: tuple[Floats, Basis, float] | None = None
     for form in sorted({(basis.intervals, basis.pulled) for basis in bases}):

@@ -1,10 +1,10 @@
-"""A tendon robot as its file `robot.toml` describes it.
+"""The description of a tendon robot, read from `robot.toml`.
 
-Segments, tendons, markers, and what of it a fit may change.
+It holds segments, tendons, markers, and the parameters that a fit may change.
 
 It is read by `softmap learn RUN --robot robot.toml`; examples/tdcr_robot.toml is the template.
-Every key is known: a misspelt one is named with those that exist. Units: mm, degrees; stiffness in
-mm² (bending over tendon stiffness).
+Unknown keys are rejected; the error lists the valid ones. Units: mm, degrees; stiffness in mm²
+(bending over tendon stiffness).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.robot/1"
 EXAMPLE = "examples/tdcr_robot.toml shows the form"
-_SIZE = 100_000  # bytes: a description is a page
+_SIZE = 100_000  # limit of a description, bytes
 _MOST = 64  # segments, tendons, commands
 
 
@@ -34,9 +34,9 @@ _MOST = 64  # segments, tendons, commands
 class Robot:
     """A tendon robot: its `layout`, the start (P,) of fits, and their `modes`.
 
-    These are the modes of what a fit may change.
+    Modes define the parameters that a fit may change.
 
-    With `angles_known` false the tendons' angles are found from the run.
+    With `angles_known` false, the tendons' angles are estimated from the run.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Robot:
 
     @classmethod
     def from_toml(cls, text: str, where: str = "robot.toml") -> Robot:
-        """Return the robot of a file's text; `where` stands in front of what is wrong.
+        """Return the robot of a file's text; `where` is the prefix of error messages.
 
         Raises:
             RobotError: as for `load`.
@@ -91,14 +91,14 @@ class Robot:
     def with_slack(self, slack: float) -> Robot:
         """Return the robot with other tendons, fixed in fits.
 
-        0 is for cables, 1 for two-sided ones.
+        0 is for cables, 1 for two-sided tendons.
         """
         start = self.start.copy()
         start[self.layout.places()["slack"]] = slack
         return replace(self, start=start, modes=self.modes | {"slack": "known"})
 
     def coordinates(self, start: Floats | None = None) -> Coordinates:
-        """Return the free numbers around `start` (P,), by default the file's."""
+        """Return the free parameters around `start` (P,), by default that of the file."""
         return Coordinates(self.layout, self.start if start is None else start, self.modes)
 
 
@@ -149,7 +149,7 @@ def _robot(top: TomlTable) -> Robot:
             np.deg2rad(_spread(body, "tilt_deg", 2, 0.0, -180.0, 180.0)),
         ]
     )
-    layout.compiled(start)  # the core has the last word
+    layout.compiled(start)  # the core makes the final check
     modes = {kind: fit.choice(kind, allowed, "known") for kind, allowed in MODES.items()}
     if not angles_known and modes["angle"] != "each":
         raise RobotError(
@@ -165,7 +165,7 @@ def _spread(
 ) -> Floats:
     """Return `count` numbers within low … high: one for all, or a list of them.
 
-    Nested lists are read in a row.
+    Nested lists are flattened.
     """
     value = table.get(key, (int, float, list), default)
     if value is None:
@@ -204,7 +204,7 @@ def _integers(table: TomlTable, key: str, default: Sequence[int] | None, most: i
 
 
 def _markers(body: TomlTable, segments: int) -> tuple[float, ...]:
-    """Where the markers sit, base to tip, in segments from the base."""
+    """The positions of the markers, base to tip, in segments from the base."""
     value = body.get("markers", (list,), [float(segments)])
     try:
         at = np.array(value, float)

@@ -1,4 +1,4 @@
-"""Signals of the families of memory, which `learn` may add to a static map.
+"""Signals of the memory families, which `learn` may add to a static map.
 
 A *family* is everything that depends on the same history of the commands, whatever its law. The
 families, their signals and their members among the effects are declared in the core
@@ -61,8 +61,8 @@ class Family:
 def families() -> tuple[Family, ...]:
     """Return the families that have signals.
 
-    The members of the control are left to the map. A change with time is no memory of a robot and
-    is only reported.
+    The map represents the members of the control. A change with time is not a memory and is only
+    reported.
     """
     on_commands = {info.name for info in registry().values() if info.on_commands and not info.needs}
     return tuple(

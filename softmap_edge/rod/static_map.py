@@ -1,17 +1,16 @@
-"""The static map that is solved again for every law of memory: a ridge on its terms.
+"""The static map, solved again for every law of memory: a ridge regression on its terms.
 
 This is variable projection.
 
     targets (n, q) ≈ base(v) + [1, terms(v)] W,   v = effective commands (n, C)
 
-Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of
-length × angle. Their squared error is about that of the markers. With a described rod they are the
+Targets in mm represent the markers: chords turned into the plane, Σ length × angle over the chords
+below. Their squared error is about that of the markers. With a described rod they are the
 coordinates of the markers, and `base` is that rod. The *held-out loss* of a fold is the sum of
-squares over its frames, predicted from the other folds. Folds stay contiguous because frames near
-each other are alike (`run/folds.py`). While laws are searched they are fitted with the map's
-`ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss. Source:
-variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by
-tests/rod/test_learned_memory.py.
+squares over its frames, predicted from the other folds. Folds are contiguous because neighbouring
+frames are alike (`run/folds.py`). The search fits laws with the map's `ridge`, which is almost
+zero, and compares them at the ridge of the lowest held-out loss. Source: variable projection, Golub
+and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ from softmap_edge.run.folds import Folds
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# for columns of unit spread added to the map
+# ridge of added columns of unit spread
 ADDED_RIDGES = tuple(np.geomspace(1e-6, 1.0, 7).tolist())
 SPLINED = 1e-4  # ridge of the B-splines of a splined map
 STILL = 1e-9  # spread of a column that does not move
-# of a column's mean square, added to each system: columns that follow from others are shared evenly
+# of a column's mean square, added to each system: dependent columns share evenly
 FLOOR = 1e-9
 
 
@@ -68,7 +67,7 @@ class StaticMap:
         return np.asarray(targets - columns @ weights)
 
     def scanned(self, acting: Floats) -> float:
-        """Return the held-out loss mm² at the usual ridge: quick, and without overfits.
+        """Return the held-out loss mm² at the usual ridge: fast, and without overfitting.
 
         A map of few motions cannot overfit.
         """
@@ -122,7 +121,7 @@ class _Folded:
             self.systems.append((len(train), *part, columns[test], targets[test]))
 
     def losses(self, penalty: Floats) -> Floats:
-        """Return the held-out loss (folds,) under a penalty (p,) a frame."""
+        """Return the held-out loss (folds,) under a penalty (p,) per frame."""
         found = []
         for frames, square, mixed, columns, targets in self.systems:
             weights = np.linalg.solve(_system(square, frames, penalty), mixed)

@@ -1,1 +1,1 @@
-"""Models of imported sweeps: commands and points from any simulator or recording."""
+"""Make models of imported sweeps: commands and points from any simulator or recording."""

@@ -1,21 +1,21 @@
-"""Respond to loads as a body without a known stiffness.
+"""Predict the response to loads of a body of unknown stiffness.
 
-Its own centreline bends with one compliance number.
+Its own centreline bends with one compliance.
 
 A load turns every cross-section by its bending moment M(s). With c = 1/(E·I) (N⁻¹·mm⁻², uniform) a
-point that hangs on the line at arc s_i moves, to first order, by
+point attached to the line at arc s_i moves, to first order, by
 
     δp_i = d(s_i) + θ(s_i) × (p_i − r(s_i)),   θ(s) = c ∫₀ˢ m dr,   d(s) = c ∫₀ˢ m × (r(s) − r) dr
         (mm)
 
-M(s) = (r_tip − r(s)) × F for a force F on the tip, and the first moment of what hangs beyond for a
-weight spread evenly; m = [M]⊥ (twist is stiff) less what the tendons carry: motors that hold keep
-each tendon's length, so the mean of m over the body, in frames carried along it without twist, is
-taken away by the share `lock` (1: of fixed length, 0: free to slide). Facts for lock = 1: the
+M(s) = (r_tip − r(s)) × F for a force F on the tip, and the first moment of the weight beyond s for
+a uniform weight. m = [M]⊥ (twist is stiff) minus the part carried by the tendons. Holding motors
+keep each tendon's length. So the share `lock` (1: of fixed length, 0: free to slide) of the mean of
+m over the body, in frames carried along it without twist, is subtracted. Facts for lock = 1: the
 built-in finger moves 3 mm under 20 g at its tip, 3.5 by this formula, 14 with free tendons. The
-line is chords between stations, on which the integrand is a cubic at most: Simpson's rule is exact.
-The same law for a fitted rod, chord by chord: rust/rod/field.rs. Limits: linear in the load; no
-axial or shear stiffness.
+line consists of chords between stations; the integrand is at most cubic on each, so Simpson's rule
+is exact. The same law for a fitted rod, chord by chord: rust/rod/field.rs. Limits: linear in the
+load; no axial or shear stiffness.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from softmap_edge.model.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
 
-LOCK = 1.0  # the default where no load is known
+LOCK = 1.0  # default if no load is known
 NOMINAL_WEIGHT = 1.0  # N
 _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0))
 
 
 @dataclass(frozen=True)
 class Stiffness:
-    """What scales the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and fit.
+    """The scale of the fields: `compliance` N⁻¹·mm⁻², `lock` 0 to 1, own `weight` N, and fit.
 
-    The last is how well a known load was met.
+    The fit is the agreement with a known load.
 
-    `known` is false for nominal numbers; `residual_mm` RMS is left of `moved_mm` RMS that the known
-    load moved.
+    `known` is false for nominal numbers; `residual_mm` RMS remains of the motion `moved_mm` RMS by
+    the known load.
     """
 
     compliance: float
@@ -56,7 +56,7 @@ class Stiffness:
 
     @classmethod
     def nominal(cls, line: Centreline) -> Stiffness:
-        """Return the numbers that stand in where no load is known.
+        """Return default values if no load is known.
 
         1 N then moves the tip of the straight body by a tenth.
         """
@@ -128,9 +128,9 @@ def _answers(
 ) -> tuple[Floats, Floats]:
     """Return displacements (n, N, 3) for c = 1 by free tendons, and the held tendons' part.
 
-    Held tendons take that part away.
+    Held tendons subtract that part.
 
-    `force` (n, 3) N acts at the tip, or is `spread` over the body.
+    `force` (n, 3) N acts at the tip, or uniformly over the body with `spread`.
     """
     stations = line.stations(points)
     chord = np.diff(stations, axis=1)  # (n, J, 3)

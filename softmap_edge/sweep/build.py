@@ -1,15 +1,15 @@
 """Make a model from an imported sweep: commands and shapes of another simulator.
 
-They may also be those of a motion capture.
+They may also come from motion capture.
 
 A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads
-bend the sweep's own centreline (`bending.py`). The model error is measured by leaving out: of a
-table every other node, of a scattered sweep neighbourhoods of rows. It measures how well the sweep
-is interpolated, not how well its simulator matches the robot.
+bend the sweep's own centreline (`bending.py`). The model error is measured by cross-validation:
+without every other node of a table, or without neighbourhoods of rows of a scattered sweep. It
+measures the interpolation of the sweep, not the match of its simulator with the robot.
 
-A table with half the nodes is `e` off at those left out; the full one is taken to be e/2^p off, p
-the order that the errors of half and quarter grid show, between 1 (kinks) and 3 (smooth,
-rust/shape/cubic.rs), or 1.5 where a quarter is too coarse.
+A table with half the nodes has the error `e` at the omitted nodes. The error of the full table is
+estimated as e/2^p. The order p follows from the errors of half and quarter grid, between 1 (kinks)
+and 3 (smooth, rust/shape/cubic.rs), or is 1.5 if a quarter is too coarse.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep, is_shape_swe
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
-# coefficients left out (n, m), and what the modes do not hold (n, M)
+# held-out errors of coefficients (n, m), and remainder outside the modes (n, M)
 Errors = list[tuple[Floats, Floats]]
 
-MODES = 48  # at most
-HELD = 1e-4  # of the movement: so much may be outside the modes
-MODE_ROWS = 1500  # shapes at most from which modes are found
+MODES = 48  # most modes
+HELD = 1e-4  # of the motion: allowed remainder outside the modes
+MODE_ROWS = 1500  # most shapes for computing the modes
 FIELD_MODES = 12
 FIELD_NODES = 120  # commands of a scattered sweep at which loads are computed
-FIELD_NUMBERS = 3_500_000  # commands × points: the fields of more would not fit
+FIELD_NUMBERS = 3_500_000  # commands × points: memory limit of the fields
 KINK_ORDER = 1.5
-WIDE = 0.25  # of half the range: gaps between scattered commands that are worth a word
+WIDE = 0.25  # of half the range: gaps between scattered commands that are reported
 PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
     """Return the model of a sweep file: of `softmap model sweep`, or an imported one.
 
-    The former is as from its finger.
+    A sweep of `softmap model sweep` gives the model of its finger.
 
     Raises:
-        SoftmapError: a field is missing or wrong, with one line.
+        SoftmapError: a field is missing or wrong; the message is one line.
     """
     file, report = Path(path), progress or PROGRESS
     if not file.is_file():
@@ -164,7 +164,7 @@ def model_from_shapes(
 
 
 def _modes(flat: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the mean (M,) and modes (m, M) that hold the movement of shapes (S, M) to HELD."""
+    """Return the mean (M,) and modes (m, M) that represent shapes (S, M) to HELD."""
     some = flat[:: max(1, -(-len(flat) // MODE_ROWS))]
     mean = flat.mean(axis=0)
     basis = leading(some - mean, min(MODES, *some.shape))
@@ -186,7 +186,7 @@ def _gaps(reach: float) -> list[str]:
 
 
 def _home(shape: _core.Shape, command: Floats) -> Floats:
-    """Return the shape (N, 3) mm without command, or as near to that as the sweep reaches."""
+    """Return the shape (N, 3) mm at the command closest to zero."""
     zero = np.clip(np.zeros(command.shape[1]), command.min(axis=0), command.max(axis=0))
     return np.asarray(shape.evaluate(zero[None])).reshape(-1, 3)
 
@@ -194,7 +194,7 @@ def _home(shape: _core.Shape, command: Floats) -> Floats:
 def _stands_on_its_base(line: Centreline, vertices: Floats) -> None:
     """Reject a sweep whose points near the base move more than those far from it.
 
-    Its frame is then another one.
+    Its frame is then not the base frame.
     """
     moved = np.sqrt(np.mean(np.sum((vertices - vertices.mean(axis=0)) ** 2, axis=2), axis=0))
     low, high = np.quantile(line.along, [0.2, 0.8])
@@ -210,9 +210,9 @@ def _stands_on_its_base(line: Centreline, vertices: Floats) -> None:
 def _left_out_of_grid(
     axes: tuple[Floats, ...], values: Floats
 ) -> tuple[Floats, NDArray[np.intp], float]:
-    """Return the errors (n, m) of the full grid at nodes that a coarser grid leaves out.
+    """Estimate the errors (n, m) of the full grid at nodes omitted from a coarser grid.
 
-    That grid has half as many nodes. Also those nodes, and the order.
+    The coarser grid has half as many nodes. Also return those nodes, and the order.
     """
     shape = [len(axis) for axis in axes]
     half, nodes = _coarser(axes, values, 2)
@@ -227,9 +227,9 @@ def _left_out_of_grid(
 def _coarser(
     axes: tuple[Floats, ...], values: Floats, stride: int
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the errors at the nodes that a coarser grid leaves out; and those nodes.
+    """Return the errors at the nodes omitted from a coarser grid, and those nodes.
 
-    That grid has every `stride`-th node, and the last.
+    The coarser grid has every `stride`-th node, and the last.
     """
     kept = [np.unique(np.r_[np.arange(0, len(axis), stride), len(axis) - 1]) for axis in axes]
     grid = np.arange(len(values)).reshape([len(axis) for axis in axes])
@@ -251,9 +251,9 @@ def _error(
 ) -> tuple[Floats, float]:
     """Return the RMS error (V, 3) mm of each feature, and of the vertices (mm).
 
-    It follows from errors `left` (n, m) of the weights.
+    It is computed from errors `left` (n, m) of the weights.
 
-    What the modes do not hold of the shapes `flat` (n, M) counts too.
+    The part of the shapes `flat` (n, M) outside the modes is included.
     """
     modes, mean = prior.modes.values, prior.mean.astype(float)
     squares, vertex = np.zeros((len(model.structure.feature_map.weights), 3)), 0.0

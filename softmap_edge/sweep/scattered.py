@@ -1,21 +1,20 @@
 """Fit radial basis functions with a linear tail to shapes at scattered commands.
 
-Smoothing and error are found by leaving out.
+Cross-validation gives the smoothing and the error.
 
     a(u) = Σ_i w_i φ(|q − q_i|) + b + t·q,   φ(r) = r or r³,   q = u/scale
     minimise |a(u_k) − a_k|² + λ wᵀ(±φ)w   with  Σ w_i = 0, Σ w_i q_i = 0
         (G. Wahba, Spline Models, 1990)
 
-Every command is a node up to `NODES`; beyond, nodes lie apart and all rows are fitted by least
-squares. Kernel and λ are those with the lowest leave-out error. A row is left out together with all
-within `reach` of it: as far as a command between two rows, drawn at random, is from its nearest
-row. Where rows follow one another along a path, as in a recording, neighbours would vouch for one
-another: then the middles of contiguous tenths are tested, the full tenth left out. Closed form:
-with the smoother H, left out e_G = (1 − H_GG)⁻¹ r_G. Kernel and λ are chosen on the same rows, so
-the error is slightly low; rows at the border are left out by extrapolation, so they choose but do
-not count. Measured: fitted to the first 60 % of a recording of data/trunk (six motors), stated 5.5
-mm, 6.1 on its last 30 %. Evaluation: rust/shape/scattered.rs. Pinned by
-tests/sweep/test_scattered.py.
+Every command is a node, up to `NODES`; beyond, nodes are spread and all rows are fitted by least
+squares. Kernel and λ minimise the leave-out error. A row is left out together with all rows within
+`reach`: the distance of a random command between two rows from its nearest row. If rows follow a
+path, as in a recording, neighbours are correlated. Then the middles of contiguous tenths are
+tested, with the full tenth left out. In closed form, with the smoother H, e_G = (1 − H_GG)⁻¹ r_G.
+Kernel and λ are chosen on the same rows, so the error is slightly low. Rows at the border need
+extrapolation: they count in this choice, but not in the error. Measured: fitted to the first 60 %
+of a recording of data/trunk (six motors), the stated error is 5.5 mm, and 6.1 mm on its last 30 %.
+Evaluation: rust/shape/scattered.rs. Pinned by tests/sweep/test_scattered.py.
 """
 
 from __future__ import annotations
@@ -32,28 +31,28 @@ from softmap_edge.model.shapes import ModeArrays, Nodes, Numbers
 
 Floats = NDArray[np.float64]
 
-NODES = 600  # more cost time at every prediction
-ROWS = 2500  # commands at most that a fit looks at, spread evenly over the file
+NODES = 600  # most nodes; more slow every prediction
+ROWS = 2500  # most commands of a fit, evenly spread over the file
 TESTS = 300  # rows that are left out one by one
-# of the rows: when so many are nearest to the row before or after them, they are a path
+# of the rows: with so many nearest to the row before or after, the rows are a path
 FOLLOWING = 0.5
-BLOCKS = 20  # tested along a path, each with half a block on either side left out too
-NARROW = 1e-6  # half of what a command goes over that never moves
+BLOCKS = 20  # tested blocks along a path; half a block on either side is also left out
+NARROW = 1e-6  # half range assumed for a constant command
 POWERS = (1, 3)
 SMOOTHINGS = tuple(10.0**k for k in range(-9, 2))  # λ over the largest squared singular value
 PAIRS, PAIRS_SEED = 500, 5
 LARGEST_GROUP = 0.1  # of the rows
-TINY = 1e-14  # of a row's own weight: what keeps rows solvable that the fit meets exactly
+TINY = 1e-14  # of a row's own weight: keeps rows solvable that the fit interpolates exactly
 BORDER = 0.9  # of half the range
 ENOUGH_INNER = 0.25  # of the rows
 
 
 @dataclass(frozen=True, eq=False)
 class ScatteredFit:
-    """A fit: what `_core.Scattered` takes, and its test.
+    """A fit: the arguments of `_core.Scattered`, and its validation.
 
-    `left_out` (k, m) are the residuals of rows (k,) `tested`, in the order given; `reach` is the
-    gap between rows as a share of half the range.
+    `left_out` (k, m) are the held-out residuals of rows (k,) `tested`, in the given order; `reach`
+    is the gap between rows as a share of half the range.
     """
 
     nodes: Floats  # (n, C)
@@ -67,16 +66,16 @@ class ScatteredFit:
 
     @property
     def over(self) -> Nodes:
-        """The nodes of its coefficients, as a bundle keeps them."""
+        """The nodes of its coefficients, in the form of a bundle."""
         return Nodes(self.nodes, self.scale, self.power)
 
     def of_modes(self, mean: Numbers, modes: Numbers) -> ModeArrays:
-        """Return the shape of these coefficients in modes (m, M) about a mean (M,)."""
+        """Return the shape for these coefficients of modes (m, M) about a mean (M,)."""
         return ModeArrays(self.over, mean, Stored(modes), Stored(self.coefficients))
 
 
 def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> ScatteredFit:
-    """Fit `values` (S, m) at commands (S, C), no command given twice, at most `most` nodes."""
+    """Fit `values` (S, m) at distinct commands (S, C), with at most `most` nodes."""
     rows = (
         np.arange(len(commands))
         if len(commands) <= ROWS
@@ -116,9 +115,9 @@ def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> Scatte
 
 
 def half_range(commands: Floats) -> Floats:
-    """Return half the range of each command (S, C); 1 for one that never moves.
+    """Return half the range of each command (S, C); 1 for a constant one.
 
-    Such a command has no information.
+    A constant command carries no information.
     """
     half = 0.5 * np.ptp(commands, axis=0)
     return np.where(half > NARROW, half, 1.0)
@@ -127,7 +126,7 @@ def half_range(commands: Floats) -> Floats:
 def gap(q: Floats) -> float:
     """Return the median distance of random commands from the nearest row of (S, C).
 
-    Each is drawn between two of the rows.
+    Random commands are drawn between two rows.
     """
     rng = np.random.default_rng(PAIRS_SEED)
     pairs = rng.integers(len(q), size=(PAIRS, 2))
@@ -136,7 +135,7 @@ def gap(q: Floats) -> float:
 
 
 def _groups(q: Floats, reach: float) -> list[tuple[int, NDArray[np.intp]]]:
-    """Return groups of rows to leave out, and how many of each, its first, are tested."""
+    """Return groups of rows to leave out, and how many of each, from its first, are tested."""
     rows = len(q)
     apart = distances(q, q)
     np.fill_diagonal(apart, np.inf)
@@ -184,7 +183,7 @@ class _System:
         self.u, self.s, self.vt = np.linalg.svd(design, full_matrices=False)
 
     def _kept(self, share: float) -> Floats:
-        """Return λ/(s² + λ): what of each direction is smoothed away."""
+        """Return λ/(s² + λ): the share of each direction removed by smoothing."""
         level = share * float(self.s[0]) ** 2 if len(self.s) else 1.0
         return np.asarray(level / (self.s**2 + max(level, 1e-300)))
 

@@ -1,19 +1,18 @@
-"""How a body of an imported sweep bends when a stretch of it is stiffer.
+"""Predict the shape of an imported sweep's body with a stiffer section.
 
-It follows from the bend of its own line.
+The prediction follows from the curvature of its own centreline.
 
-A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends
-less, all others more, each as it bends already. With κ(s) the curvature of the line less that at
-rest, in frames carried along it without twist, and a(s) the change of the logarithm of the modulus,
+Tendons of given shortening fix the total bend of a body. A stiffer section bends less, all others
+more, in proportion to their bend. With κ(s) the curvature of the line minus that at rest, in frames
+carried along it without twist, and a(s) the change of the logarithm of the modulus,
 
     δκ(s) = −(a(s) − lock ā) κ(s),   ā = K·∫a κ ds / K·K,   K = ∫κ ds      (rad/mm)
 
-moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. Bending by
-gravity counts as bending by tendons. On the bank's tapered rod this explains 76 to 97 % of the
-squared shift hanging, 63 to 96 % at a lean (tests/sweep/test_stretches.py). A curvature at rest has
-no such
-field: tendons made for the bent body do not feel it, those made for the straight one take half of
-it away, and shapes do not say which they are; sides and twist are not in a line.
+moves the points as in `bending.py`. A uniformly stiffer body does not change. Bending by gravity
+counts as bending by tendons. On the bank's tapered rod this explains 76 to 97 % of the squared
+shift when hanging, 63 to 96 % at a lean (tests/sweep/test_stretches.py). A curvature at rest has no
+such field: it does not act on tendons made for the bent body, those made for the straight one
+remove half of it, and shapes do not show the difference. A line does not show sides and twist.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from softmap_edge.sweep.bending import moved
 Floats = NDArray[np.float64]
 
 NAMES = tuple(name for name in _core.FIELDS if name.removeprefix("stiff_").isdigit())
-STRAIGHT = 1e-6  # rad²: a body that is bent less in all is not bent
+STRAIGHT = 1e-6  # rad²: a body with less total bend is not bent
 
 
 def stretch_fields(
@@ -36,7 +35,7 @@ def stretch_fields(
 ) -> dict[str, Floats]:
     """Return displacements (n, N, 3) mm of shapes `points` (n, N, 3) mm.
 
-    They are per unit of the logarithm of the modulus.
+    Displacements are per unit of the logarithm of the modulus.
 
     Args: `rest` (N, 3) mm; `lock` 1 where tendons keep their length, 0 where they slide.
     Returns: by field, `stiff_0` … from the base to the tip.
@@ -69,7 +68,7 @@ def stretch_fields(
 def _curvature(stations: Floats) -> tuple[Floats, Floats]:
     """Return the frames (n, J, 3, 3) of the chords, and the curvature (n, J + 1, 3) rad/mm.
 
-    It is in these frames, at the stations.
+    The curvature is in these frames, at the stations.
     """
     chord = np.diff(stations, axis=1)
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-12)

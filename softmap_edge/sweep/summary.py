@@ -1,6 +1,6 @@
-"""What a sweep holds and what its model cannot represent.
+"""Summarise a sweep, and what its model cannot represent.
 
-It is the content of `softmap check` and `softmap show`.
+`softmap check` and `softmap show` print it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep
 
 
 def summary(sweep: ShapeSweep) -> Document:
-    """Return what a sweep holds, units in the keys, and what its model cannot represent."""
+    """Return the summary of a sweep, with units in the keys."""
     home = sweep.vertices[int(np.argmin(np.sum(sweep.command**2, axis=1)))]
     line = find_centreline(home, sweep.base)
     body = line.body()
@@ -53,7 +53,7 @@ def summary(sweep: ShapeSweep) -> Document:
 def read_summary(path: Path) -> Document:
     """Read a sweep file and return its summary; raise SoftmapError.
 
-    It may be imported, or made by `softmap model sweep`.
+    The sweep may be imported, or made by `softmap model sweep`.
     """
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))

@@ -1,6 +1,6 @@
 """Read an imported sweep: commands and their shapes.
 
-Another simulator, or a motion capture, found the shapes.
+The shapes come from another simulator, or from motion capture.
 
 An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field with an example.
 
@@ -18,8 +18,8 @@ An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field wi
     loaded_vertices  (L, N, 3)  the shapes that it gave,
     mass             number     g, the body's own mass beyond the clamp
 
-Every field is checked; the first that is wrong is named with what was expected. Other fields are
-ignored with a note.
+Every field is checked; the error names the first wrong field and the expected value. Other fields
+are ignored with a note.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from softmap_edge.model.training_range import BEYOND
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.shapes/1"
-LIMIT = 2 << 30  # bytes of an archive when unpacked
+LIMIT = 2 << 30  # bytes of an unpacked archive
 MOST_POINTS, MOST_CHANNELS = 10_000, 64
-SAME = 1e-6  # of a channel's range: commands nearer than this are one
-SAME_SHAPE = 0.1  # of what the sweep moves: two shapes of one command may differ by so much
-SHORTEST_LEVER = 0.01  # of the length: hardly a tendon runs nearer to the middle of a body
+SAME = 1e-6  # of a channel's range: nearer commands count as one
+SAME_SHAPE = 0.1  # of the sweep's motion: allowed difference of two shapes of one command
+SHORTEST_LEVER = 0.01  # of the length: tendons rarely run nearer to the axis
 _PLACE = 1e4  # mm
 MOST_GRAMS = 1e5
 _NUMBERS = {
@@ -62,7 +62,7 @@ _TEXTS = ("robot", "command_unit", "schema")
 
 @dataclass(frozen=True, eq=False)
 class ShapeSweep:
-    """A checked sweep: every command once; `notes` report changes and what is left open."""
+    """A checked sweep: every command once; `notes` report changes and open points."""
 
     command: Floats  # (S, C)
     vertices: Floats  # (S, N, 3) mm
@@ -76,7 +76,7 @@ class ShapeSweep:
     loaded_vertices: Floats | None = None  # (L, N, 3) mm
     mass: float | None = None  # g
     notes: tuple[str, ...] = ()
-    # of the grid on which the commands lie, rows in its order
+    # axes of the grid of the commands, with rows in its order
     axes: tuple[Floats, ...] | None = field(default=None)
 
     @classmethod
@@ -90,7 +90,7 @@ class ShapeSweep:
 
 
 def is_shape_sweep(path: Path) -> bool:
-    """Whether a file is an archive that holds commands with shapes, and no times as a run does."""
+    """Whether a file is an archive with commands and shapes, without the times of a run."""
     names = archive_names(path)
     return {"command.npy", "vertices.npy"} <= names and "t.npy" not in names
 
@@ -229,7 +229,7 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
                 f"{_PLACE:g} is plausible"
             )
     places = numbers["vertices"].reshape(-1, 3)
-    if numbers["vertices"].shape[1] == 1:  # one point is as large as it is far from the base
+    if numbers["vertices"].shape[1] == 1:  # the size of one point is its distance from the base
         places = np.vstack([places, numbers.get("base", np.zeros(3))])
     extent = float(np.ptp(places, axis=0).max())
     if 0.0 < extent < 1.0:
@@ -264,14 +264,14 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
         raise SweepError(
             "`load` is empty; give at least one shape under a known load, or leave its fields out"
         )
-    # of any number, without a warning
+    # any number is converted, without a warning
     length = math.hypot(*numbers["gravity"]) if "gravity" in numbers else 1.0
     if abs(length - 1.0) > 1e-3:
         raise SweepError(f"`gravity` has length {length:.4g}, expected a unit vector")
 
 
 def _once(command: Floats, vertices: Floats, notes: list[str]) -> tuple[Floats, Floats]:
-    """Average the shapes of commands that are given more than once, unless they differ too much."""
+    """Average the shapes of repeated commands, unless they differ too much."""
     step = SAME * np.maximum(np.ptp(command, axis=0), 1e-12)
     kinds, first, which = np.unique(
         np.round(command / step), axis=0, return_index=True, return_inverse=True
@@ -302,7 +302,7 @@ def _once(command: Floats, vertices: Floats, notes: list[str]) -> tuple[Floats, 
 
 
 def _varied(command: Floats) -> None:
-    """Refuse channels that do not move."""
+    """Reject channels that do not move."""
     spread = np.ptp(command, axis=0)
     if not spread.any():
         raise SweepError(
@@ -378,9 +378,9 @@ def _triangles(content: Mapping[str, NDArray[np.generic]], points: int) -> NDArr
 
 
 def grid_axes(command: Floats) -> tuple[Floats, ...] | None:
-    """Return the axes of the tensor grid of commands (S, C), C ≤ 3, in any order.
+    """Return the axes of the tensor grid of commands (S, C), C ≤ 3, given in any order.
 
-    None if they do not lie on one.
+    Return None if there is no such grid.
     """
     if command.shape[1] > 3:
         return None

@@ -1,1 +1,1 @@
-"""Runs of simulated fingers with hidden effects, for the demo, tests and benchmarks."""
+"""Simulate runs of fingers with hidden effects, for the demo, tests and benchmarks."""

@@ -1,10 +1,10 @@
-"""Depth cameras for hidden effects: clouds of a surface's seen sides.
+"""Depth cameras for hidden effects: clouds of the visible sides of a surface.
 
-They have noise, outliers and gaps.
+Clouds have noise, outliers and gaps.
 
-Points are drawn evenly over the surface, or more densely towards its end; a point is seen by a
-camera if the surface turns to it there and nothing stands between (rays, `_core.Surface`). Units:
-mm. Randomness only from the generator.
+Points are drawn uniformly over the surface, or more densely towards its end. A point is visible to
+a camera if the surface faces it and nothing occludes it (rays, `_core.Surface`). Units: mm.
+Randomness only from the generator.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from softmap_edge import _core
 
 Floats = NDArray[np.float64]
 
-FAR, HIGH = 400.0, 60.0  # mm from the finger's axis, and above its base, at which cameras stand
-AROUND = 15.0  # mm by which the box of the outliers is larger than the finger
-DRAWN = 6  # points drawn for each one required; half of them and more are not seen
+FAR, HIGH = 400.0, 60.0  # mm from the finger's axis, and above its base
+AROUND = 15.0  # margin of the box of outliers around the finger, mm
+DRAWN = 6  # points drawn per required point; half or more are hidden
 
 
 @dataclass(frozen=True)
 class DepthCameras:
-    """Cameras around a finger: `views` directions (deg about its axis; none: all are seen).
+    """Cameras around a finger: `views` directions (deg about its axis; none: all points visible).
 
-    `sigma_mm` a coordinate; `outliers` the share of points that are anywhere near; `uneven` how
-    many times denser points lie at the end than at the base; `hole_mm` the radius of a patch that
-    is not seen, about a point drawn for each frame.
+    `sigma_mm` is the noise per coordinate; `outliers` the share of random points nearby; `uneven`
+    the density ratio of end to base; `hole_mm` the radius of a hidden patch about a point drawn for
+    each frame.
     """
 
     views: tuple[float, ...] = (0.0, 90.0)
@@ -42,7 +42,7 @@ class DepthCameras:
     def look(
         self, vertices: Floats, triangles: NDArray[np.int32], rng: np.random.Generator
     ) -> Floats:
-        """Return what the cameras see of a surface: a cloud (M, 3) mm, M ≤ `points`."""
+        """Return the cameras' cloud of a surface (M, 3) mm, M ≤ `points`."""
         seen = self._seen(vertices, triangles, rng)[: self.points]
         if self.hole_mm:
             middle = seen[rng.integers(len(seen))]

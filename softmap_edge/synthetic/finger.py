@@ -1,20 +1,20 @@
-"""Hidden truths: a second finger with hidden effects, measured by a noisy camera.
+"""Simulate a second finger with hidden effects, measured by a noisy camera.
 
-For the demo and all hidden-effect tests.
+It is used by the demo and all hidden-effect tests.
 
-**This module never calls the effect library**, nor the linear fields, nor a model's prior. The body
-is solved by the finite elements on another mesh with a modulus up to 10 % off; weights are solved
-there too; all other effects are the separately written laws of `robot/emulated/laws.py`. The
-observed points are the template's material points, embedded in that solid.
+**This module never calls the effect library**, nor the linear fields, nor a model's prior. The
+finite elements solve the body, with its weights, on another mesh with a modulus up to 10 % off. All
+other effects are the separately written laws of `robot/emulated/laws.py`. The observed points are
+the template's material points, embedded in that solid.
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera
     noise─> run
 
-Every frame is solved: tendons that change between slack and taut put kinks into the shapes, which
-no table of a sweep holds (one of 15 × 15 commands was 0.8 mm off next to them). Only the search for
-the strength of an effect interpolates. It is scaled until the section centroids move by a drawn
-1.2-3.6 mm RMS on the standard protocol. Units: mm, s, N, g. Randomness only from the seeds; the
-same arguments give the same numbers.
+Every frame is solved: the change of tendons between slack and taut causes kinks in the shapes,
+which no table of a sweep represents (one of 15 × 15 commands was 0.8 mm off next to them). Only the
+search for the strength of an effect interpolates. The strength is scaled until the section
+centroids move by a drawn 1.2-3.6 mm RMS on the standard protocol. Units: mm, s, N, g. Randomness
+only from the seeds; the same arguments give the same numbers.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Body = Callable[[Finger, float, Vector, Vector, Floats], Floats]
 
-# modulus of the second finger against the first: its batch of silicone, by seed
+# modulus of the second finger relative to the first, by seed (batch of silicone)
 BATCHES = (0.9, 0.95, 1.05, 1.1)
-LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
-STEPS = 9  # commands a channel of the sweep that finds the strength of an effect,
-WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
-# gets the share of each solve
+LAYERS = 0.75  # of the first finger's layers: another mesh along the body
+STEPS = 9  # commands per channel of the sweep for the strength of an effect,
+WEIGHT_STEPS = 5  # and of an effect with a separate sweep
+# called with the share of each solve
 WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)
-EVERY = 3  # every third frame shows how far an effect moves the finger
-REACH = 18.0  # mm: no farther command may reach the body
-TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
+EVERY = 3  # every third frame is used for the effect size
+REACH = 18.0  # limit of effective commands, mm
+TARGET = (1.2, 3.6)  # drawn effect size, mm RMS of the section centroids; 1-4 mm are accepted
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Noise of what is seen: independent for each vertex, and a slow rigid jitter of the frame.
+    """Measurement noise: independent for each vertex, and a slow rigid jitter of the frame.
 
-    `vertex_mm` a coordinate, `shift_mm` and `turn_deg` a component (Ornstein-Uhlenbeck, memory
+    `vertex_mm` per coordinate, `shift_mm` and `turn_deg` per component (Ornstein-Uhlenbeck, memory
     `memory_s`), one σ each.
     """
 
@@ -68,7 +68,7 @@ class Camera:
     memory_s: float = 1.0
 
     def look(self, points: Floats, t: Floats, rng: np.random.Generator) -> Floats:
-        """Return `points` (K, N, 3) mm as seen at t (K,) s."""
+        """Return `points` (K, N, 3) mm with noise at t (K,) s."""
         jitter = np.empty((t.size, 6))
         state = rng.normal(size=6)
         for k in range(t.size):
@@ -87,9 +87,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """A hidden effect: its name in the library, its own law, and its effect size (RMS mm).
+    """A hidden effect: its name in the library, its own law, and its effect size, mm RMS.
 
-    It is how far it moves the finger.
+    The effect size is measured on the finger.
     """
 
     law: Law
@@ -120,15 +120,15 @@ class Truth:
 
     @property
     def modulus(self) -> float:
-        """Return the modulus as a multiple of the first finger's."""
+        """Return the modulus relative to the first finger."""
         return BATCHES[self.seed % len(BATCHES)]
 
     def twin(self) -> Truth:
-        """Return the same finger without its hidden effects: the floor of every error."""
+        """Return the finger without its hidden effects: the floor of every error."""
         return Truth(self.seed, (), self.camera, self.finger)
 
     def to_body(self, protocol: Protocol) -> Floats:
-        """Return the command (K, C) mm that reaches the body at the seen times."""
+        """Return the effective commands (K, C) mm at the frame times."""
         u = protocol.command
         for effect in self.hidden:
             u = effect.law.command(protocol.t, u)
@@ -139,12 +139,12 @@ class Truth:
     def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
         """Return the true points (K, N, 3) mm of each `every`-th frame.
 
-        A camera without noise would see them so.
+        They are the points of a camera without noise.
         """
         return self.shapes_by(_solved, protocol, every)
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
-        """Return the points about, interpolated in a sweep of `steps` commands a channel."""
+        """Return approximate points, interpolated in a sweep of `steps` commands per channel."""
         return self.shapes_by(
             lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps), protocol
         )
@@ -152,7 +152,7 @@ class Truth:
     def shapes_by(self, body: Body, protocol: Protocol, every: int = 1) -> Floats:
         """Return the points (K, N, 3) mm of a `body`.
 
-        Given are finger, modulus, gravity g, tip force N and u (n, C).
+        The arguments are finger, modulus, gravity g, tip force N and u (n, C).
         """
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
@@ -165,7 +165,7 @@ class Truth:
         return points
 
     def measure(self, protocol: Protocol, seed: int = 0) -> Run:
-        """Run the protocol on this finger before the camera; `seed` draws the camera's noise."""
+        """Run the protocol on this finger with the camera; `seed` draws the camera's noise."""
         rng = np.random.default_rng([self.seed, seed, protocol.frames])
         return Run(
             t=protocol.t,
@@ -203,7 +203,7 @@ class Truth:
 def hide(
     names: Sequence[str], seed: int, camera: Camera | None = None, finger: Finger | None = None
 ) -> Truth:
-    """Make a second finger that hides the effects `names`, strengths drawn from `seed`.
+    """Make a second finger with hidden effects `names`, with strengths drawn from `seed`.
 
     Args: `names` out of `LAWS` (none: nothing is hidden) and `NAMED`; `seed` ≥ 0 draws batch,
     characters and strengths; `finger` is the first one, usually the built-in. Returns the truth;
@@ -229,7 +229,7 @@ def surprise(seed: int) -> list[str]:
 
 @lru_cache(maxsize=4)
 def template(finger: Finger | None = None) -> Floats:
-    """Return the seen material points (N, 3) mm: the vertices of the first template."""
+    """Return the observed material points (N, 3) mm: the vertices of the first template."""
     return np.asarray(Simulator(finger or _builtin()).template.vertices, dtype=np.float64)
 
 
@@ -240,7 +240,7 @@ def centroids(points: Floats, finger: Finger | None = None) -> Floats:
 
 
 def _named(name: str, plain: Truth) -> HiddenEffect:
-    """Take a law as it is; its effect size is its motion in a sweep of the plain finger."""
+    """Use a law unscaled; its effect size is its motion in a sweep of the plain finger."""
     protocol = standard_protocol(len(plain.finger.pairs))
     law = NAMED[name].draw(np.random.default_rng(plain.seed), len(plain.finger.pairs))
     both = (
@@ -267,7 +267,7 @@ def _drawn(name: str, plain: Truth) -> HiddenEffect:
         return _rms(centroids(one, plain.finger) - centroids(other, plain.finger))
 
     strength, steps = 1.0, WEIGHT_STEPS if is_weight else STEPS
-    # a weight costs a sweep each time, and moves the body nearly in proportion
+    # a weight needs a sweep each time, and its motion is nearly proportional
     for _ in range(2 if is_weight else 8):
         truth = there(strength)
         distance = apart(truth.rough(protocol, steps), plain.rough(protocol, steps))
@@ -314,7 +314,7 @@ def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: F
 
 
 def different(u: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the different ones (n, C) of commands (K, C) mm, and which each is.
+    """Return the distinct commands (n, C) of commands (K, C) mm, and their indices.
 
     Raises SoftmapError beyond REACH.
     """
@@ -337,7 +337,7 @@ def _path(
 
 
 def toured(simulator: Simulator, gravity: Vector, force: Vector, places: Floats) -> Floats:
-    """Solve different commands (n, C) mm, each from a near one: points (n, N, 3) mm."""
+    """Solve distinct commands (n, C) mm, each from a near one: points (n, N, 3) mm."""
     order = tour(places)
     along = simulator.path(places[order], gravity=gravity, load=force, progress=WATCH.get())
     points = np.empty_like(along)
@@ -361,7 +361,7 @@ def _sweep(
 ) -> _core.Table:
     """Sweep the second finger under these weights and interpolate (to 0.1 µm).
 
-    Every mode that matters is used.
+    All significant modes are used.
     """
     axes = [np.linspace(-REACH, REACH, steps)] * len(finger.pairs)
     sweep = _simulator(finger, modulus).sweep(

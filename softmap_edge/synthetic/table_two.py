@@ -1,20 +1,19 @@
 """The paper's Table II: letters S, H, O, E by one solved sequence each.
 
-They are run on a simulator and on a stand-in.
+The sequences run on a simulator and on a virtual finger.
 
     targets ──inverse kinematics of a model──> commands ──> simulator of the finger
         (paper: simulation)
                                                        └──> virtual finger  (paper: hardware)
 
-The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has
-what the model lacks: other elements and material, turned tendons, friction, a lean. A bundle that
-was calibrated on it sends ticks; without a calibration, as for the alternative, the servos turn as
-commanded, by the map that they really have. A figure lies about the tip at rest: a model's own
-while it is solved, the executed finger's own while it is evaluated, so that where a finger merely
-hangs otherwise does not count. The tip is the middle of the vertices that move most, on the
-alternative's own points while it is solved. Errors are distances in mm in the plane of the figure,
-at the waypoints. The paper's figures are of another finger, simulator, letters and amplitude.
-Pinned by tests/synthetic/test_table_two.py.
+The virtual finger (`synthetic/virtual_finger.py`) replaces hardware and is simulated. It has what
+the model lacks: other elements and material, turned tendons, friction, a lean. A bundle calibrated
+on it sends ticks. Without a calibration, as for the alternative, the servos follow the commands by
+their true map. A figure is centred at the tip at rest: the model's tip while solving, the executed
+finger's tip for evaluation. So a different rest position does not count. The tip is the middle of
+the vertices that move most, of the alternative's own points while it is solved. Errors are
+distances in mm in the plane of the figure, at the waypoints. The paper's figures are of another
+finger, simulator, letters and amplitude. Pinned by tests/synthetic/test_table_two.py.
 """
 
 from __future__ import annotations
@@ -62,10 +61,10 @@ PUBLISHED_ERRORS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One letter led by one model.
+    """One letter, tracked with one model.
 
-    What it `expected` of itself, what happened on the `simulator` and the `stand_in`, errors (T,)
-    mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what was solved.
+    Errors (T,) mm at the waypoints: `expected` by the model, on the `simulator` and on the
+    `stand_in`. `unreachable` mm is the largest distance of a waypoint from its solution.
     """
 
     figure: str
@@ -96,7 +95,7 @@ class Row:
 class Contender:
     """A model by its name in the table, its conditions, and the map of its servos.
 
-    The conditions are `gravity` (3,) g, None as it hangs.
+    The conditions are `gravity` (3,) g, None for hanging.
     """
 
     name: str
@@ -108,8 +107,8 @@ class Contender:
 def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
     """Return the models compared: without effects, with them if any, and the alternative.
 
-    What is learned on top of the effects goes with them; they are compensated in the orientation
-    that the stand-in declares.
+    A residual is included with the effects; effects are compensated in the orientation that the
+    stand-in declares.
 
     Raises:
         SoftmapError: a model of another finger.
@@ -145,20 +144,20 @@ def table_two(
     figures: Sequence[str] = LETTERS,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """Lead all letters by all models, and replay each sequence on both fingers.
+    """Solve all letters with all models, and replay each sequence on both fingers.
 
     Args:
         model: ours.
         rival: an alternative, as `softmap train prior --model deepsoro` makes it.
-        seed: draws the stand-in; a bundle should be calibrated on that of the same seed.
-        amplitude: of the letters, mm.
-        duration: s.
-        rate: waypoints a second.
-        method: how inverse kinematics is solved.
-        progress: called with what is done and the share.
+        seed: seed of the stand-in; calibrate the bundle on the stand-in of the same seed.
+        amplitude: size of the letters, mm.
+        duration: duration of a letter, s.
+        rate: waypoints per second.
+        method: method of the inverse kinematics.
+        progress: called with the current task and the completed share.
 
     Raises:
-        SoftmapError: a model of another finger, or as `course`.
+        SoftmapError: a model of another finger, or as for `course`.
     """
     finger = virtual_finger(seed)
     simulator, tip = Simulator(Finger.builtin()), model.tip_indices
@@ -195,7 +194,7 @@ def table_two(
 
 
 def _servo_map() -> Calibration:
-    """Return the servos' own map, where the commands of a model are taken as they are."""
+    """Return the true map of the servos, for commands of a model without calibration."""
     return Calibration.stated(
         PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map"
     )
@@ -222,9 +221,9 @@ def _stand_in(
 
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
-    """Return how far (T,) mm a tip (1 + T, 3) is from its figure.
+    """Return the distances (T,) mm of a tip (1 + T, 3) from its figure.
 
-    It is at rest and at waypoints; the figure lies about its place at rest.
+    Its rows are the rest position and the waypoints; the figure is centred at rest.
     """
     target = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]

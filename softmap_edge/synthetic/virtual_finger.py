@@ -1,6 +1,6 @@
-"""The virtual finger: a stand-in for hardware, to try a complete pipeline on.
+"""The virtual finger: a stand-in for hardware, for tests of the complete pipeline.
 
-It is simulated and is never called real.
+It is simulated, and reports never call it real.
 
     command ─whole ticks─> u ─friction, hidden effects─> tetrahedra, another material, turned
     tendons, a lean─> points
@@ -8,15 +8,15 @@ It is simulated and is never called real.
                                                                                       noisy views─>
                                                                                       clouds
 
-Compared with the model it is the same solid of other elements (`fem/cut.py`; a mesh of tetrahedra
-as it is), with a modulus drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis
-by a drawn 3 to 6 degrees, friction that remembers (`truth_laws.BoucWen`) and a mounting that leans
-by up to 20 degrees, which the run declares to 2. Hidden effects come on top as in
-`synthetic/finger.py`. **Never calls the effect library**, nor a model's prior or fields. The run
-holds what hardware gives: ticks commanded and read (`robot/emulated/published_map.py`, encoder
-noise of one tick), clouds, the declared gravity and camera noise; no command in mm and no vertex.
-Those go into the arrays of the truth, kept apart. Every frame is solved. Randomness only from the
-seeds. Pinned by tests/synthetic/test_virtual.py.
+It is the model's solid with other elements (`fem/cut.py`; a mesh of tetrahedra is unchanged). The
+modulus is drawn within ±20 %, and Poisson's ratio is 0.45. Tendons are turned about the axis by a
+drawn 3 to 6 degrees. Friction has memory (`truth_laws.BoucWen`). The mounting leans by up to 20
+degrees, which the run declares to within 2. Hidden effects are added as in `synthetic/finger.py`.
+**Never calls the effect library**, nor a model's prior or fields. The run holds the data of
+hardware: commanded and read ticks (`robot/emulated/published_map.py`, encoder noise of one tick),
+clouds, the declared gravity and camera noise; no command in mm and no vertex. Those are stored
+separately in the arrays of the truth. Every frame is solved. Randomness only from the seeds. Pinned
+by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -49,12 +49,11 @@ Arrays = dict[str, NDArray[np.generic]]
 SCHEMA = "softmap.virtual/1"
 MODULUS = (0.8, 1.2)  # of the model's
 POISSON = 0.45
-PHASE = (3.0, 6.0)  # degrees by which the tendons are turned about the axis, either way
-LEAN, MEASURED = 20.0, 2.0  # degrees: the mounting leans by at most, and is known to
+PHASE = (3.0, 6.0)  # rotation of the tendons about the axis, either way, degrees
+LEAN, MEASURED = 20.0, 2.0  # largest lean of the mounting, and its uncertainty, degrees
 MADE_BY = "virtual finger of softmap-edge: simulated, no hardware"
 FRICTION = (
-    # of what a demo hides: a lubricated tendon, so that what a static baseline can correct is the
-    # larger part
+    # for the demo: a lubricated tendon, so a static baseline can correct the larger part
     0.4
 )
 ENCODER = 1.0  # ticks, standard deviation
@@ -63,10 +62,10 @@ CAMERAS = replace(TWO, points=5000, hole_mm=8.0)
 
 @dataclass(frozen=True)
 class VirtualFinger:
-    """The finger that stands in for hardware: the model's `finger`, and in what it differs from it.
+    """The stand-in for hardware: the model's `finger`, and its differences.
 
     modulus: a multiple of the finger's · phase_deg: of the tendons about z · lean_deg,
-    declared_deg: (2,) how the mounting leans about x and y of the base, and the declaration in the
+    declared_deg: (2,) lean of the mounting about x and y of the base, and its declaration in the
     run · friction in the tendons, None for none · hidden effects · cameras · servos.
     """
 
@@ -102,7 +101,7 @@ class VirtualFinger:
 
     @property
     def truth(self) -> Truth:
-        """What acts on the command, the weight and the picture, in its order."""
+        """The laws on command, weight and image, in order."""
         lean = HiddenEffect(TrueWeight(0.0, self.lean_deg), 0.0)
         own = (lean,) if self.friction is None else (HiddenEffect(self.friction, 0.0), lean)
         order = [*NAMED, *LAWS]
@@ -110,7 +109,7 @@ class VirtualFinger:
         return Truth(self.seed, tuple(hidden), finger=self.finger)
 
     def shapes(self, protocol: Protocol) -> Floats:
-        """Return true template points (K, N, 3) mm at each frame; commands are in mm, as is."""
+        """Return true template points (K, N, 3) mm at each frame, for commands in mm."""
 
         def solved(_: Finger, __: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
             places, which = different(u)
@@ -119,12 +118,12 @@ class VirtualFinger:
         return self.truth.shapes_by(solved, protocol)
 
     def measure(self, protocol: Protocol, noise_seed: int = 0) -> tuple[Run, Arrays]:
-        """Play a protocol in mm: the run of such hardware, and separately the true arrays.
+        """Play a protocol in mm; return the run of the hardware, and separately the true arrays.
 
         `noise_seed` draws the noise of cameras and encoders. The truth: `vertices` (K, N, 3) mm,
-        `command` (K, C) mm that the servos turned to, `acting` (K, C) mm that reached the body,
-        `gravity` (K, 3) g, `t_seen` (K,) s, the template's `rest` (N, 3) mm and `triangles`, and
-        what was drawn, as JSON. Raises SoftmapError for commands that servos or body do not take.
+        `command` (K, C) mm of the servos, `acting` (K, C) mm effective commands, `gravity` (K, 3)
+        g, `t_seen` (K,) s, the template's `rest` (N, 3) mm and `triangles`, and the drawn
+        parameters, as JSON. Raises SoftmapError for commands outside the limits of servos or body.
         """
         rng = np.random.default_rng([self.seed, noise_seed, 91])
         ticks = self.servos.to_ticks(protocol.command)
@@ -164,7 +163,7 @@ class VirtualFinger:
         return run, truth
 
     def to_dict(self) -> Document:
-        """Return what was drawn."""
+        """Return the drawn parameters."""
         return {
             "seed": self.seed,
             "finger": self.finger.name,
@@ -185,10 +184,9 @@ def virtual_finger(
 ) -> VirtualFinger:
     """Draw the virtual finger of a seed.
 
-    `finger` is that of the model, the built-in one without it; `hidden` are names of further
-    effects (`truth.hide`, as strong as there: finding how strong takes minutes). Raises
-    SoftmapError for an unknown name, a negative seed, or a finger whose commands are not those of
-    two servos in mm.
+    `finger` is that of the model, by default the built-in one; `hidden` are names of further
+    effects (`truth.hide`, with its strengths, whose search takes minutes). Raises SoftmapError for
+    an unknown name, a negative seed, or a finger without commands in mm of two servos.
     """
     check_hidden(hidden, seed)
     finger = finger or Finger.builtin()

@@ -1,15 +1,15 @@
-"""Commands to learn a robot from.
+"""Commands for learning a robot.
 
-Held commands on a grid, others to validate, and moves with memory to test.
+They are held commands on a grid, others for validation, and paths for tests of memory.
 
     grid        each command of a grid of 7 a channel, in a drawn order, reached from a drawn
                 neighbour, held, seen once
     validation  24 drawn commands between the nodes of the grid, reached and seen in the same way
     paths  circles, spirals, smooth random moves and reversals: never part of what is learned from
 
-Friction remembers where a command was reached from: from one side only it would look like part of
-the shape. That the real finger was moved over "a representative grid of servo commands" is all that
-the paper gives; 7 a channel, the holds and the neighbours are ours. Units and limits as in
+Friction depends on the direction of approach: from one side only, it would look like part of the
+shape. The paper states only that the real finger was moved over "a representative grid of servo
+commands"; 7 per channel, the holds and the neighbours are our choice. Units and limits as in
 `run/protocol.py`; pinned by tests/synthetic/test_virtual.py.
 """
 
@@ -37,18 +37,18 @@ from softmap_edge.run.protocol import (
 )
 
 KINDS = ("grid", "validation", "paths")
-NODES = 7  # a channel of the grid
-MOST_HELD = 1000  # commands: three hours are no protocol
+NODES = 7  # nodes per channel of the grid
+MOST_HELD = 1000  # most commands: three hours are too long for a protocol
 OTHERS = 24
-HOLD, LOOK = 1.0, 0.9  # s that a command is held, and after which it is seen
-RATE = 2.0  # frames a second of the paths
-REACH = 0.85  # of the limits that random moves take
+HOLD, LOOK = 1.0, 0.9  # s that a command is held, and s until its capture
+RATE = 2.0  # frame rate of the paths, 1/s
+REACH = 0.85  # of the limits: range of random moves
 
 
 def virtual_protocol(
     kind: str, seed: int, limits: Limits, gravity: tuple[float, ...] = HANGING
 ) -> Protocol:
-    """Make the commands of one kind out of `KINDS` within the limits of a robot.
+    """Make the commands of one of the `KINDS` within the limits of a robot.
 
     `seed` draws orders, neighbours and paths; each kind draws its own. `gravity` (3,) g is the one
     orientation. Returns the protocol. Raises SoftmapError for an unknown kind, a negative seed, or
@@ -83,7 +83,7 @@ def _grid(tape: Tape) -> None:
     size, channels = NODES - 1, tape.channels
     nodes = tensor_grid([np.arange(float(NODES))] * channels)
     ways = tensor_grid([np.arange(-1.0, 2.0)] * channels)
-    ways = np.delete(ways, len(ways) // 2, axis=0)  # all but to stay
+    ways = np.delete(ways, len(ways) // 2, axis=0)  # all directions except staying
     for node in tape.rng.permutation(nodes):
         inside = ways[((node + ways >= 0) & (node + ways <= size)).all(axis=1)]
         near = node + inside[tape.rng.integers(len(inside))]

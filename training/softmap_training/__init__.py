@@ -1,1 +1,1 @@
-"""The training side of SOFTMAP-Edge: everything that needs torch or more data than fits a robot."""
+"""The training part of SOFTMAP-Edge: everything that needs torch or large data."""

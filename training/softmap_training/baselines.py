@@ -13,7 +13,7 @@ deepsoro   in the manner of DeepSoRo (Wang et al. 2020): a code of the command f
            body; taught by the Chamfer distance, so its points are no vertices, and are compared as
            they come
 
-What the paper does not say of them (all of it but the names) stands in `choices.py`. Pinned by
+The paper gives only their names; all other choices are in `choices.py`. Pinned by
 tests/training/test_baselines.py.
 """
 
@@ -42,8 +42,8 @@ NAMES: tuple[Name, ...] = get_args(Name)
 class Fitted:
     """A regressor.
 
-    `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned;
-    `triangles` (F, 3) and the ONNX file `onnx` where its points are no vertices.
+    `predict` returns points (n, 3N) mm at commands (n, C) mm; `numbers` is the count of learned
+    parameters. If its points are not vertices, it has `triangles` (F, 3) and the ONNX file `onnx`.
     """
 
     predict: Callable[[Floats], Floats]
@@ -64,10 +64,10 @@ def fit_baseline(
 ) -> Fitted:
     """Fit a regressor to the training part of a set: commands (S, C) mm, points (S, 3N) mm.
 
-    `epochs`, and the `folder` of its checkpoints, are those of the network.
+    `epochs` and the `folder` of checkpoints apply to networks only.
 
     Raises:
-        TrainingError: no such regressor, or what it needs is not installed.
+        TrainingError: an unknown regressor, or a missing dependency.
     """
     if name not in NAMES:
         raise TrainingError(f"no baseline '{name}'; there are {', '.join(NAMES)}")
@@ -124,7 +124,7 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
 
     middle, half = commands.mean(axis=0), half_range(commands)
     q, scale = (commands - middle) / half, weights.std(axis=0)
-    # the first modes are signal, the last round-off: these show no length scales
+    # the first modes are signal; the last are round-off without a length scale
     y = weights / scale
     leading = y[:, : choices.GP_MODES]
     some = np.random.default_rng(seed).permutation(len(q))[: choices.GP_SOME]

@@ -1,9 +1,9 @@
-"""The Chamfer distance as a loss: the compiled core finds nearest points and slopes.
+"""The Chamfer distance as a loss; the compiled core computes nearest points and slopes.
 
-torch only passes them on.
+torch only propagates them.
 
 CD(V, P) = mean over V of the distance to P + mean over P of the distance to V, not squared, in mm
-(as in the paper's tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by
+(as in the paper's tables). With `seen`, hidden vertices have no weight. Pinned by
 tests/training/test_training.py.
 """
 
@@ -45,12 +45,12 @@ def chamfer(
 ) -> Tensor:
     """Return the Chamfer distance (B,) mm of points (B, N, 3) and a cloud (M, 3) each.
 
-    seen: weights (N,) of the points of each, None for all alike.
+    seen: weights (N,) of the points of each, None for equal weights.
     """
     result: Tensor = _Chamfer.apply(points, clouds, [None] * len(clouds) if seen is None else seen)
     return result
 
 
 def thinned(cloud: Floats, most: int) -> Floats:
-    """Return about `most` points of a cloud at most, evenly spread over its rows."""
+    """Return at most about `most` points of a cloud, evenly spread over its rows."""
     return np.ascontiguousarray(cloud[:: max(1, len(cloud) // most)])

@@ -1,6 +1,6 @@
-"""Everything about training that the paper does not say, chosen here.
+"""Training choices that the paper does not specify.
 
-None of these numbers is in the paper.
+None of these values is in the paper.
 
 The paper gives widths, BatchNorm, ReLU and dropout 0.1 of the prior, normalised inputs and targets,
 mean squared error; LayerNorm, GELU and dropout of the residual, Chamfer + λ_l2 · mean |Δ|² + λ_lap
@@ -23,13 +23,12 @@ RESIDUALS: tuple[ResidualKind, ...] = get_args(ResidualKind)
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained: Adam with a cosine down to `last` of the rate.
+    """A training recipe: Adam with a cosine schedule down to `last` of the rate.
 
-    The best epoch by validation is kept.
+    The epoch with the best validation is kept.
 
-    `patience`: epochs without a better validation after which training ends · `decay`: of weights
-    (decoupled) · `passes`: how often an epoch goes through all samples; after each epoch a
-    checkpoint is written.
+    `patience`: epochs without a better validation before training ends · `decay`: weight decay
+    (decoupled) · `passes`: passes over all samples per epoch; a checkpoint follows each epoch.
     """
 
     epochs: int
@@ -42,13 +41,13 @@ class Recipe:
     passes: int = 1
 
     def with_(self, **change: float | int | None) -> Recipe:
-        """Return the recipe with what was asked for in place of the usual."""
+        """Return the recipe with the requested changes."""
         return replace(self, **{name: value for name, value in change.items() if value is not None})
 
 
 # The prior as published, and the same without dropout.
 PUBLISHED_PRIOR = Recipe(epochs=500, batch=336, rate=2e-3, patience=200)
-# Ours: few numbers, many short epochs.
+# Ours: few parameters, many short epochs.
 PRIOR = Recipe(epochs=2500, batch=128, rate=5e-3, last=1e-3)
 PRIOR_WIDTHS, PRIOR_MODES = (96, 96, 96), 24
 
@@ -56,36 +55,35 @@ PRIOR_WIDTHS, PRIOR_MODES = (96, 96, 96), 24
 PUBLISHED_RESIDUAL = Recipe(epochs=150, batch=8, rate=1e-3, patience=40)
 RESIDUAL_WIDTHS, RESIDUAL_DROPOUT = (64, 256, 256, 64), 0.1  # released
 LAMBDA_L2, LAMBDA_LAP = 0.1, 0.05  # released
-# Ours: a few modes of what registration shows beyond the prior.
+# Ours: a few modes of the registered shapes minus the prior.
 RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, passes=10)
 
-# Its Chamfer over the vertices seen: weight in mm, of a squared distance; clouds of a batch, and
-# points of a cloud.
+# Its Chamfer term over visible vertices: weight in mm, of a squared distance; clouds per batch, and
+# points per cloud.
 LAMBDA_SEEN, SEEN_FRAMES, SEEN_SAMPLES = 0.1, 8, 500
 RESIDUAL_MODES, OUR_RESIDUAL_WIDTHS = 6, (32, 32)
-HELD_OUT = 4  # every so many of the eight blocks of a recording
+HELD_OUT = 4  # of the eight blocks of a recording: one in so many is held out
 
-SPLIT_SEED = 548  # of the frozen split of a simulated set, 80 / 10 / 10 (`simulated.py`)
-SAMPLES = 2000  # points of a cloud that Chamfer looks at while it trains
+SPLIT_SEED = 548  # seed of the frozen split of a simulated set, 80 / 10 / 10 (`simulated.py`)
+SAMPLES = 2000  # points per cloud for Chamfer during training
 
-# Baselines: the paper gives their names alone.
-# its own common values
+# Baselines: the paper gives only their names. common values of the library
 XGBOOST = {"n_estimators": 300, "max_depth": 6, "learning_rate": 0.1, "tree_method": "hist"}
-# shapes, steps of the search and modes that lengths and noise are found on
+# shapes, search steps and modes for fitting lengths and noise
 GP_SOME, GP_STEPS, GP_MODES = 400, 40, 6
 DEEPSORO_CODE, DEEPSORO_WIDTH = 64, 128
 DEEPSORO = Recipe(epochs=60, batch=16, rate=1e-3)
-# bodies that an epoch goes through at least: few clouds are shown again and again
+# least bodies per epoch: a few clouds are repeated
 DEEPSORO_DRAWN = 1000
-# The error against the number of real samples: shares of the blocks of a recording that teach.
+# The error against the number of real samples: shares of the training blocks of a recording.
 SHARES = (0.125, 0.25, 0.5, 1.0)
 
 
 def prior_recipe(kind: PriorKind) -> Recipe:
-    """Return how a prior is trained."""
+    """Return the recipe of a prior."""
     return PRIOR if kind == "modes" else PUBLISHED_PRIOR
 
 
 def residual_recipe(kind: ResidualKind) -> Recipe:
-    """Return how a residual is trained."""
+    """Return the recipe of a residual."""
     return RESIDUAL if kind == "modes" else PUBLISHED_RESIDUAL

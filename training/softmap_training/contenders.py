@@ -1,4 +1,4 @@
-"""What `softmap evaluate` fits itself, for one seed or several, and evaluates with the bundles.
+"""Fit the models that `softmap evaluate` trains itself, for one or several seeds.
 
     on a simulated set    priors and baselines, taught by its training part
     on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's
@@ -6,7 +6,7 @@
                           residuals on top of the model, also on growing parts of the recording,
                           complete blocks of it
 
-Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by
+The seed draws the blocks of a part; each part contains the smaller ones. Pinned by
 tests/training/test_evaluate.py.
 """
 
@@ -40,18 +40,18 @@ TITLES = {"modes": "residual, ours", "published": "residual, published"}
 
 @dataclass(frozen=True)
 class Plan:
-    """How contenders are fitted: seeds, epochs (None: as usual), and checkpoint folder."""
+    """The fit of contenders: seeds, epochs (None: default), and checkpoint folder."""
 
     seeds: tuple[int, ...] = (0,)
     epochs: int | None = None
     work: Path | None = None
 
     def of(self, recipe: choices.Recipe, seed: int) -> choices.Recipe:
-        """Return a recipe as planned."""
+        """Return a recipe with the planned epochs."""
         return recipe.with_(epochs=self.epochs, seed=seed)
 
     def folder(self, *name: object) -> Path | None:
-        """Return where the checkpoints of one training lie."""
+        """Return the checkpoint folder of one training."""
         return None if self.work is None else self.work / "-".join(map(str, name))
 
 
@@ -61,7 +61,7 @@ def fitted_to_set(
     """Fit a prior or a baseline to the training part of a set, and evaluate it on the test part.
 
     Raises:
-        TrainingError: the set is too small, or what it needs is not installed.
+        TrainingError: the set is too small, or a dependency is missing.
     """
     parts = data.split(choices.SPLIT_SEED)
     points = (
@@ -104,7 +104,7 @@ def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> 
     """Fit a decoder to the clouds of a lesson, and evaluate it."""
     base, rows = lesson.base, []
     clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
-    # held out as for a residual
+    # same held-out blocks as for a residual
     held, asked = lesson.parts[0][1], base.effective_commands(recording.run)
     for seed in plan.seeds:
         made = fit_deepsoro(
@@ -134,9 +134,9 @@ def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> 
 def residuals(
     lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress
 ) -> list[Row]:
-    """Train and evaluate a residual on growing parts of a lesson; the last is all of it.
+    """Train and evaluate a residual on growing parts of a lesson, up to the complete one.
 
-    A part that is too small for a residual is left out.
+    Parts that are too small for a residual are skipped.
     """
     found = []
     for number, share in enumerate(choices.SHARES):
@@ -165,7 +165,7 @@ def residuals(
 
 
 def took(model: Model) -> dict[str, Any]:
-    """Return how long a model takes for one shape, and how many numbers make it."""
+    """Return the time of a model for one shape, and its number of parameters."""
     low, high = model.command_range.T
     u = np.random.default_rng(0).uniform(low, high, (16, model.channels))
     return {"milliseconds": milliseconds(predicting(model), u), "parameters": size_of(model)}

@@ -1,14 +1,14 @@
 """A decoder like DeepSoRo: a code of the command folds a grid of points, twice.
 
-It is folded onto the body.
+The grid is folded onto the body.
 
     code = g(u),  p' = f₁(grid, code),  p = f₂(p', code)  (FoldingNet, Yang et al. 2018,
                                                           arXiv:1712.07262)
 
 Wang et al. 2020 (doi:10.1109/LRA.2020.2976320) take the code from a camera inside the robot; here
-it comes from the command, as in the paper's comparison. It is taught by the Chamfer distance to
-points of the body: all vertices of a simulated shape, or the cloud of a recording. Its own surface
-is the grid, folded. Widths and training are ours (`choices.py`). Units: mm. Pinned by
+it comes from the command, as in the paper's comparison. The loss is the Chamfer distance to points
+of the body: all vertices of a simulated shape, or the cloud of a recording. Its surface is the
+folded grid. Widths and training are our choice (`choices.py`). Units: mm. Pinned by
 tests/training/test_baselines.py.
 """
 
@@ -91,13 +91,12 @@ def fit_deepsoro(
 
     Args:
         commands, bodies, count: as above.
-        seed: draws the first weights and the order.
-        held: which of them teach nothing and say which epoch is best; without them those that teach
-            say it.
-        epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or
-            more.
-        folder: where checkpoints and the log are kept.
-        progress: called with the share done.
+        seed: seed of the initial weights and the order.
+        held: bodies for validation, which select the best epoch; without them, the training bodies
+            do.
+        epochs: replaces the default number; an epoch has at least `choices.DEEPSORO_DRAWN` bodies.
+        folder: folder of checkpoints and log.
+        progress: called with the completed share.
     """
     seeded(seed)
     network = Folding(commands, bodies, count)
@@ -134,9 +133,9 @@ def fit_deepsoro(
 def to_graph(network: Folding) -> bytes:
     """Return the ONNX file of a decoder: commands (n, C) → points (n, 3N) mm.
 
-    A layer of (grid point, code) is one of the grid point plus one of the code, so that nothing is
-    laid side by side. It is no chain of layers: the core does not read it, onnxruntime does
-    (`softmap_edge.model.onnx`).
+    A layer of (grid point, code) is the sum of a layer of the grid point and one of the code, so no
+    concatenation is needed. It is not a chain of layers: the core cannot read it, but onnxruntime
+    can (`softmap_edge.model.onnx`).
     """
     graph = Graph()
     graph.add("Sub", _numbers(network.middle_u))
@@ -179,7 +178,7 @@ def _side(count: int) -> int:
 
 
 def _cells(count: int) -> NDArray[np.int32]:
-    """Return the triangles (F, 3) of the grid, of which the first `count` points are there."""
+    """Return the triangles (F, 3) among the first `count` points of the grid."""
     side = _side(count)
     at = np.arange(count).reshape(-1)
     corner = at[(at % side < side - 1) & (at + side + 1 < count)]

@@ -1,4 +1,4 @@
-"""Shapes described by differences: what a network predicts, and the linear map from it to places.
+"""Encode shapes by differences: the outputs of a network, and their linear map to positions.
 
 laplacian   δ = L v, the cotangent Laplacian of the vertices (Sorkine et al. 2004,
             doi:10.1145/1057432.1057456); back:
@@ -10,9 +10,9 @@ arap        nine numbers R_i a vertex, the rotation that takes its edges at rest
             that is compressed; back: the v of least Σ w_ij |(v_i − v_j) − ½(R_i + R_j)(v⁰_i −
             v⁰_j)|² + w² |v_h − q_h|²
 
-Both are linear in what is predicted, so that they end a network as a fixed layer. Which vertices
-are held, the handles, and that R is predicted number by number, is not in the paper. Units: mm.
-Pinned by tests/training/test_baselines.py.
+Both are linear in the prediction, so they are a fixed last layer of a network. The paper does not
+specify the clamped vertices, the handles, or the elementwise prediction of R. Units: mm. Pinned by
+tests/training/test_baselines.py.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 HELD = 100.0  # w of a clamped vertex
-HANDLE, HANDLES = 1.0, 27  # w of a handle, and how many there are
+HANDLE, HANDLES = 1.0, 27  # w of a handle, and number of handles
 
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """`codes` (S, m) of shapes, and back: points (S, 3N) = mean (3N,) + codes · modes (m, 3N)."""
+    """`codes` (S, m) of shapes; inverse: points (S, 3N) = mean (3N,) + codes · modes (m, 3N)."""
 
     codes: Floats
     mean: Floats
@@ -44,7 +44,7 @@ class Encoding:
 def laplacian(
     rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats
 ) -> Encoding:
-    """Return points (S, 3N) mm as Laplacian coordinates, and back."""
+    """Encode points (S, 3N) mm as Laplacian coordinates."""
     matrix, _ = _laplacian(rest, triangles, held)
     shapes = points.reshape(len(points), -1, 3)
     codes = np.einsum("ij,sjc->sic", matrix, shapes).reshape(len(points), -1)
@@ -57,9 +57,9 @@ def laplacian(
 
 
 def arap(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floats) -> Encoding:
-    """Return points (S, 3N) mm as rotations of vertices and handles, and back.
+    """Encode points (S, 3N) mm as rotations of vertices and handles.
 
-    Nine numbers for each vertex, then three for each handle.
+    Codes are nine values for each vertex, then three for each handle.
     """
     matrix, (first, other, weight) = _laplacian(rest, triangles, held)
     edge = rest[first] - rest[other]
@@ -80,10 +80,10 @@ def arap(rest: Floats, triangles: NDArray[np.int32], held: Indices, points: Floa
             shapes[:, handles].reshape(len(points), -1),
         ]
     )
-    # The right side of vertex i: Σ_j ½ w_ij (R_i + R_j)(v⁰_i − v⁰_j), written on the nine numbers
+    # The right side of vertex i: Σ_j ½ w_ij (R_i + R_j)(v⁰_i − v⁰_j), as a map of the nine values
     # of each R.
     count = len(rest)
-    on = np.zeros((count, count, 3))  # on[i, k]: what R_k is applied to, for vertex i
+    on = np.zeros((count, count, 3))  # on[i, k]: the vector that R_k is applied to, for vertex i
     half = 0.5 * weight[:, None] * edge
     for a, b, sign in ((first, other, 1.0), (other, first, -1.0)):
         np.add.at(on, (a, a), sign * half)
@@ -118,7 +118,7 @@ def _laplacian(
 
 
 def _apart(places: Floats, count: int) -> Indices:
-    """Return vertices that lie far apart: the highest, then each farthest from those before."""
+    """Return distant vertices: the highest, then each farthest from the previous ones."""
     chosen = [int(np.argmax(places[:, 2]))]
     near = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(count, len(places)):
@@ -128,7 +128,7 @@ def _apart(places: Floats, count: int) -> Indices:
 
 
 def _ends(first: Indices, other: Indices, count: int) -> csr_array:
-    """Return the map (N, E) that gives each vertex the sum over its edges."""
+    """Return the map (N, E) that sums over the edges of each vertex."""
     edges = np.arange(len(first))
     ones = np.ones(2 * len(first))
     return csr_array(
@@ -138,8 +138,8 @@ def _ends(first: Indices, other: Indices, count: int) -> csr_array:
 
 
 def _each_axis(back: Floats) -> Floats:
-    """Return a map (N, m) of one coordinate as one of all, (3m, 3N).
+    """Expand a map (N, m) of one coordinate to all coordinates, (3m, 3N).
 
-    It is from codes to points, row by row of the codes.
+    It maps codes to points, row by row of the codes.
     """
     return np.asarray(np.kron(back.T, np.eye(3)))

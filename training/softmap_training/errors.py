@@ -1,4 +1,4 @@
-"""What goes wrong on the training side; caught as one family with the edge's."""
+"""Errors of the training part, derived from the base error of the edge part."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from softmap_edge.errors import SoftmapError
 
 
 class TrainingError(SoftmapError):
-    """A set, a checkpoint or a network that cannot be used; the message says what to do."""
+    """An unusable set, checkpoint or network; the message states the remedy."""

@@ -1,4 +1,4 @@
-"""The paper's Table I and ours: on simulated shapes of one frozen split, and on a recording.
+"""The paper's Table I and ours, on simulated shapes of one frozen split and on a recording.
 
     chamfer    mean distance from prediction to target + mean distance back, not squared, mm (as in
                the paper's tables)
@@ -8,12 +8,12 @@
     `whole`    Chamfer to the true vertices of a recording, where they are known: no view is missing
     vertex     mean distance from each vertex to where it should be, mm
 
-Every figure is a mean ± standard deviation over frames; of what is drawn by chance, a mean over
-seeds and the standard deviation of that mean from seed to seed. Two views show 55 to 70 % of a
-body, so that the exact shape scores 1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the
-truth is known `vertex`, distinguish shapes there. The points of a decoder are no vertices: it has
-neither `visible` nor, on a recording, `vertex`. The published figures are those of another finger,
-simulator and camera. Pinned by tests/training/test_evaluate.py.
+Every figure is a mean ± standard deviation over frames. For random training, it is the mean over
+seeds and the standard deviation of that mean between seeds. Two views show 55 to 70 % of a body, so
+the exact shape scores 1.8 to 2.5 mm Chamfer on their clouds. There, `surface`, and with known truth
+`vertex`, distinguish shapes. The points of a decoder are not vertices: it has neither `visible`
+nor, on a recording, `vertex`. The published figures are those of another finger, simulator and
+camera. Pinned by tests/training/test_evaluate.py.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ PUBLISHED_REAL = {
     "without residual": (5.681, 0.939),
     "with residual": (3.786, 0.61),
 }
-# of the Chamfer distance with the residual, against these
+# fall of the Chamfer distance with the residual, relative to these
 FALLS = {"without residual": 0.334, "deepsoro": 0.407}
 ERRORS = ("chamfer", "visible", "surface", "whole", "vertex")
 TIMES = ("seconds", "milliseconds")
 NODE_MM = 1e-6
-TIMED = 50  # single commands that are timed
+TIMED = 50  # number of timed single commands
 
 
 @dataclass(eq=False)
 class Row:
     """One model on one set or recording of K frames.
 
-    `errors` (S, K) mm of S seeds by name · `details` what it is and what it took · `shapes` (K, N,
-    3) mm of the first seed with their `triangles`, and what was `seen` of each, for pictures.
+    `errors` (S, K) mm of S seeds by name · `details` kind and cost · `shapes` (K, N, 3) mm of the
+    first seed with `triangles`, and the `seen` points of each, for figures.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Row:
     def to_dict(self) -> dict[str, Any]:
         """Return means and standard deviations in mm, the worst frame, and the details.
 
-        They are over frames, and of the mean from seed to seed where there are several.
+        Deviations are over frames, and of the mean between seeds if there are several.
         """
         found = {
             f"{name}_mm": {
@@ -101,7 +101,7 @@ class Row:
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
-        """Return rows that differ by seed as one: errors together, times as their mean."""
+        """Merge the rows of several seeds: errors stacked, times averaged."""
         errors = {
             name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors
         }
@@ -116,7 +116,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording for validation: clouds, fitted vertices (K, N), and the true ones if known."""
+    """A recording for validation: clouds, fitted vertices (K, N), and true ones if known."""
 
     run: Run
     clouds: list[Floats]
@@ -128,12 +128,12 @@ class Recording:
     def of(cls, run: Run, model: Model, truth: Floats | None = None) -> Recording:
         """Return the recording of a run of clouds, in the frame of its base.
 
-        A model without its residual finds what the clouds show.
+        Registration uses the model without its residual.
 
         Args:
-            run: that taught nothing.
-            model: the finger's.
-            truth: (K, N, 3) mm.
+            run: a run that was not used for training.
+            model: the model of the finger.
+            truth: true vertices (K, N, 3) mm.
 
         Raises:
             TrainingError: the truth is of other frames or vertices.
@@ -170,7 +170,7 @@ class Recording:
     ) -> Row:
         """Evaluate shapes (K, N, 3) mm and their surface.
 
-        Those of no `body` have points that are no vertices.
+        Without `body`, their points are not vertices.
         """
         found = {
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
@@ -196,14 +196,14 @@ def on_shapes(
     details: Mapping[str, Any],
     triangles: Triangles | None = None,
 ) -> Row:
-    """Evaluate a model on simulated shapes that taught it nothing.
+    """Evaluate a model on simulated shapes of the test part.
 
     Args:
-        name: of the row.
+        name: name of the row.
         predict: commands (n, C) mm → points (n, 3N) mm.
-        commands, points: of the test part.
-        details: `what` kind of model it is, seconds of training, numbers learned and so on.
-        triangles: of the template.
+        commands, points: the test part.
+        details: kind (`what`), training time in s, number of parameters and so on.
+        triangles: triangles of the template.
     """
     found = np.asarray(predict(commands), np.float64).reshape(len(points), -1, 3)
     true = points.reshape(len(points), -1, 3)
@@ -217,9 +217,9 @@ def on_shapes(
 
 
 def holds_shapes_of(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table with all commands (n, C) as nodes: it has their shapes.
+    """Return whether a model is a table with all commands (n, C) as nodes.
 
-    One that was learned has the nodes, but was taught by the training part alone.
+    A learned table has these nodes, but only the training part was used.
     """
     if not isinstance(model.prior, _core.Table) or not len(u) or "prior" in model.made_from:
         return False
@@ -232,10 +232,10 @@ def holds_shapes_of(model: Model, u: Floats) -> bool:
 def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
     """Return commands (n, C) half a cell from the nodes u of a table, and their shapes.
 
-    They lie towards the middle; the shapes are (n, 3N) mm.
+    They are shifted towards the middle; the shapes are (n, 3N) mm.
 
-    The finger is simulated there, so that a table that holds all nodes is evaluated where it has to
-    interpolate, as far from its nodes as can be.
+    The finger is simulated there. So a table with all nodes is evaluated where it interpolates, as
+    far from its nodes as possible.
     """
     moved = np.empty_like(u)
     for c, axis in enumerate(model.prior.axes):
@@ -249,7 +249,7 @@ def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
 
 
 def fall(before: Row, after: Row) -> dict[str, float]:
-    """Return by what share each error in both rows fell from one to the other, of its mean."""
+    """Return the relative fall of each mean error from one row to the other."""
     return {
         name: 1.0 - float(np.nanmean(after.errors[name]) / np.nanmean(before.errors[name]))
         for name in before.errors
@@ -258,16 +258,16 @@ def fall(before: Row, after: Row) -> dict[str, float]:
 
 
 def is_decoder(model: Model) -> bool:
-    """Return whether a model's points are no vertices of its finger.
+    """Return whether a model's points are not vertices of its finger.
 
-    It is then one of `softmap train prior --model deepsoro`.
+    Such a model comes from `softmap train prior --model deepsoro`.
     """
     return (model.made_from.get("prior") or {}).get("kind") == "deepsoro"
 
 
 def size_of(model: Model) -> int:
-    """Return how many numbers make a model's shapes: of its prior and of its residual."""
-    if is_decoder(model):  # its table is only what onnxruntime makes of them
+    """Return the number of parameters of a model's prior and residual."""
+    if is_decoder(model):  # its table is only the output of onnxruntime
         return int(model.made_from["prior"]["parameters"])
     if model.arrays is None:
         raise TrainingError(f"the model of '{model.robot}' has no arrays; load it from a bundle")
@@ -281,7 +281,7 @@ def size_of(model: Model) -> int:
 
 
 def predicting(model: Model) -> Callable[[Floats], Floats]:
-    """Return what a model makes of commands (n, C) mm: points (n, 3N) mm, its residual on top."""
+    """Return a model's points (n, 3N) mm for commands (n, C) mm, with its residual."""
     shape = model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
     return lambda u: np.asarray(shape.evaluate(u))
 
@@ -308,7 +308,7 @@ def _to_surface(shape: Floats, cloud: Floats, triangles: Triangles) -> float:
 
 
 def _paper(name: str | None) -> dict[str, Any] | None:
-    """Return what the paper gives for a model, on other data."""
+    """Return the paper's figures for a model, on other data."""
     if name not in PUBLISHED:
         return None
     (chamfer, spread), (vertex, of_vertex) = PUBLISHED[name]

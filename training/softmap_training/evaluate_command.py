@@ -201,7 +201,7 @@ def evaluate(args: EvaluateOptions) -> int:
 
 
 def _checked(args: EvaluateOptions) -> list[str]:
-    """Return which models are to be fitted to the set, after checking what was asked for."""
+    """Check the options, and return the models to fit to the set."""
     if args.set is None and args.run is None:
         raise TrainingError("nothing to validate on; give --set SET, --run RUN or both")
     for name, given in (("truth", args.truth), ("train", args.train)):
@@ -226,7 +226,7 @@ def _checked(args: EvaluateOptions) -> list[str]:
 
 
 def _first(models: dict[str, Model], what: str) -> tuple[str, Any]:
-    """Return the first of the models whose points are vertices of the finger.
+    """Return the first model whose points are vertices of the finger.
 
     Raises:
         TrainingError: all are decoders.
@@ -368,9 +368,9 @@ def _on_run(
 
 
 def _falls(rows: list[Row]) -> list[dict[str, Any]]:
-    """Return by what share each error falls with a residual, and the paper's share.
+    """Return the relative fall of each error with a residual, and the paper's.
 
-    It is against none and against the decoder.
+    The fall is relative to no residual and to the decoder.
     """
     found = []
     for row in rows:

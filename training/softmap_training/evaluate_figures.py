@@ -1,10 +1,9 @@
-"""The pictures of `softmap evaluate --html`.
+"""Draw the figures of `softmap evaluate --html`.
 
-Shapes over clouds, the error over frames, and over the number of training frames.
+They show shapes over clouds, the error over frames, and over the number of training frames.
 
-Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of
-triangles); the same numbers give the same bytes. Lengths in mm, times in s. Needs matplotlib;
-imported by `evaluate_page.py` only.
+Each function returns the bytes of one figure (SVG, or PNG for thousands of triangles); equal data
+give equal bytes. Lengths in mm, times in s. Needs matplotlib; imported by `evaluate_page.py` only.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ from softmap_training.evaluate import Row
 
 Floats = NDArray[np.float64]
 
-COLOURS = (AFTER, "#7b5ea7", "#b8860b", INK, "#5c8001")  # of models with a residual
+COLOURS = (AFTER, "#7b5ea7", "#b8860b", INK, "#5c8001")  # colours of models with a residual
 BODY = np.array([0.90, 0.92, 0.94])
 AWAY = LinearSegmentedColormap.from_list(
     "away", [AFTER, "#8fb9a8", "#e9c46a", "#e76f51", "#6a1b1a"]
 )
-ACROSS = 4  # panels next to each other
-PANEL, TALL = 2.2, 3.1  # inches: how wide a panel is, and how tall at most
-DRAWN = 1500  # points of a cloud in a picture
-TOP = 90.0  # percentile of the distances that ends the colours: outliers are beyond
+ACROSS = 4  # panels per row
+PANEL, TALL = 2.2, 3.1  # width of a panel, and its largest height, inches
+DRAWN = 1500  # points of a cloud in a figure
+TOP = 90.0  # percentile of the distances at the end of the colour scale
 NAMES: Any = {
     "frameon": False,
     "borderaxespad": 0.2,
@@ -65,9 +64,9 @@ def colours(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
-    """Draw predicted surfaces, and what was seen, coloured by its distance from them (PNG).
+    """Draw predicted surfaces and measured points, coloured by distance (PNG).
 
-    panels: what stands above, the row, and which of its frames.
+    panels: title, row and frame of each panel.
     """
     found = [_apart(row, frame) for _, row, frame in panels]
     scale = Normalize(
@@ -141,7 +140,7 @@ def over_frames(rows: Sequence[Row], errors: Sequence[str], t: Floats) -> bytes:
 def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str]) -> bytes:
     """Draw errors against the number of a residual's training frames, and without it (SVG).
 
-    They are mean ± sd over seeds.
+    Errors are mean ± sd over seeds.
     """
     used = colours(rows)
     with matplotlib.rc_context(STYLE):
@@ -209,7 +208,7 @@ def _tidy(axes: Axes) -> None:
 
 
 def _apart(row: Row, frame: int) -> tuple[Floats, Floats]:
-    """Return some of a frame's seen points (M, 3), and their distances (M,) mm.
+    """Return some measured points (M, 3) of a frame, and their distances (M,) mm.
 
     The distances are from the predicted surface.
     """
@@ -222,7 +221,7 @@ def _apart(row: Row, frame: int) -> tuple[Floats, Floats]:
 
 
 def _limits(shapes: Sequence[Floats]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the window that all shapes fit in, the same for every panel."""
+    """Return the common axis limits of all panels."""
     right, up, _ = view()
     every = np.concatenate(shapes)
     places = np.stack([every @ right, every @ up], axis=1)
@@ -232,7 +231,7 @@ def _limits(shapes: Sequence[Floats]) -> tuple[tuple[float, float], tuple[float,
 
 
 def _surface(axes: Axes, shape: Floats, triangles: NDArray[np.int32]) -> None:
-    """Draw a surface from the usual side, far triangles first; a sheet has two sides."""
+    """Draw a surface from the default view, far triangles first; a sheet has two sides."""
     right, up, towards = view()
     corners = shape[np.asarray(triangles, np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,8 +1,8 @@
-"""The HTML page of `softmap evaluate`: tables, shapes over clouds, errors, costs.
+"""Write the HTML page of `softmap evaluate`: tables, shapes over clouds, errors, costs.
 
-The tables have the paper's figures.
+The tables include the paper's figures.
 
-Its text is in `templates/evaluation.html`, its frame that of all reports
+Its text is in `templates/evaluation.html`; it has the frame of all reports
 (`softmap_edge/report/pages.py`).
 """
 
@@ -43,7 +43,7 @@ OTHER = "grey: the paper's figures, of other data"
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table; `note` stands below in small letters, `grey` makes all of it small."""
+    """A table cell; `note` is small text below, `grey` makes the cell small."""
 
     text: str
     note: str = ""
@@ -52,7 +52,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class TableRow:
-    """A row of a table: what it is about, and its cells."""
+    """A row of a table: its heading and its cells."""
 
     name: str
     cells: list[Cell]
@@ -70,7 +70,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a picture, a table or both, with a note below."""
+    """A section of the page: a figure, a table or both, with a note below."""
 
     title: str
     note: str = ""
@@ -80,7 +80,7 @@ class Section:
 
 @dataclass(frozen=True)
 class EvaluationPage:
-    """What `templates/evaluation.html` shows; `install` is how to get pictures that are missing."""
+    """The data of `templates/evaluation.html`; `install` states how to get missing figures."""
 
     heading: str
     about: str
@@ -101,11 +101,11 @@ def write_page(
     curve: Sequence[Row],
     t_seen: NDArray[np.float64] | None,
 ) -> Path:
-    """Write the page of a document softmap.evaluation/1 and the rows that it was made of.
+    """Write the page of a document softmap.evaluation/1 and its rows.
 
     Args:
         path: the file to write.
-        document, simulated, recorded, curve: as `softmap evaluate` has them.
+        document, simulated, recorded, curve: the results of `softmap evaluate`.
         t_seen: (K,) s of the recording's frames.
     """
     install = pictures_missing()
@@ -163,7 +163,7 @@ def _sentence(document: Document) -> str:
 
 
 def _main(document: Document) -> str:
-    """Return a recording's most informative error: to the true vertices if known."""
+    """Return the most informative error of a recording: to the true vertices, if known."""
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 
@@ -295,7 +295,7 @@ def _falls(rows: Sequence[Document]) -> Table:
 
 
 def _change(share: float | None) -> str:
-    """Return by what share an error changed, a fall below zero."""
+    """Return the relative change of an error, negative for a fall."""
     return "–" if share is None else f"{-100 * share:+.1f} %".replace("-", "−")
 
 

@@ -1,4 +1,4 @@
-"""The tables of `softmap evaluate` as text."""
+"""Format the tables of `softmap evaluate` as text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAPER = (
     ("with residual", "with residual"),
 )
 SIMULATED, RECORDED = ("chamfer", "vertex"), ERRORS
-COLUMN_TITLES = {"whole": "complete body"}  # what a column is called, where that is not its key
+COLUMN_TITLES = {"whole": "complete body"}  # column titles that differ from the keys
 MEANING = {
     "chamfer": "chamfer: prediction to target + target to prediction, unsquared",
     "visible": "visible: the same, of the vertices alone that registration finds in the cloud",
@@ -65,35 +65,35 @@ def lines(document: Document) -> list[str]:
 
 
 def _wide(names: Iterable[str]) -> int:
-    """Return how wide a column of names is."""
+    """Return the width of a column of names."""
     return max([NAME, *(len(name) + 1 for name in names)])
 
 
 def title(row: Mapping[str, Any]) -> str:
-    """Return what a row is called."""
+    """Return the title of a row."""
     return str(row["name"])
 
 
 def samples(row: Mapping[str, Any]) -> str:
-    """Return what a row is called by the number of frames that taught it."""
+    """Return the title of a row with its number of training frames."""
     return f"{row['name']}, {row['frames']} frames"
 
 
 def cost(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return ms a shape, how many numbers, and seconds of training, as text."""
+    """Format ms per shape, number of parameters, and seconds of training."""
     time = f"{row['milliseconds']:.3f}" if "milliseconds" in row else "–"
     trained = f"{row['seconds']:.0f}" if "seconds" in row else "–"
     return time, f"{row['parameters']:,}".replace(",", " ") if "parameters" in row else "–", trained
 
 
 def cell(row: Mapping[str, Any], error: str) -> str:
-    """Return mean ± standard deviation over frames, or a dash where a row has no such error."""
+    """Format mean ± standard deviation over frames, or a dash if a row has no such error."""
     one = row.get(f"{error}_mm")
     return "–" if one is None else f"{mm(one['mean'])} ± {mm(one['sd'])}"
 
 
 def there(rows: Sequence[Document], errors: Sequence[str]) -> list[str]:
-    """Return which of the errors any of the rows has."""
+    """Return the errors that occur in any row."""
     return [error for error in errors if any(f"{error}_mm" in row for row in rows)]
 
 

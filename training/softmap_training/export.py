@@ -1,9 +1,9 @@
-"""Trained networks to ONNX: layers in a row, without dropout.
+"""Export trained networks to ONNX: layers in sequence, without dropout.
 
-BatchNorm is folded into the linear layer before it.
+BatchNorm is folded into the preceding linear layer.
 
-The graph is written layer by layer, so that it is the same whatever the version of torch; opset and
-IR are those that onnxruntime and the compiled core read. Pinned by tests/training/test_training.py.
+The graph is written layer by layer, so it does not depend on the version of torch. Its opset and IR
+are supported by onnxruntime and the compiled core. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from softmap_edge.model.onnx import AGREE_MM, run_onnxruntime
 from softmap_training.errors import TrainingError
 from softmap_training.networks import Modes, Scale
 
-OPSET, IR = 20, 9  # the first with Gelu; what onnxruntime 1.19 and later read
+OPSET, IR = 20, 9  # the first with Gelu; supported by onnxruntime 1.19 and later
 Floats = NDArray[np.float64]
 
 
 def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | None = None) -> bytes:
     """Return the ONNX file of a network in training: commands (n, C) → points (n, 3N), n free.
 
-    metadata: written into the file.
+    metadata: metadata of the file.
 
     Raises:
-        TrainingError: a layer that no bundle holds.
+        TrainingError: a layer that bundles do not support.
     """
     graph = Graph()
     linear: tuple[Floats, Floats] | None = None
@@ -74,10 +74,10 @@ def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | No
 
 
 def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
-    """Return by how many mm torch, onnxruntime and the core differ at commands (n, C) mm.
+    """Return the difference of torch, onnxruntime and the core at commands (n, C) mm, in mm.
 
     Raises:
-        TrainingError: by more than single precision explains.
+        TrainingError: the difference exceeds single precision.
     """
     network.eval()
     with torch.no_grad():
@@ -95,7 +95,7 @@ def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
 
 
 class Graph:
-    """A chain of nodes that grows at its end."""
+    """A chain of nodes, extended at its end."""
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
@@ -103,7 +103,7 @@ class Graph:
         self.at = "command"
 
     def add(self, kind: str, *constants: Floats, **attributes: Any) -> None:
-        """Add a node whose further inputs are constants."""
+        """Add a node whose other inputs are constants."""
         number = len(self.nodes)
         names = [f"c{number}_{k}" for k in range(len(constants))]
         self.constants += [
@@ -112,13 +112,13 @@ class Graph:
         self.also(kind, *names, **attributes)
 
     def integers(self, numbers: list[int]) -> str:
-        """Return the name of a constant of whole numbers."""
+        """Add a constant of integers and return its name."""
         name = f"w{len(self.constants)}"
         self.constants.append(numpy_helper.from_array(np.array(numbers, np.int64), name))
         return name
 
     def also(self, kind: str, *names: str, **attributes: Any) -> None:
-        """Add a node whose further inputs are known by name."""
+        """Add a node whose other inputs are given by name."""
         number = len(self.nodes)
         self.nodes.append(
             helper.make_node(
@@ -134,7 +134,7 @@ class Graph:
     def file(self, channels: int, metadata: dict[str, str], size: int | None = None) -> bytes:
         """Return the file: commands (n, channels) → numbers (n, size).
 
-        `size` is by default as many as its last constant has.
+        `size` is by default that of its last constant.
         """
         size = self.constants[-1].dims[0] if size is None else size
         given = helper.make_tensor_value_info("command", TensorProto.FLOAT, ["n", channels])
@@ -150,7 +150,7 @@ class Graph:
 
 
 def _folded(linear: tuple[Floats, Floats], norm: nn.BatchNorm1d) -> tuple[Floats, Floats]:
-    """Return the linear layer with the BatchNorm behind it, in evaluating mode, folded in."""
+    """Return the linear layer with the following BatchNorm (evaluation mode) folded in."""
     weights, bias = linear
     factor = _numbers(norm.weight) / np.sqrt(_numbers(norm.running_var) + norm.eps)
     return weights * factor[:, None], (bias - _numbers(norm.running_mean)) * factor + _numbers(

@@ -1,11 +1,11 @@
 """The loop that trains any network.
 
-Seeds, checkpoints after every epoch, early stopping, a log that others can read.
+It has seeds, checkpoints after every epoch, early stopping, and a log in CSV.
 
-A folder holds `checkpoint.pt` (weights only: tensors and numbers, nothing that runs), `log.csv`,
-and with `tensorboard=True` the events of TensorBoard. The same call goes on where it was stopped
-and ends with the same weights as without the stop; a call with other numbers or data is refused.
-Pinned by tests/training/test_training.py.
+A folder holds `checkpoint.pt` (weights only: tensors and numbers, no code), `log.csv`, and with
+`tensorboard=True` the events of TensorBoard. The same call resumes an interrupted training and ends
+with the same weights; a call with another recipe or data is rejected. Pinned by
+tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ COLUMNS = ("epoch", "training_loss", "validation_mm", "rate", "seconds")
 
 @dataclass
 class Task:
-    """What is trained: `loss(network, some)` of samples `some` (B,), `validate(network)` in mm.
+    """A training task: `loss(network, some)` of samples `some` (B,), `validate(network)` in mm.
 
-    `data` is hashed, so that a checkpoint goes on with its own data only.
+    `data` is hashed, so a checkpoint resumes only with its own data.
     """
 
     network: nn.Sequential
@@ -46,7 +46,7 @@ class Task:
     data: list[Any] = field(default_factory=list)
 
     def key(self, recipe: Recipe) -> str:
-        """Return a hash of layers, numbers of the recipe and data."""
+        """Return a hash of layers, recipe and data."""
         digest = hashlib.sha256(json.dumps([str(self.network), asdict(recipe)]).encode())
         for array in self.data:
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -67,15 +67,15 @@ def fit(
     Args:
         task: network, loss and validation.
         recipe: epochs, batch, rate and so on.
-        folder: where checkpoints and logs are kept; None keeps none.
-        progress: called with the share done and a line after every epoch.
-        device: "cpu" or "cuda"; on a GPU matrices are multiplied in bfloat16.
-        tensorboard: write its events too.
-        until: end with this many epochs of the recipe's and keep the last, whatever validation
-            says.
+        folder: folder of checkpoints and logs; None for none.
+        progress: called with the completed share and a line after every epoch.
+        device: "cpu" or "cuda"; a GPU multiplies matrices in bfloat16.
+        tensorboard: whether to write events of TensorBoard.
+        until: stop after this many epochs of the recipe and keep the last, regardless of
+            validation.
 
     Raises:
-        TrainingError: a checkpoint of something else, or numbers that are no longer finite.
+        TrainingError: a checkpoint of another training, or non-finite values.
     """
     network = task.network.to(device)
     optimizer = torch.optim.AdamW(network.parameters(), lr=recipe.rate, weight_decay=recipe.decay)
@@ -126,7 +126,7 @@ def fit(
 
 
 def seeded(seed: int) -> None:
-    """Draw the same numbers, and do the same sums in the same order, from now on."""
+    """Make random numbers and the order of sums reproducible."""
     torch.manual_seed(seed)
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True)
@@ -134,7 +134,7 @@ def seeded(seed: int) -> None:
 
 @dataclass
 class _State:
-    """Where a training stands: the best error, its weights, and the log."""
+    """The state of a training: best error, its weights, and the log."""
 
     best: float
     weights: dict[str, Tensor]
@@ -150,7 +150,7 @@ def _epoch(
     draw: torch.Generator,
     device: str,
 ) -> float:
-    """Go through all samples as often as the recipe states; return the mean loss."""
+    """Train on all samples for the passes of an epoch; return the mean loss."""
     network.train()
     sums = []
     for _ in range(recipe.passes):
@@ -174,7 +174,7 @@ def _cosine(part: float, last: float) -> float:
 def _keep(
     folder: Path, key: str, state: _State, network: Any, optimizer: Any, falls: Any, draw: Any
 ) -> None:
-    """Write checkpoint and log completely or not at all."""
+    """Write checkpoint and log atomically."""
     content = {
         "key": key,
         "network": network.state_dict(),
@@ -201,7 +201,7 @@ def _keep(
 def _resume(
     folder: Path, key: str, network: Any, optimizer: Any, falls: Any, draw: Any
 ) -> _State | None:
-    """Return the state of this key's training, restored; None if it has not begun."""
+    """Restore the state of this key's training; None if it has not begun."""
     file = folder / "checkpoint.pt"
     if not file.is_file():
         return None
@@ -220,7 +220,7 @@ def _resume(
         state = _State(float(kept["best"]), kept["weights"], list(kept["log"]))
     except TrainingError:
         raise
-    # Whatever a damaged file makes torch raise.
+    # torch may raise any error for a damaged file
     except Exception as fault:
         raise TrainingError(
             f"{file}: cannot be read ({type(fault).__name__}); remove it to train again"

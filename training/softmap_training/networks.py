@@ -1,10 +1,10 @@
-"""The networks, as layers in a row for ONNX: commands (n, C) mm to points (n, 3N) mm.
+"""Networks as sequential layers for ONNX: commands (n, C) mm to points (n, 3N) mm.
 
 Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs
-normalised one by one. Ours: a few GELU layers to weights of the leading modes of the training
+normalised elementwise. Ours: a few GELU layers to weights of the leading modes of the training
 shapes, one scale for all outputs, so that the loss is the error in mm. Residuals: as published
-(LayerNorm, GELU, dropout), or ours, to modes that leave the clamp alone. All have the same face.
-Pinned by tests/training/test_training.py.
+(LayerNorm, GELU, dropout), or ours, with modes that do not move the clamp. All have the same
+interface. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from softmap_edge.sweep.scattered import NARROW, half_range
 Floats = NDArray[np.float64]
 
 PUBLISHED_WIDTHS = (256, 512, 1024, 512, 256)
-EPSILON = 1e-8  # of the published normalisation
+EPSILON = 1e-8  # least size of the published normalisation
 
 
 class Scale(nn.Module):
-    """x ↦ (x − shift)/size, or back; fixed numbers."""
+    """x ↦ (x − shift)/size, or its inverse, with fixed numbers."""
 
     def __init__(self, shift: Floats, size: Floats, back: bool = False) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class Scale(nn.Module):
 
 
 class Modes(nn.Module):
-    """Weights (n, m) to points (n, 3N): mean + weights · modes, fixed numbers."""
+    """Weights (n, m) to points (n, 3N): mean + weights · modes, with fixed numbers."""
 
     def __init__(self, mean: Floats, modes: Floats) -> None:
         super().__init__()
@@ -50,9 +50,9 @@ class Modes(nn.Module):
 
 
 def spread(commands: Floats) -> Floats:
-    """Return the standard deviation of each command (S, C); 1 for one that never moves.
+    """Return the standard deviation of each command (S, C); 1 for a constant one.
 
-    Such a command has no information.
+    A constant command carries no information.
     """
     size = commands.std(axis=0)
     return np.where(size > NARROW, size + EPSILON, 1.0)
@@ -77,19 +77,19 @@ def mode_prior(
 ) -> nn.Sequential:
     """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm.
 
-    They are over commands (S, C) mm.
+    Commands are (S, C) mm.
     """
     mean = points.mean(axis=0)
     _, size, modes = np.linalg.svd(points - mean, full_matrices=False)
     count = min(count, len(modes))
-    reach = float(size[0] / np.sqrt(len(points)))  # mm, of all points together along the first mode
+    reach = float(size[0] / np.sqrt(len(points)))  # mm, spread of all points along the first mode
     return to_modes(commands, mean, reach * modes[:count], widths)
 
 
 def published_residual(
     commands: Floats, size: int, widths: Sequence[int], dropout: float
 ) -> nn.Sequential:
-    """Return the residual as its authors released it.
+    """Return the residual network released by the authors of the paper.
 
     64-256-256-64, LayerNorm, GELU, dropout, to 3N numbers in mm.
     """
@@ -99,7 +99,7 @@ def published_residual(
         layers += [nn.Linear(width, wide), nn.LayerNorm(wide), nn.GELU(), nn.Dropout(dropout)]
         width = wide
     last = nn.Linear(width, size)
-    nn.init.zeros_(last.weight)  # it starts from the prior itself
+    nn.init.zeros_(last.weight)  # the initial output is zero: it starts from the prior
     nn.init.zeros_(last.bias)
     return nn.Sequential(*layers, last)
 
@@ -107,7 +107,7 @@ def published_residual(
 def to_modes(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int]) -> nn.Sequential:
     """Return GELU layers of `widths` from commands (S, C) mm to weights of modes.
 
-    These are `modes` (m, 3N) mm about `mean` (3N,).
+    The modes are `modes` (m, 3N) mm about `mean` (3N,).
     """
     half, middle = half_range(commands), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
     layers: list[nn.Module] = [Scale(middle, half)]

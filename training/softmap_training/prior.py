@@ -1,6 +1,6 @@
-"""Train a prior on a simulated set and put it into a bundle in place of the table.
+"""Train a prior on a simulated set, and replace the table of a bundle by it.
 
-It is the paper's network, or ours.
+The network is the paper's, or ours.
 
     û = f_θ(u),   loss = mean over the set of |f_θ(ũ) − ỹ|², ỹ what the last, fixed layer makes the
                   outputs of
@@ -17,8 +17,8 @@ table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of th
 deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices
             (`decoder_model`)
 
-Errors are reported on the test part of one frozen split, at commands that are not in the training
-part. The rest of the bundle (fields, tendons, effects) stays as it was; a residual goes, it was
+Errors are reported on the test part of one frozen split, at commands outside the training part. The
+rest of the bundle (fields, tendons, effects) does not change. A residual is dropped, because it was
 learned on another prior. Units: mm. Pinned by tests/training/test_training.py.
 """
 
@@ -64,17 +64,17 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PUBLISHED_DROPOUT = 0.1
-NODES = 41  # of an axis, where a bundle has none
-# shapes that are compared with the bundle's, and times its model error that they may be off more
+NODES = 41  # nodes of an axis, if the bundle has none
+# shapes compared with the bundle's, and allowed excess over its model error
 COMPARED, OWN = 64, 3.0
-BIGGEST = 10.0  # times the robot's length from its base: a point there is none
+BIGGEST = 10.0  # times the robot's length from its base: invalid points
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), and `held`.
 
-    The last are the vertices that are held.
+    `held` are the clamped vertices.
     """
 
     rest: Floats
@@ -83,7 +83,7 @@ class Surface:
 
     @classmethod
     def of(cls, model: Model) -> Surface:
-        """Return that of a model."""
+        """Return the template of a model."""
         return cls(model.rest, model.triangles, clamped(model))
 
 
@@ -96,7 +96,7 @@ class Trained:
     report: dict[str, Any]
 
     def arrays(self, grid: Grid) -> NetworkArrays:
-        """Return what a bundle keeps of it, with a grid."""
+        """Return its data for a bundle, with a grid."""
         return NetworkArrays(self.content, grid)
 
 
@@ -108,7 +108,7 @@ class Tabulated:
     report: dict[str, Any]
 
     def arrays(self, _grid: Grid) -> ModeArrays:
-        """Return what a bundle keeps of it: its table, which has a grid of its own."""
+        """Return its data for a bundle: its table with its own grid."""
         return self.table
 
 
@@ -128,17 +128,17 @@ def train_prior(
 
     Args:
         commands, points: the simulated set.
-        parts: indices of training, validation and test.
-        kind: as above.
-        surface: what "laplacian" and "arap" need.
-        recipe: other numbers than those of `choices.py`.
-        folder: where checkpoints and logs are kept.
-        progress: called with the share done and a line.
+        parts: indices of training, validation and test parts.
+        kind: a kind of network from the list above.
+        surface: the template for "laplacian" and "arap".
+        recipe: replaces the recipe of `choices.py`.
+        folder: folder of checkpoints and logs.
+        progress: called with the completed share and a line.
         device: "cpu" or "cuda".
-        tensorboard: write its events too.
+        tensorboard: whether to write events of TensorBoard.
 
     Raises:
-        TrainingError: too few samples, or a checkpoint of something else.
+        TrainingError: too few samples, or a checkpoint of another training.
     """
     train, validation, test = parts
     _enough(parts)
@@ -190,11 +190,11 @@ def fit_prior(
 ) -> Tabulated:
     """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it.
 
-    The table is at the nodes of a model's axes.
+    The nodes of the table are those of a model's axes.
 
     Raises:
-        TrainingError: its points are no vertices, another finger's set, or what it needs is not
-            installed.
+        TrainingError: points that are not vertices, a set of another finger, or a missing
+            dependency.
     """
     if kind == "deepsoro":
         raise TrainingError(
@@ -233,17 +233,20 @@ def decoder_model(
 ) -> tuple[Model, dict[str, Any]]:
     """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm; return model and report.
 
-    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of
-    them that move most. Nothing else of the base's is in it: no fields, effects, calibration. It is
-    evaluated by half the Chamfer distance.
+    Its points are those of its own sheet; their rest positions are those at home. Its tip is the 5
+    % of them that move most. It has no fields, effects or calibration of the base. It is evaluated
+    by half the Chamfer distance.
 
     Args:
-        base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the
-            usual number.
-        seed: draws first weights. folder: of checkpoints. progress: called with the share done.
+        base: the model of the finger.
+        commands, points, parts: as for `train_prior`.
+        epochs: replaces the default number.
+        seed: seed of the initial weights.
+        folder: folder of checkpoints.
+        progress: called with the completed share.
 
     Raises:
-        TrainingError: another finger's set.
+        TrainingError: a set of another finger.
     """
     check_set(base, commands, points)
     _enough(parts)
@@ -317,7 +320,7 @@ def _made(
 ) -> tuple[nn.Sequential, Floats, int]:
     """Return a network, its targets (S, m) before its last layers, and their count.
 
-    They are the layers that are fixed.
+    The last layers are fixed.
     """
     if kind == "modes":
         network = mode_prior(commands[train], points[train], PRIOR_WIDTHS, PRIOR_MODES)
@@ -345,18 +348,18 @@ def _made(
 
 
 def _normalised(last: Any, values: Floats) -> Floats:
-    """Return what a last layer that gives values (S, m) their spread has to be given."""
+    """Return the inputs of a last layer that scales to the spread of values (S, m)."""
     return np.asarray((values - last.shift.numpy()) / last.size.numpy())
 
 
 def with_prior(
     base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats
 ) -> Model:
-    """Return a bundle's model with a trained prior in place of its own.
+    """Replace the prior of a bundle's model by a trained one.
 
     `commands` and `points` are the test part.
 
-    The model error grows by the error of the trained prior, in squares.
+    The squared error of the trained prior is added to that of the model.
 
     Raises:
         TrainingError: the prior is of other commands or points than the model.
@@ -368,7 +371,7 @@ def with_prior(
     arrays = trained.arrays(_grid(base))
     core, kept = arrays.compiled(), stored.prior
     base = base.with_residual(None)
-    # its own, not that of one trained earlier
+    # that of the table, not of an earlier trained prior
     own_error = TrainedOver(np.asarray(base.form_error, np.float64), base.vertex_error_mm)
     before = kept.before if isinstance(kept.before, TrainedOver) else own_error
     form, error = before.form_error, before.vertex_error_mm
@@ -387,12 +390,12 @@ def with_prior(
 
 
 def _grid(model: Model) -> Grid:
-    """Return the grid of a model's prior; one without axes where there is none."""
+    """Return the grid of a model's prior; a grid without axes if there is none."""
     return (model.arrays.prior.grid if model.arrays is not None else None) or Grid()
 
 
 def check_set(base: Model, commands: Floats, points: Floats) -> None:
-    """Refuse shapes (S, 3N) mm at commands (S, C) that are not of the finger of a bundle."""
+    """Reject shapes (S, 3N) mm at commands (S, C) of another finger than the bundle's."""
     channels, size = commands.shape[1], points.shape[1]
     if size != base.rest.size or channels != base.channels or base.kind == "rod":
         raise TrainingError(
@@ -432,9 +435,9 @@ def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
 
 
 def _taught(base: Model, taught: Floats) -> Floats:
-    """Return the range (C, 2) of commands of a bundle, cut to that of its prior.
+    """Return the command range (C, 2) of a bundle, limited to that of its prior.
 
-    It is cut where the training data's is clearly narrower.
+    It is limited where the range of the training data is clearly narrower.
     """
     low, high = base.command_range.T
     slack = BEYOND * (high - low)
@@ -447,7 +450,7 @@ def _taught(base: Model, taught: Floats) -> Floats:
 
 
 def vertex_error(found: Floats, points: Floats) -> float:
-    """Return the mean distance in mm of points (S, 3N) from where they should be."""
+    """Return the mean distance in mm of points (S, 3N) from their targets."""
     return float(np.mean(np.linalg.norm((found - points).reshape(len(points), -1, 3), axis=2)))
 
 

@@ -1,10 +1,10 @@
-"""Recordings that teach on top of a model, as one lesson.
+"""Combine recordings into a training set on top of a model, called a lesson.
 
-What the model makes of each frame, and what was seen.
+It holds the prediction of the model and the measurement for each frame.
 
-Clouds are brought into the frame of their base where it is clearly displaced
-(`alignment/base_in_clouds.py`), and the template is laid onto them, run by run. Units: mm. Pinned
-by tests/training/test_evaluate.py and tests/adaptation/test_residual_network.py.
+Clouds are transformed to their base frame if it is clearly displaced
+(`alignment/base_in_clouds.py`), and the template is registered to them, run by run. Units: mm.
+Pinned by tests/training/test_evaluate.py and tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from softmap_training.errors import TrainingError
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 LEAST_FRAMES = 12
-ROWS = ("commands", "points", "vertices", "weight", "times")  # of a lesson, one a frame
+ROWS = ("commands", "points", "vertices", "weight", "times")  # of a lesson, one row per frame
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What K frames teach on top of `base`, a model without its residual.
+    """Training data of K frames on top of `base`, a model without its residual.
 
-    `commands` (K, C) act, and the model makes `points` (K, N, 3) mm of them. `clouds` (m, 3) mm
-    were seen, empty where vertices were recorded; `vertices` (K, N, 3) mm are these or those laid
-    onto clouds, each with its `weight` (K, N) in 1/mm², 0 where it was not seen. `times` (K,) s are
-    of all runs, whose hashes are `runs`; `remarks`: to be reported.
+    `commands` (K, C) are effective commands, `points` (K, N, 3) mm the predictions. `clouds` (m, 3)
+    mm were measured, empty if vertices were recorded. `vertices` (K, N, 3) mm are recorded or
+    registered to clouds, with `weight` (K, N) in 1/mm², 0 if hidden. `times` (K,) s are of all
+    runs, whose hashes are `runs`; `remarks` are to be reported.
     """
 
     base: Model
@@ -54,14 +54,14 @@ class Lesson:
 
     @classmethod
     def of(cls, model: Model, runs: Run | Sequence[Run]) -> Lesson:
-        """Return that of recordings of clouds or vertices.
+        """Return the lesson of recordings with clouds or vertices.
 
         Args:
-            model: with the effects that it has; an earlier residual is left out.
-            runs: one or several, with commands, or with ticks where the model is calibrated.
+            model: the model with its effects; an earlier residual is removed.
+            runs: one or several runs, with commands, or with ticks if the model is calibrated.
 
         Raises:
-            TrainingError: fewer than LEAST_FRAMES frames, or runs that show no surface.
+            TrainingError: fewer than LEAST_FRAMES frames, or runs without a surface.
             RunError: a run of another robot or unit.
         """
         base, every = model.with_residual(None), [runs] if isinstance(runs, Run) else list(runs)
@@ -97,12 +97,12 @@ class Lesson:
 
     @property
     def blocks(self) -> list[Indices]:
-        """Frames that are drawn, or held out, together."""
+        """Blocks of frames that are drawn, or held out, together."""
         return [test for _, test in run_folds(self.times)]
 
     @property
     def parts(self) -> Folds:
-        """Training and held-out frames, `choices.HELD_OUT` times: every so many blocks."""
+        """Training and held-out frames, for `choices.HELD_OUT` interleaved sets of blocks."""
         folds, found = run_folds(self.times), []
         for number in range(min(choices.HELD_OUT, len(folds))):
             train, some = np.arange(len(self)), folds[number :: choices.HELD_OUT]
@@ -120,7 +120,7 @@ class Lesson:
     def share(self, share: float, seed: int) -> Indices:
         """Return the frames of a share of the blocks, ascending.
 
-        A seed's larger shares hold its smaller ones.
+        For one seed, larger shares contain the smaller ones.
         """
         blocks = self.blocks
         order = np.random.default_rng(seed).permutation(len(blocks))
@@ -130,7 +130,7 @@ class Lesson:
 
 
 def _of_run(base: Model, run: Run) -> Lesson:
-    """Return what one run teaches."""
+    """Return the training data of one run."""
     if not run.frames or run.markers is not None or (run.points is None and run.vertices is None):
         shown = (
             "markers, which do not show the surface"

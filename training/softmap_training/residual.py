@@ -3,14 +3,14 @@
     points(u) = model(u) + Δ(u)
 
 Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 · mean |Δᵢ|² + λ_lap
-· mean over edges |Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and
-moves what a clamp holds. Ours is taught by the registered vertices, each by how well it was seen,
-and by the Chamfer distance of those that were seen (which changes little): Δ is a few modes of what
-they show beyond the model, none of which moves a clamped vertex, weighted by a small network of the
-command. Validation is on complete blocks of the recordings; ours leaves each out once, then learns
-from all for as long as was best on average. Friction remembers where a command was reached from: a
-command that is reached from several sides, in several recordings, teaches their mean. Pinned by
-tests/adaptation/test_residual_network.py.
+· mean over edges |Δᵢ − Δⱼ|². On clouds of two views it pulls the hidden side through the body and
+moves clamped vertices. Ours is trained on the registered vertices, weighted by their visibility,
+and on the Chamfer distance of the visible ones (which changes little). Δ is a few modes of their
+difference from the model, none of which moves a clamped vertex; a small network of the command
+gives the weights. Validation is on complete blocks of the recordings; ours leaves each out once,
+then trains on all for the best average number of epochs. Friction depends on the direction of
+approach: for a command reached from several sides, in several recordings, the residual learns the
+mean. Pinned by tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ def train_residual(
     """Return a model with a trained residual, and a report.
 
     Args:
-        model: stays as it is, an earlier residual aside.
-        taught: the recording, or several, of clouds (or vertices; the published one needs clouds),
-            with commands; or the lesson made of them on this model.
+        model: stays unchanged, except that an earlier residual is removed.
+        taught: one or several recordings with clouds (or vertices; the published kind needs clouds)
+            and commands, or their lesson on this model.
         kind: "modes" (ours) or "published".
         recipe, folder, progress, device, tensorboard: as for `train_prior`.
 
     Raises:
-        TrainingError: too few frames, no clouds for the published one, or a checkpoint of something
-            else.
+        TrainingError: too few frames, no clouds for the published kind, or a checkpoint of another
+            training.
     """
     lesson = taught if isinstance(taught, Lesson) else Lesson.of(model, taught)
     base = lesson.base
@@ -85,7 +85,7 @@ def train_residual(
     every = np.arange(len(lesson))
     until = None
     train, held = parts[0]
-    if kind == "modes":  # as long as was best on average for what was left out, then on all frames
+    if kind == "modes":  # best average epochs on held-out blocks, then all frames
         curve = _left_out(
             lesson, parts, held_still, recipe, folder, _share(progress, 0.0, 0.8), device
         )
@@ -132,7 +132,7 @@ def _left_out(
     progress: Progress | None,
     device: str,
 ) -> Floats:
-    """Return each epoch's mean distance (mm) from the seen vertices of the held-out part."""
+    """Return the mean distance (mm) to visible held-out vertices for each epoch."""
     curves = []
     for number, (train, held) in enumerate(parts):
         seeded(recipe.seed)
@@ -151,14 +151,14 @@ def _share(progress: Progress | None, begin: float, end: float) -> Progress | No
 
 
 def _evaluated(network: nn.Sequential, lesson: Lesson) -> Floats:
-    """Return what a network adds to each frame's points (K, N, 3) mm."""
+    """Return the contribution of a network to each frame's points (K, N, 3) mm."""
     with torch.no_grad():
         found = network(torch.as_tensor(lesson.commands, dtype=torch.float32))
     return np.asarray(found.numpy().reshape(lesson.points.shape), np.float64)
 
 
 def _off(lesson: Lesson, some: NDArray[np.int64], delta: Floats) -> float:
-    """Return the mean distance in mm from the vertices that were seen, on some frames."""
+    """Return the mean distance in mm to the visible vertices, on some frames."""
     distance = np.linalg.norm(lesson.vertices[some] - lesson.points[some] - delta[some], axis=2)
     seen = lesson.weight[some] > 0
     return float(distance[seen].mean())
@@ -173,7 +173,7 @@ def _ours(
     mean = flat[train].mean(axis=0)
     _, size, modes = np.linalg.svd(flat[train] - mean, full_matrices=False)
     modes = modes[: choices.RESIDUAL_MODES]
-    modes[:, np.all(flat == 0.0, axis=0)] = 0.0  # what a clamp holds, exactly
+    modes[:, np.all(flat == 0.0, axis=0)] = 0.0  # clamped vertices, exactly
     reach = float(size[0] / np.sqrt(len(train)))
     network = to_modes(lesson.commands[train], mean, reach * modes, choices.OUR_RESIDUAL_WIDTHS)
     u = torch.as_tensor(lesson.commands, dtype=torch.float32)

@@ -1,16 +1,16 @@
-"""What a network learns from: the shapes of a sweep.
+"""The training set of a network: the shapes of a sweep.
 
-From a Zarr store chunk by chunk, or from the edge's `.npz`.
+It is read from a Zarr store chunk by chunk, or from the edge's `.npz`.
 
     made = SimulatedSet.load("dense.zarr")
     split = made.split(seed=0)
     made.command[split.train], made.shapes(split.train)
 
 The rule of the split is frozen (`softmap.split/1`, whose name a store holds): row r gets
-splitmix64(r + 1 of the seed's stream) (Steele, Lea and Flood 2014), rows go by that number, the
-first 80 % train, the next 10 % validate, the rest test. It depends on no library's generator. Rows
-of a dense grid have near neighbours in every part: such a test measures interpolation, not memory
-or the real robot.
+splitmix64(r + 1 of the seed's stream) (Steele, Lea and Flood 2014), rows are sorted by that number;
+the first 80 % are for training, the next 10 % for validation, the rest for testing. It does not
+depend on a library's generator. Rows of a dense grid have near neighbours in every part, so the
+test measures interpolation, not memory or the real robot.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from softmap_training.store import SPLIT, Store, open_store
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-TRAIN, VALIDATION = 0.8, 0.1  # shares of the rows; what is left tests
+TRAIN, VALIDATION = 0.8, 0.1  # shares of the rows; the rest is for testing
 MOST_SEED = 1 << 32
 
 
@@ -48,9 +48,9 @@ class Split:
 class SimulatedSet:
     """Simulated shapes: command (S, C) mm or N, vertices (S, N, 3) mm, triangles (F, 3).
 
-    With the finger's file as text.
+    It also holds the finger's file as text.
 
-    `vertices` takes slices and reads only these from a store; `shapes` reads any rows, checked.
+    `vertices` takes slices and reads only these from a store; `shapes` reads and checks any rows.
     """
 
     command: Floats
@@ -63,7 +63,7 @@ class SimulatedSet:
     def load(cls, path: str | Path) -> SimulatedSet:
         """Open a store, or read the `.npz` of a sweep.
 
-        Raises SimulationError when it is damaged or unfinished.
+        Raises SimulationError if it is damaged or unfinished.
         """
         file = Path(path)
         if file.suffix == ".npz":
@@ -81,9 +81,9 @@ class SimulatedSet:
         )
 
     def shapes(self, rows: ArrayLike) -> NDArray[np.float32]:
-        """Return the vertices (n, N, 3) mm of rows (n,), each chunk that they lie in read once.
+        """Return the vertices (n, N, 3) mm of rows (n,), reading each chunk once.
 
-        Raises SimulationError for rows that are not there and for a damaged chunk.
+        Raises SimulationError for missing rows and for a damaged chunk.
         """
         chosen = np.asarray(rows)
         if (
@@ -107,7 +107,7 @@ class SimulatedSet:
     def split(self, seed: int = 0) -> Split:
         """Split the rows by the frozen rule: seed and count always give the same split.
 
-        Raises SimulationError for a seed that is none.
+        Raises SimulationError for an invalid seed.
         """
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < MOST_SEED:
             raise SimulationError(
@@ -124,7 +124,7 @@ class SimulatedSet:
 
 
 def _splitmix64(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a number (n,) for each place x of the stream, every bit of it shaken."""
+    """Return a well-mixed number (n,) for each position x of the stream."""
     z = x * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,4 +1,4 @@
-"""The Zarr 3 store of a dense sweep: made in one step, filled by chunk, checked on opening.
+"""The Zarr 3 store of a dense sweep: created atomically, filled by chunk, checked on opening.
 
     command (S, C)  as commanded, mm or N · vertices (S, N, 3) mm float32 · pull (S, T) N ·
                     triangles (F, 3) int32
@@ -6,11 +6,11 @@
                          the schema
 
 S runs over the grid in C order, the last command fastest; a chunk is `chunk` rows, in `vertices`
-and `pull` one file. A store is built next to its place and moved there, a chunk is done only once
-both of its files stand there, and each file replaces its old one in one step (zarr's LocalStore),
-so that a kill at any time leaves a store that goes on. Stores are untrusted: formats before 3,
-whose codecs may run code, types other than the above and codecs that only compress are all that is
-read. Pinned by tests/sweep/test_zarr_sweep.py.
+and `pull` one file. A store is built next to its final path and moved there. A chunk is done only
+once both of its files exist, and each file replaces its old one atomically (zarr's LocalStore). So
+a kill at any time leaves a resumable store. Stores are untrusted: formats before 3, whose codecs
+may run code, are rejected; only the types above and compressing codecs are read. Pinned by
+tests/sweep/test_zarr_sweep.py.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from softmap_edge.version import __version__
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.sweep.zarr/1"
-SPLIT = "softmap.split/1"  # how SimulatedSet.split shares out the rows
+SPLIT = "softmap.split/1"  # the rule of SimulatedSet.split
 ARRAYS = {
     "command": "float64",
     "vertices": "float32",
@@ -46,8 +46,8 @@ ARRAYS = {
     "done": "bool",
 }
 CODECS = {"BytesCodec", "ZstdCodec"}
-MOST_TEXT = 16 << 20  # bytes of a zarr.json
-MOST_NUMBERS = 1 << 27  # of what is read at once: a chunk, or an array that is no `vertices`
+MOST_TEXT = 16 << 20  # limit of a zarr.json, bytes
+MOST_NUMBERS = 1 << 27  # limit of a read: a chunk, or an array other than `vertices`
 MOST_ROWS = 10_000_000
 REMEDY = "make it again with `softmap model sweep`"
 
@@ -56,7 +56,7 @@ REMEDY = "make it again with `softmap model sweep`"
 class Store:
     """An open store: attributes, small arrays in memory, `vertices` and `pull` on demand.
 
-    The attributes are as read.
+    Attributes are kept as read.
 
     path · attributes · axes: one (n,) for each command · command (S, C) · triangles (F, 3) · done
     (chunks,) · vertices (S, N, 3), pull (S, T), marks (chunks,), where `done` is kept: zarr arrays.
@@ -82,11 +82,11 @@ class Store:
         return slice(chunk * self.chunk, min((chunk + 1) * self.chunk, len(self.command)))
 
     def write(self, chunk: int, vertices: Floats, pull: Floats) -> None:
-        """Write a chunk: vertices (n, N, 3) mm and pull (n, T) N; it is done with both.
+        """Write a chunk: vertices (n, N, 3) mm and pull (n, T) N of its rows.
 
-        They are those of its rows.
+        The chunk is done once both are written.
 
-        Raises SimulationError for arrays that are not these: a worker of another version made them.
+        Raises SimulationError for other arrays, as from a worker of another version.
         """
         rows = self.rows(chunk)
         count = rows.stop - rows.start
@@ -108,11 +108,11 @@ class Store:
     def read(self, chunk: int) -> NDArray[np.float32]:
         """Return the vertices (n, N, 3) mm of a chunk.
 
-        Raises SimulationError for what is damaged or not there.
+        Raises SimulationError if they are damaged or missing.
         """
         try:
             found = np.asarray(self.vertices[self.rows(chunk)])
-        except Exception as fault:  # codecs raise what they like
+        except Exception as fault:  # codecs may raise any error
             raise SimulationError(
                 f"{self.path}: chunk {chunk} is damaged ({brief(fault)}); {REMEDY}"
             ) from None
@@ -124,7 +124,7 @@ class Store:
         return found
 
     def check_same(self, required: dict[str, Any]) -> None:
-        """Raise SimulationError if the store is not of what `attributes_of` requires."""
+        """Raise SimulationError if the attributes differ from those of `attributes_of`."""
         for name in ("finger", "mesh_sha256", "gravity", "tip_force", "axes", "chunk"):
             there, here = self.attributes[name], required[name]
             if there != here:
@@ -135,9 +135,9 @@ class Store:
 
 
 def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[str, Any]:
-    """Return the description in a store of a sweep of `finger` over `axes`.
+    """Return the attributes for a sweep of `finger` over `axes`.
 
-    It is under its own gravity, in chunks of `chunk` rows.
+    The sweep is under its own gravity, in chunks of `chunk` rows.
     """
     return {
         "schema": SCHEMA,
@@ -154,7 +154,7 @@ def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[st
 
 
 def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendons: int) -> None:
-    """Make an empty store at `path`, completely or not at all."""
+    """Make an empty store at `path` atomically."""
     command = tensor_grid([np.array(axis) for axis in attributes["axes"]])
     size, chunk = len(command), attributes["chunk"]
     points = len(template.vertices)
@@ -194,7 +194,7 @@ def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendo
 def open_store(path: Path, mode: str = "r") -> Store:
     """Open a store, `mode` "r" or "r+".
 
-    Raises SimulationError with one line when it is none, damaged or too large.
+    Raises SimulationError with one line if it is not a store, damaged or too large.
     """
     if not (path / "zarr.json").is_file():
         raise SimulationError(
@@ -204,7 +204,7 @@ def open_store(path: Path, mode: str = "r") -> Store:
         return _opened(path, mode)
     except SoftmapError as error:
         raise SimulationError(f"{path}: {error}; {REMEDY}") from None
-    except Exception as fault:  # zarr, its codecs and json raise what they like
+    except Exception as fault:  # zarr, its codecs and json may raise any error
         raise SimulationError(
             f"{path}: a damaged store ({brief(fault) or type(fault).__name__}); {REMEDY}"
         ) from None
@@ -311,7 +311,7 @@ def _check_sizes(arrays: dict[str, Any], lengths: list[int], chunk: int, tendons
 
 
 def _mesh(finger: Finger) -> str:
-    """Return the SHA-256 of a finger's mesh file, nothing where it has none."""
+    """Return the SHA-256 of a finger's mesh file, or nothing without one."""
     return (
         hashlib.sha256(Path(finger.solid.file).read_bytes()).hexdigest()
         if isinstance(finger.solid, Meshed)

@@ -1,15 +1,15 @@
-"""Dense sweeps into a Zarr store, on the local cores or on a Dask cluster.
+"""Compute dense sweeps into a Zarr store, on the local cores or on a Dask cluster.
 
-An interrupted sweep goes on where it was.
+An interrupted sweep can be resumed.
 
     sweep_to_zarr(Finger.builtin(), "dense.zarr", grid_axes(Finger.builtin(), 101))
 
-A chunk is a run of grid rows. It is solved by itself, from the home pose along a short way through
-its commands (`tour`, `Simulator.path`), so that its numbers do not depend on which others were
-solved, nor where: within the solver's tolerance those of `Simulator.sweep`. One process writes;
-workers of a cluster only solve, and need softmap-training installed and, for an imported mesh, its
-file at the same path. A chunk whose worker is lost goes to another one (Dask gives up after a chunk
-has lost four). Units: mm, N, g.
+A chunk is a sequence of grid rows. It is solved independently, from the home pose along a short
+path through its commands (`tour`, `Simulator.path`). So its values do not depend on other chunks or
+on the machine; they equal those of `Simulator.sweep` within the solver's tolerance. One process
+writes; workers of a cluster only solve. They need softmap-training and, for an imported mesh, its
+file at the same path. If a worker is lost, its chunk goes to another one (Dask gives up after four
+losses). Units: mm, N, g.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 Solved = tuple[int, Floats, Floats]
 
-# rows: four threads of `Simulator.path`, some seconds of a finger, 1.7 MB of 548 vertices
+# rows: four threads of `Simulator.path`, a few seconds per finger, 1.7 MB for 548 vertices
 CHUNK = 256
-WAIT = 30  # s for a cluster to answer, and for its first worker
-# chunks given to a cluster for each of its threads: its memory holds no more results than that
+WAIT = 30  # timeouts for a cluster's reply, and for its first worker, s
+# chunks per thread of a cluster: limits the results in memory
 AHEAD = 2
 ADDRESS = re.compile(r"[a-z]+://[^\s/]+:\d{1,5}")
 AGAIN = "the same command goes on where it stopped"
@@ -53,13 +53,13 @@ def sweep_to_zarr(
     dask: str | None = None,
     progress: Progress | None = None,
 ) -> tuple[Store, int]:
-    """Simulate every command of a grid into a Zarr store, or go on with one.
+    """Simulate every command of a grid into a Zarr store, or resume one.
 
-    axes: one ascending array of mm (or N) for each command · path: the folder to write or to go on
-    with · chunk: rows that are solved and written together, by default those of the store that is
-    there, else 256 · dask: the address of a cluster's scheduler, the local cores without it ·
-    progress: called with the share done, 0 to 1. Returns the store and how many commands were
-    solved now. Raises SimulationError for a store of something else or a cluster that fails,
+    axes: one ascending array of mm (or N) for each command · path: the folder to write or to resume
+    · chunk: rows that are solved and written together, by default those of the existing store, else
+    256 · dask: the address of a cluster's scheduler, the local cores without it · progress: called
+    with the completed share, 0 to 1. Returns the store and the number of commands solved by this
+    call. Raises SimulationError for a store of another sweep or a failing cluster,
     NoEquilibriumError, FingerError.
     """
     if dask is not None and not ADDRESS.fullmatch(dask):
@@ -101,7 +101,7 @@ def solve(
 ) -> tuple[Floats, Floats]:
     """Return vertices (n, N, 3) mm and pull (n, T) N at commands (n, C).
 
-    They are solved from home along a short way.
+    They are solved from home along a short path.
     """
     order = tour(command)
     along = simulator.path_and_pull(command[order], progress=progress)
@@ -147,12 +147,12 @@ def _on_cluster(address: str, finger: Finger, store: Store, left: list[int]) -> 
                     running.add(submit())
     except SoftmapError:
         raise
-    except Exception as fault:  # a cluster fails in a dozen ways
+    except Exception as fault:  # a cluster may fail in many ways
         raise SimulationError(f"--dask {address}: {_of_the_cluster(fault)}; {AGAIN}") from None
 
 
 def _solve_there(text: str, command: Floats) -> tuple[Floats, Floats]:
-    """On a worker: solve the commands of a chunk."""
+    """Solve the commands of a chunk on a worker."""
     with _building:  # the threads of a worker share one simulator
         simulator = _simulator(text)
     return solve(simulator, command)

@@ -1,6 +1,6 @@
-"""The command `train`: a prior from simulated shapes, a residual from a recording.
+"""The command `train`: train a prior on simulated shapes, or a residual on a recording.
 
-Both end in a bundle.
+Both write a bundle.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
-FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # at once, without epochs
-WORK = ".training"  # what the folder of checkpoints and logs ends in, next to the bundle
+FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # fitted without epochs
+WORK = ".training"  # suffix of the folder of checkpoints and logs, next to the bundle
 
 
 @dataclass(frozen=True)
 class _TrainOptions:
-    """Options that both actions of `softmap train` have."""
+    """Options of both actions of `softmap train`."""
 
     bundle: str | None
     effects: list[str]
@@ -115,7 +115,7 @@ def _shared_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _train_prior(args: PriorOptions) -> int:
-    """Train a prior and write the bundle that holds it."""
+    """Train a prior and write its bundle."""
     if args.model in FITTED:
         _check_fitted(args, args.model)
     if args.model == "deepsoro" and (args.device != "cpu" or args.tensorboard):
@@ -132,7 +132,7 @@ def _train_prior(args: PriorOptions) -> int:
 
 
 def _train_residual(args: ResidualOptions) -> int:
-    """Train a residual, write the bundle that holds it; 1 if it does not lower the error."""
+    """Train a residual and write its bundle; return 1 if it does not lower the error."""
     base = _opened(args)
     work = _work_of(args)
     resumed = _has_checkpoint(work)
@@ -156,7 +156,7 @@ ACTIONS: dict[str, Action] = {
 
 
 def _opened(args: _TrainOptions) -> Model:
-    """Check what is asked for and return the model that the network joins."""
+    """Check the options and return the model that the network is added to."""
     torch = checked_torch()
     if args.device == "cuda" and not torch.cuda.is_available():
         raise TrainingError(
@@ -172,7 +172,7 @@ def _opened(args: _TrainOptions) -> Model:
 
 
 def _check_fitted(args: _TrainOptions, model: str) -> None:
-    """Refuse what a model that is fitted at once does not use."""
+    """Reject options that a directly fitted model does not use."""
     given = {"--epochs": args.epochs, "--work": args.work, "--tensorboard": args.tensorboard}
     given |= {"--device": args.device if args.device != "cpu" else None}
     unused = [name for name, value in given.items() if value]
@@ -218,7 +218,7 @@ def _write(
 
 
 def checked_torch() -> Any:
-    """Return torch. Raises TrainingError when it or onnx is not installed."""
+    """Return torch. Raises TrainingError if it or onnx is not installed."""
     try:
         import onnx  # noqa: F401
         import torch

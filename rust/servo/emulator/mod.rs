@@ -1,10 +1,9 @@
-//! A bus of emulated servos: bytes in, bytes out at the time at which they would be on the wire,
-//! faults on command.
+//! A bus of emulated servos: bytes in, bytes out at their wire times, faults on command.
 //!
-//! It speaks the packets of `packet.rs` with real timing: ten bits a byte at the servos' baud rate,
-//! return delay, answers of several servos one after the other. Time comes from outside, so that
-//! tests run as fast as they can and the pseudo-terminal (`pty.rs`) in real time. What it is for:
-//! every fault of docs/reference/safety.md, without breaking a servo.
+//! It uses the packets of `packet.rs` with real timing: ten bits per byte at the servos' baud rate,
+//! return delay, answers of several servos in sequence. Time is an input, so tests run as fast as
+//! possible and the pseudo-terminal (`pty.rs`) in real time. It can produce every fault of
+//! docs/reference/safety.md without breaking a servo.
 
 mod motor;
 mod pace;
@@ -33,9 +32,9 @@ pub struct Faults {
     pub damage: f64,
     /// Up to eight random bytes come before an answer.
     pub junk: f64,
-    /// s by which the adapter hands each answer over later.
+    /// Additional delay of each answer in the adapter, s.
     pub slow: f64,
-    /// Nothing has power: no answer, and a reset when it comes back.
+    /// No power: no answer, and a reset when power returns.
     pub unpowered: bool,
 }
 
@@ -44,19 +43,19 @@ pub struct Faults {
 pub struct Emulator {
     pub servos: Vec<Servo>,
     faults: Faults,
-    /// A register whose next so many writes to several servos are lost on the way.
+    /// A register, and the number of its next sync writes that are lost.
     loses: (u16, usize),
     decoder: Decoder,
     /// The master's baud rate.
     baud: u32,
-    /// Answers and when they are complete, s.
+    /// Answers and their completion times, s.
     answers: VecDeque<(f64, Vec<u8>)>,
     free: f64,
     seed: u64,
 }
 
 impl Emulator {
-    /// Servos heard at `baud`; faults are drawn from `seed`.
+    /// Servos at `baud`; faults are drawn from `seed`.
     pub fn new(servos: Vec<Servo>, baud: u32, seed: u64) -> Emulator {
         Emulator {
             servos,
@@ -70,7 +69,7 @@ impl Emulator {
         }
     }
 
-    /// The master speaks at another rate from now on.
+    /// Set another baud rate of the master.
     pub fn set_baud(&mut self, baud: u32) {
         self.baud = baud;
     }
@@ -86,7 +85,7 @@ impl Emulator {
         self.faults = faults;
     }
 
-    /// Lose the next `count` writes to several servos at `address`: no servo hears them.
+    /// Lose the next `count` sync writes at `address`: no servo receives them.
     pub fn lose(&mut self, address: u16, count: usize) {
         self.loses = (address, count);
     }
@@ -98,7 +97,7 @@ impl Emulator {
         self.servos[other].set_id(first);
     }
 
-    /// Nothing is broken, and the servos have just started.
+    /// Clear all faults and restart the servos.
     pub fn mend(&mut self) {
         (self.faults, self.loses) = (Faults::default(), (0, 0));
         self.answers.clear();
@@ -133,7 +132,7 @@ impl Emulator {
         }
     }
 
-    /// When the next bytes are complete, s.
+    /// Completion time of the next bytes, s.
     pub fn due(&self) -> Option<f64> {
         self.answers.front().map(|(due, _)| *due)
     }
@@ -149,8 +148,8 @@ impl Emulator {
         }
     }
 
-    /// The stepping program slept for `time` s: messages of the master are still to be
-    /// read, and its silence does not count.
+    /// The stepping program slept for `time` s: messages of the master are still unread, and its
+    /// silence does not count.
     pub fn excuse(&mut self, time: f64) {
         self.servos.iter_mut().for_each(|servo| servo.excuse(time));
     }
@@ -221,7 +220,7 @@ impl Emulator {
         }
     }
 
-    /// Let each servo that obeys `id` act, without an answer.
+    /// Apply a request to each servo that obeys `id`, without an answer.
     fn each(
         &mut self,
         id: u8,
@@ -237,8 +236,8 @@ impl Emulator {
         }
     }
 
-    /// Let each servo that obeys `id` act, and those with this id answer. Answers of two servos
-    /// with one id overlap, unless one begins after the other has ended.
+    /// Apply a request to each servo that obeys `id`; those with this id answer. Answers of two
+    /// servos with one id overlap, unless one begins after the end of the other.
     fn answer(
         &mut self,
         id: u8,
@@ -253,7 +252,7 @@ impl Emulator {
             .filter(|servo| servo.obeys(id) && hears(servo))
         {
             let delay = servo.return_delay();
-            // Asked before: a reset changes what it answers.
+            // Read before: a reset changes the answer.
             let answers = servo.id() == id && servo.answers(asked);
             let done = act(servo);
             if !answers {
@@ -301,8 +300,7 @@ impl Emulator {
         }
     }
 
-    /// One packet of all; from a servo on that is silent, or too old to know the question, nothing
-    /// follows.
+    /// One packet of all servos; it ends at a silent servo, or one with too old firmware.
     fn answer_fast(&mut self, ids: &[u8], address: u16, size: u16, hears: impl Fn(&Servo) -> bool) {
         let length = ids.len() * (usize::from(size) + 4) + 1;
         let mut bytes = HEADER.to_vec();
@@ -374,7 +372,7 @@ fn laid_over(first: &[u8], second: &[u8], late: usize) -> Vec<u8> {
     (0..length).map(both).collect()
 }
 
-/// The reaction of one servo to a packet of its own.
+/// The reaction of one servo to its packet.
 fn single(servo: &mut Servo, asked: u8, parameters: &[u8]) -> Result<Vec<u8>, u8> {
     let word = |at: usize| {
         parameters

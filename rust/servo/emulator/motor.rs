@@ -1,28 +1,28 @@
 //! The motor of an emulated servo: a horn that follows its goal and pulls a tendon.
 //!
-//! The horn follows with the time constant `lag` up to its fastest speed, and as far as its current
-//! carries the tendon's load (mA over ticks, a table). Without torque the load turns the horn back
-//! until it is no more than friction. Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
+//! The horn follows with the time constant `lag` up to its maximum speed, as far as its current
+//! carries the tendon's load (mA over ticks, a table). Without torque, the load turns the horn back
+//! until it equals friction. Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
 
 use crate::registers::{FULL_PWM, Model, VELOCITY_STEP};
 
 /// s between two steps of the motor.
 pub const STEP: f64 = 0.001;
-/// mA that do not turn the horn.
+/// Friction of the horn, mA.
 const FRICTION: f64 = 15.0;
-/// °C of the room; °C/s by 1 A; s of cooling down.
+/// Room temperature, °C; heating by 1 A, °C/s; cooling time constant, s.
 const ROOM: f64 = 25.0;
 const HEATING: f64 = 0.5;
 const COOLING: f64 = 120.0;
 
-/// How a servo moves.
+/// The motion parameters of a servo.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// s until a goal arrives, and of the first-order lag behind it.
+    /// Delay of a goal, and time constant of the first-order lag, s.
     pub delay: f64,
     pub lag: f64,
-    /// mA that the tendon asks for at horn angles in ticks, ascending; ends go on flat. Positive
-    /// pulls the angle down.
+    /// Tendon load in mA at horn angles in ticks, ascending, constant beyond the ends. Positive
+    /// decreases the angle.
     pub load: Vec<(f64, f64)>,
 }
 
@@ -33,18 +33,18 @@ pub struct Broken {
     pub mute: bool,
     /// Its encoder repeats the last reading.
     pub stuck: bool,
-    /// Its tendon pulls no more.
+    /// Its tendon is torn.
     pub torn: bool,
-    /// Its tendon is wound the other way round.
+    /// Its tendon is wound in the wrong direction.
     pub reversed: bool,
     /// Something blocks its horn.
     pub jammed: bool,
-    /// It draws what its load asks for, whatever its cap.
+    /// It ignores its current cap.
     pub uncapped: bool,
 }
 
 impl Broken {
-    /// How its horn pulls the finger: 1 as it should, −1 the wrong way, 0 not at all.
+    /// Effect of its horn on the finger: 1 correct, −1 reversed, 0 none.
     pub fn pull(&self) -> f64 {
         match (self.torn, self.reversed) {
             (true, _) => 0.0,
@@ -54,7 +54,7 @@ impl Broken {
     }
 }
 
-/// mA that a servo may draw now, the largest that it can, and ticks/s that it may turn at.
+/// Allowed current now and largest current, mA, and allowed speed, ticks/s.
 pub(super) struct Caps {
     pub now: f64,
     pub largest: f64,
@@ -63,7 +63,7 @@ pub(super) struct Caps {
 
 impl Caps {
     /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0:
-    /// none) hold `goal`, `pwm` and `profile`. PWM slows it down as well.
+    /// none) hold `goal`, `pwm` and `profile`. PWM also limits the speed.
     pub fn of(model: &Model, goal: i32, pwm: i32, profile: i32) -> Caps {
         let share = f64::from(pwm) / f64::from(FULL_PWM);
         let (now, largest) = if model.has_current() {
@@ -90,13 +90,13 @@ impl Caps {
 #[derive(Debug, Clone)]
 pub(super) struct Motor {
     pub motion: Motion,
-    /// How many times heavier its load is.
+    /// Factor of its load.
     pub burden: f64,
-    /// Ticks at which it was mounted.
+    /// Angle as mounted, ticks.
     mounted: f64,
     /// Ticks since it was mounted, never lost.
     pub angle: f64,
-    /// As the encoder has it.
+    /// Encoder reading.
     pub measured: f64,
     /// ticks/s
     pub speed: f64,
@@ -117,14 +117,14 @@ impl Motor {
         }
     }
 
-    /// As it was mounted.
+    /// Restore the state as mounted.
     pub fn mend(&mut self) {
         (self.burden, self.temperature, self.speed) = (1.0, ROOM, 0.0);
         (self.angle, self.measured) = (self.mounted, self.mounted);
     }
 
-    /// Let `STEP` pass on the way to `goal` (ticks since it was mounted; none without torque): mA
-    /// that are drawn.
+    /// Advance by `STEP` towards `goal` (ticks since mounting; None without torque); return the
+    /// current, mA.
     pub fn step(&mut self, goal: Option<f64>, torque: bool, caps: &Caps, broken: &Broken) -> f64 {
         let (load, fastest) = (self.load(self.angle, broken), caps.fastest);
         let before = self.angle;
@@ -165,13 +165,13 @@ impl Motor {
         current
     }
 
-    /// mA that the tendon asks for.
+    /// Tendon load, mA.
     fn load(&self, angle: f64, broken: &Broken) -> f64 {
         let pull = broken.pull();
         self.burden * pull * self.tendon(self.mounted + pull * (angle - self.mounted))
     }
 
-    /// mA that a tendon as it was mounted asks for.
+    /// Load of the tendon as mounted, mA.
     fn tendon(&self, angle: f64) -> f64 {
         let table = &self.motion.load;
         let at = table.partition_point(|(tick, _)| *tick <= angle);

@@ -1,13 +1,13 @@
-//! How simulated time goes on (`simulated.rs`): with real time, or as far as it is granted.
+//! The pace of simulated time (`simulated.rs`): real time, or as far as granted.
 
 use std::time::{Duration, Instant};
 
 /// The longest sleep of a thread: the interval of the checks for a closed connection.
 pub const NAP: Duration = Duration::from_millis(50);
-/// Lateness that is made up for; what is beyond is left out.
+/// Lateness that is caught up; the rest is skipped.
 const LATE: Duration = Duration::from_millis(20);
 
-/// How simulated time goes on.
+/// The pace of simulated time.
 pub enum Pace {
     /// With real time: `at` ns were at `since`.
     Paced { since: Instant, at: u64 },
@@ -16,23 +16,23 @@ pub enum Pace {
 }
 
 pub struct Clock {
-    /// ns that have passed, and that are added where they are reported.
+    /// Elapsed time, and offset of the reported time, ns.
     pub now: u64,
     pub base: u64,
     pub pace: Pace,
-    /// Until when the driving program counts as alive, if it matters; since when it does not.
+    /// Deadline of the driving program, if any; time since it is missed.
     pub there: Option<Instant>,
     pub stands: Option<Instant>,
     /// How long the computer was too busy.
     pub lost: Duration,
-    /// A master has the port; it has begun its periods; it waits for this time.
+    /// Whether a master has the port, has begun its periods, and the time that it waits for.
     pub joined: bool,
     pub begun: bool,
     pub asked: Option<u64>,
 }
 
 impl Clock {
-    /// Paced time that begins now; it shows `base` ns and what has passed.
+    /// Paced time from now on; it shows `base` plus the elapsed time, ns.
     pub fn new(base: u64) -> Clock {
         Clock {
             now: 0,
@@ -50,7 +50,7 @@ impl Clock {
         }
     }
 
-    /// How long to wait before time may go on to `until`; none where it may now.
+    /// Wait before time may advance to `until`; None if it may now.
     pub fn left(&mut self, until: u64, now: Instant) -> Option<Duration> {
         let (since, at) = match &mut self.pace {
             Pace::Stepped(granted) => return (until > *granted).then_some(NAP),

@@ -1,8 +1,8 @@
-//! The emulated bus at a pseudo-terminal, in real time, by a thread of its own: any master opens it
-//! like a serial port.
+//! The emulated bus at a pseudo-terminal, in real time, in its own thread: any master opens it like
+//! a serial port.
 //!
-//! The master's baud rate is that of the terminal's settings, so that a wrong one is met by
-//! silence, as on a real bus.
+//! The master's baud rate is that of the terminal's settings, so a wrong one gets no answer, as on
+//! a real bus.
 
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,10 +21,9 @@ use crate::urgent::urgent;
 
 /// Below that of a control loop.
 const PRIORITY: i32 = 40;
-/// ns for which the thread sleeps at most: servos move while the bus is silent.
+/// Longest sleep of the thread, ns: servos move while the bus is silent.
 const NAP: i64 = 2_000_000;
-/// s after which a turn of the thread comes late: the computer had no time for it, or somebody held
-/// the emulator.
+/// Lateness of the thread, s, from which the computer was too busy or the emulator was locked.
 const LATE: f64 = 0.01;
 
 /// An emulator that runs at a pseudo-terminal until it is dropped.
@@ -42,7 +41,7 @@ impl Terminal {
         grantpt(&master)?;
         unlockpt(&master)?;
         let path = ptsname(&master, vec![])?.to_string_lossy().into_owned();
-        // Kept open, so that the terminal lives on between two masters.
+        // Kept open, so the terminal persists between two masters.
         let slave = open(
             path.as_str(),
             OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC,
@@ -69,12 +68,12 @@ impl Terminal {
         &self.path
     }
 
-    /// The emulator, which stands still meanwhile.
+    /// The emulator, stopped during access.
     pub fn emulator(&self) -> MutexGuard<'_, Emulator> {
         self.emulator.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Pull the plug: a program that has the port open finds it gone.
+    /// Unplug: a program with the open port loses it.
     pub fn unplug(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -91,8 +90,8 @@ impl Drop for Terminal {
 }
 
 fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave: &OwnedFd) {
-    // Servos do not wait for the computer that drives them; where this is not granted, they answer
-    // late while it is busy.
+    // Servos do not depend on the load of the computer; without this priority, they answer late
+    // while it is busy.
     urgent(PRIORITY);
     let begin = Instant::now();
     let mut last = 0.0;
@@ -122,9 +121,9 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
             tv_nsec: due.unwrap_or(NAP).min(NAP),
         };
         if !matches!(poll(&mut ready, Some(&nap)), Ok(count) if count > 0) {
-            // A port forgets at its last close who had it alone; this one is kept open, and would
-            // keep out the next program after a master that was killed. If refused, no user but
-            // root could open it again.
+            // A port drops its exclusive lock at the last close. This one is kept open, and would
+            // block the next program after a killed master. If this fails, only root could open it
+            // again.
             let _ = ioctl_tiocnxcl(slave);
             continue;
         }

@@ -1,8 +1,8 @@
-//! One emulated servo: its registers as a master sees them; what they drive is `motor.rs`.
+//! One emulated servo: its registers for the master; `motor.rs` has the motor.
 //!
-//! The goal arrives `delay` later. What a reset does: RAM as delivered, torque off, turns lost (the
-//! position is that within one turn). A servo that draws its largest current for long protects
-//! itself: overload error, torque off.
+//! The goal arrives `delay` later. A reset restores the factory RAM, switches torque off, and loses
+//! turns (the position is within one turn). A servo that draws its largest current for too long
+//! protects itself: overload error, torque off.
 
 use std::collections::VecDeque;
 
@@ -12,16 +12,15 @@ use super::table::{Table, refusal};
 use crate::packet::{HIGHEST_ID, instruction};
 use crate::registers::{ALERT, FULL_PWM, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
 
-/// s that a reset takes.
+/// Duration of a reset, s.
 pub const RESET: f64 = 0.3;
-/// The share of its largest current, and the s for which it draws it, that a servo takes for an
-/// overload, and its bit.
+/// Overload: share of the largest current, duration in s, and error bit.
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
 /// Its factory position gain P, that of an XL330; the emulator does not use it.
 const GAIN: i32 = 400;
-/// Bits of its drive mode: reversed directions, and torque that a goal switches on.
+/// Bits of its drive mode: reversed direction, and torque on by a goal.
 const REVERSED: i32 = 1;
 const ON_BY_GOAL: i32 = 8;
 
@@ -31,14 +30,14 @@ pub struct Servo {
     pub broken: Broken,
     table: Table,
     motor: Motor,
-    /// s for which it has drawn its largest current.
+    /// Time at its largest current, s.
     strained: f64,
-    /// Its id as it was mounted.
+    /// Its id as mounted.
     mounted: u8,
-    /// Ticks that the encoder's count leaves out.
+    /// Ticks missing from the encoder's count.
     base: f64,
     volts: f64,
-    /// Goals under way, and the one that has arrived.
+    /// Goals in transit, and the current one.
     goals: VecDeque<(f64, i32)>,
     arrived: i32,
     time: f64,
@@ -48,7 +47,7 @@ pub struct Servo {
 }
 
 impl Servo {
-    /// A servo as delivered, but for `id` and baud rate code, its horn at `angle` ticks.
+    /// A factory-default servo with `id` and baud rate code, its horn at `angle` ticks.
     pub fn new(model: &'static Model, id: u8, baud: u8, angle: f64, motion: Motion) -> Servo {
         let mut servo = Servo {
             model,
@@ -128,13 +127,13 @@ impl Servo {
         self.table.get(self.model.layout().baud_rate) as usize
     }
 
-    /// s after which it answers, as it was set.
+    /// Its return delay, s.
     pub fn return_delay(&self) -> f64 {
         2e-6 * f64::from(self.table.get(self.model.layout().return_delay))
     }
 
-    /// Whether it answers what it did: its status return level keeps it silent about writes (1), or
-    /// about all but pings (0).
+    /// Whether it answers: its status return level suppresses answers to writes (1), or to all but
+    /// pings (0).
     pub fn answers(&self, asked: u8) -> bool {
         match self.table.get(self.model.layout().status_return) {
             0 => asked == instruction::PING,
@@ -150,7 +149,7 @@ impl Servo {
         }
     }
 
-    /// Whether it is up and heard.
+    /// Whether it is running and reachable.
     pub fn awake(&self) -> bool {
         self.time >= self.asleep && !self.broken.mute
     }
@@ -163,12 +162,12 @@ impl Servo {
         self.table.get(self.model.layout().bus_watchdog) as u8 == 255
     }
 
-    /// Ticks that the horn has really turned.
+    /// True rotation of the horn, ticks.
     pub fn angle(&self) -> f64 {
         self.motor.angle
     }
 
-    /// °C, and V, as somebody sets them.
+    /// Set temperature, °C, and supply, V.
     pub fn heat(&mut self, temperature: f64) {
         self.motor.temperature = temperature;
     }
@@ -177,17 +176,17 @@ impl Servo {
         self.volts = volts;
     }
 
-    /// Make its load so many times as heavy.
+    /// Multiply its load.
     pub fn burden(&mut self, factor: f64) {
         self.motor.burden = factor;
     }
 
-    /// Count a turn too few from now on, as an encoder that missed one; nothing else is forgotten.
+    /// Count one turn too few from now on, like an encoder that missed one.
     pub fn lose_turn(&mut self) {
         self.base += f64::from(TICKS_PER_TURN);
     }
 
-    /// As it was mounted: nothing is broken, and it has just started.
+    /// Restore the mounted state without faults, just started.
     pub fn mend(&mut self) {
         self.broken = Broken::default();
         self.volts = usual(self.model);
@@ -220,7 +219,7 @@ impl Servo {
         }
     }
 
-    /// Start again after power was lost or a reset was asked for.
+    /// Restart after a loss of power or a reset.
     pub fn boot(&mut self) {
         let layout = self.model.layout();
         self.table.forget(layout.torque_enable.address);
@@ -234,7 +233,7 @@ impl Servo {
         self.stay();
     }
 
-    /// Gains, profile and goal PWM as they are in an operating mode that was just chosen.
+    /// Set gains, profile and goal PWM of a newly chosen operating mode.
     fn begin_mode(&mut self) {
         let layout = self.model.layout();
         for (register, value) in [
@@ -257,7 +256,7 @@ impl Servo {
         self.asleep = self.time;
     }
 
-    /// Its goal is where it stands.
+    /// Set its goal to its position.
     fn stay(&mut self) {
         self.goals.clear();
         self.arrived = self.position();
@@ -265,12 +264,12 @@ impl Servo {
             .set(self.model.layout().goal_position, self.arrived);
     }
 
-    /// Its watchdog hears that somebody speaks on the bus.
+    /// Reset its watchdog: there is traffic on the bus.
     pub fn feed(&mut self) {
         self.fed = self.time;
     }
 
-    /// Its watchdog does not count the next `time` s.
+    /// Exclude the next `time` s from its watchdog.
     pub fn excuse(&mut self, time: f64) {
         self.fed += time;
     }
@@ -311,7 +310,7 @@ impl Servo {
         Ok(())
     }
 
-    /// Clear the turns; only while it stands.
+    /// Clear the turns; only at standstill.
     pub fn clear(&mut self) -> Result<(), u8> {
         if self.motor.speed.abs() > 1.0 {
             return Err(refusal::ACCESS);
@@ -322,7 +321,7 @@ impl Servo {
         Ok(())
     }
 
-    /// Let time go on to `until` s.
+    /// Advance time to `until` s.
     pub fn run(&mut self, until: f64) {
         while self.time + STEP <= until {
             self.time += STEP;
@@ -385,8 +384,8 @@ impl Servo {
         if self.strained > PATIENCE {
             self.fail(OVERLOAD);
         }
-        // One that measures no current reports its load in its place, in thousandths of what it
-        // stalls at.
+        // A servo without current measurement reports its load instead, in thousandths of the stall
+        // load.
         let unit = if self.model.has_current() {
             self.model.current_unit
         } else {
@@ -401,7 +400,7 @@ impl Servo {
     }
 }
 
-/// Volts in the middle of those that it runs at.
+/// The middle of its supply range, V.
 fn usual(model: &Model) -> f64 {
     0.5 * (model.voltage.0 + model.voltage.1)
 }

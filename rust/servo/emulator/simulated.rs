@@ -1,9 +1,9 @@
 //! The emulated bus in simulated time, at a local socket: the other end of `lockstep.rs`.
 //!
-//! Time passes in steps that the master takes: it stands while an answer is computed or read, so
-//! that load changes no result. Beyond that it keeps to one of two paces. `Paced` follows real time
-//! and never catches up: delays of the computer are left out and counted. `Stepped` advances as far
-//! as it is granted, as fast as it can.
+//! Time passes in steps of the master: it stops while an answer is computed or read, so load does
+//! not change results. It has one of two paces. `Paced` follows real time and never catches up:
+//! delays of the computer are skipped and counted. `Stepped` advances as far as granted, as fast as
+//! possible.
 
 use std::fs::{DirBuilder, remove_dir_all};
 use std::io::{Read, Result, Write};
@@ -22,7 +22,7 @@ use super::pace::{Clock, NAP, Pace};
 use crate::lockstep::{ANSWERED, ASKED, BUSY, BYE, HEAR, HELLO, RECEIVE, WAIT, passing};
 use crate::packet::LONGEST;
 
-/// Bytes of a folder in which sockets may be: a path of theirs has 100.
+/// Longest folder name for sockets, bytes: their path is limited to 100.
 const LONGEST_FOLDER: usize = 60;
 
 struct Shared {
@@ -51,7 +51,7 @@ impl Shared {
     }
 }
 
-/// Simulated servos that are served until this is dropped.
+/// Simulated servos, served until dropped.
 pub struct Simulated {
     shared: Arc<Shared>,
     folder: PathBuf,
@@ -60,7 +60,7 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Serve `emulator` at a socket of this user; its clock shows `base` ns and what has passed.
+    /// Serve `emulator` at a socket of this user; its clock shows `base` plus the elapsed time, ns.
     pub fn open(emulator: Emulator, base: u64) -> Result<Simulated> {
         let folder = folder()?;
         let socket = folder.join("servos");
@@ -90,14 +90,14 @@ impl Simulated {
         self.shared.emulator()
     }
 
-    /// ns, as its masters see it.
+    /// Time as seen by its masters, ns.
     pub fn now(&self) -> u64 {
         let clock = self.shared.clock();
         clock.base + clock.now
     }
 
-    /// Let time stand at `at` ns, counted from 0 from now on, until more is granted; servos that
-    /// are there move up to it.
+    /// Stop time at `at` ns, counted from 0 from now on, until more is granted; servos move up to
+    /// it.
     pub fn hold(&self, at: u64) {
         let mut clock = self.shared.clock();
         clock.now = clock.now.max(at);
@@ -106,7 +106,7 @@ impl Simulated {
         self.shared.turned.notify_all();
     }
 
-    /// Grant time up to `until` ns and wait, `most` at most, until the master has used it up;
+    /// Grant time up to `until` ns and wait, at most `most`, until the master has used it; return
     /// whether it has.
     pub fn advance(&self, until: u64, most: Duration) -> bool {
         let begun = Instant::now();
@@ -131,7 +131,7 @@ impl Simulated {
         true
     }
 
-    /// For stepped time: let it run freely, or stop it. Returns the time.
+    /// For stepped time: let it run, or stop it; return the time.
     pub fn free(&self, free: bool) -> u64 {
         let mut clock = self.shared.clock();
         let now = clock.now;
@@ -142,8 +142,8 @@ impl Simulated {
         clock.base + now
     }
 
-    /// For paced time: the driving program is alive for `window` more, or need not be. Returns how
-    /// long the computer was too busy.
+    /// For paced time: extend the deadline of the driving program by `window`, or remove it; return
+    /// how long the computer was too busy.
     pub fn there(&self, window: Option<Duration>) -> Duration {
         let mut clock = self.shared.clock();
         clock.there = window.map(|window| Instant::now() + window);
@@ -151,19 +151,19 @@ impl Simulated {
         clock.lost
     }
 
-    /// Whether a master waits for time to go on.
+    /// Whether a master waits for time.
     pub fn waiting(&self) -> bool {
         self.shared.clock().asked.is_some()
     }
 
-    /// Pull the plug: a program that has the port open finds it gone.
+    /// Unplug: a program with the open port loses it.
     pub fn unplug(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.turned.notify_all();
         if let Some(thread) = self.thread.take() {
             // A panic of the thread has been printed; the socket is closed either way.
             let _ = thread.join();
-            // A file left in a temporary folder is harmless.
+            // A leftover file in a temporary folder is harmless.
             let _ = remove_dir_all(&self.folder);
         }
     }
@@ -175,8 +175,7 @@ impl Drop for Simulated {
     }
 }
 
-/// A new folder that only this user can enter. The path of a socket has little room: a long one is
-/// not taken.
+/// A new private folder of this user. Socket paths are short: a long folder is not used.
 fn folder() -> Result<PathBuf> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let mut usual = std::env::temp_dir();
@@ -204,7 +203,7 @@ fn accept(shared: &Arc<Shared>, listener: &UnixListener) {
             let shared = shared.clone();
             serving.retain(|one: &JoinHandle<()>| !one.is_finished());
             serving.push(spawn(move || {
-                // A master that is gone needs no answer.
+                // A lost master needs no answer.
                 let _ = serve(&shared, stream);
             }));
         }
@@ -293,7 +292,7 @@ fn serve(shared: &Shared, mut stream: UnixStream) -> Result<()> {
     }
 }
 
-/// Read all of `into`, however long it takes to come.
+/// Fill `into`, waiting as long as needed.
 fn fill(shared: &Shared, stream: &mut UnixStream, mut into: &mut [u8]) -> Result<()> {
     while !into.is_empty() {
         match stream.read(into) {
@@ -328,7 +327,7 @@ fn hear(shared: &Shared, spoken: &mut Vec<u8>, bytes: &[u8], forget: bool) {
     emulator.hear(bytes, now);
 }
 
-/// The next bytes that are complete by `until`; time goes on until they are.
+/// The next bytes that are complete by `until`; advances time until they are.
 fn receive(shared: &Shared, until: u64) -> Vec<u8> {
     let mut clock = shared.clock();
     let mut emulator = shared.emulator();
@@ -338,7 +337,7 @@ fn receive(shared: &Shared, until: u64) -> Vec<u8> {
     emulator.speak(clock.now as f64 * 1e-9).unwrap_or_default()
 }
 
-/// Let time go on to `until`; false where the master is gone, or the plug was pulled.
+/// Advance time to `until`; false if the master is lost, or the port was unplugged.
 fn wait(shared: &Shared, stream: &UnixStream, until: u64) -> bool {
     let mut clock = shared.clock();
     let until = until.saturating_sub(clock.base);
@@ -346,7 +345,7 @@ fn wait(shared: &Shared, stream: &UnixStream, until: u64) -> bool {
     shared.turned.notify_all();
     while let Some(left) = clock.left(until, Instant::now()) {
         clock = shared.sleep(clock, left);
-        // A waiting master sends nothing: a successful read means that it has closed.
+        // A waiting master sends nothing: a successful read means that it closed the socket.
         if shared.stopped() || ready(stream, Duration::ZERO) {
             return false;
         }

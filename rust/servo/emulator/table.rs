@@ -1,8 +1,8 @@
-//! The registers of an emulated servo, and what it refuses to have written into them.
+//! The registers of an emulated servo, and its rules for writes.
 
 use crate::registers::{FARTHEST_GOAL, FULL_PWM, Model, Register, mode};
 
-/// Bytes of registers that are kept.
+/// Number of register bytes.
 const SIZE: usize = 256;
 
 /// Errors of a status.
@@ -24,7 +24,7 @@ impl Default for Table {
 }
 
 impl Table {
-    /// A register's value: two and four bytes with their sign, one without.
+    /// A register's value: signed for two and four bytes, unsigned for one.
     pub fn get(&self, register: Register) -> i32 {
         let at = usize::from(register.address);
         let bytes = &self.0[at..at + usize::from(register.size)];
@@ -54,7 +54,7 @@ impl Table {
             .ok_or(refusal::RANGE)
     }
 
-    /// Write what the servo allows; which registers were touched, or the error of its status.
+    /// Write allowed values; return the written registers, or the error of its status.
     pub fn write(
         &mut self,
         model: &Model,

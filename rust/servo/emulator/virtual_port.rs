@@ -1,16 +1,16 @@
-//! The emulator as a port whose time passes only when somebody waits, and servos at it, for the
-//! tests of bus and emulator.
+//! The emulator as a port whose time passes only during waits, with servos, for the tests of bus
+//! and emulator.
 
 use super::Emulator;
 use super::servo::{Motion, Servo};
 use crate::bus::{Answer, Bus, Heard, Port, PortFault, SLACK};
 use crate::registers::{X_SERIES, mode, model};
 
-/// The emulator as a port whose time passes only when somebody waits.
+/// The emulator as a port whose time passes only during waits.
 pub struct Virtual {
     pub emulator: Emulator,
     pub now: u64,
-    /// ns for which the computer stands still when it is about to ask next.
+    /// Stall of the computer before the next request, ns.
     pub stall: u64,
 }
 
@@ -94,7 +94,7 @@ pub fn position(bus: &mut Bus<Virtual>, id: u8) -> i32 {
     i32::from_le_bytes(data)
 }
 
-/// Ready to be driven, torque on.
+/// Ready to drive, torque on.
 pub fn engaged(ids: &[u8]) -> Bus<Virtual> {
     let mut bus = bus(ids);
     for id in ids {

@@ -1,16 +1,16 @@
-//! An examiner of the guard, written from docs/reference/safety.md and not from the guard: it sees
-//! what goes in and what comes out.
+//! An independent checker of the guard's inputs and outputs, written from docs/reference/safety.md
+//! and not from the guard.
 //!
-//! Times are counted in periods, which the guard never counts as fewer, so that the check here
-//! holds for any clock.
+//! Times are counted in periods, which the guard never underestimates, so the check holds for any
+//! clock.
 
 use super::examined::Known;
 use super::{Axis, Cause, Denied, Input, Limits, Output, Request, State};
 
-/// Round-off that is forgiven, in ticks.
+/// Tolerance for round-off, ticks.
 const ROUND: f64 = 1e-6;
 
-/// The outputs of a period; an examiner may also invent them.
+/// The outputs of a period; tests may also alter them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Said {
     pub output: Output,
@@ -27,13 +27,13 @@ pub struct Checker {
     /// Steps of the last period.
     steps: Vec<f64>,
     began: Vec<f64>,
-    /// Periods since the enable key was heard pressed, and since a sound target.
+    /// Periods since the enable key was received pressed, and since a valid target.
     deadman: Option<u64>,
     target: Option<u64>,
     inside: u64,
-    /// By the clock, when that began.
+    /// Start of that, by the clock.
     entered: f64,
-    /// Time by the clock, s, in periods, and the reading of the clock.
+    /// Time by the clock, s, and in periods, with the clock reading.
     time: (f64, u64),
     last: Option<u64>,
 }
@@ -62,7 +62,7 @@ impl Checker {
         periods as f64 * self.limits.period
     }
 
-    /// Take one period in; what is wrong with it.
+    /// Check one period; return its faults.
     pub fn judge(&mut self, input: &Input<'_>, said: &Said) -> Judged {
         let from = self
             .before
@@ -82,7 +82,7 @@ impl Checker {
         self.before = Some(said.clone());
         let to = said.output.state;
         if to == State::Off && from != State::Off {
-            // Nothing is known in OFF but what is heard from then on.
+            // In OFF, only data received from then on are known.
             self.servos.fill(Known::default());
         }
         let times = [
@@ -127,7 +127,7 @@ impl Checker {
         }
     }
 
-    /// Only along the edges of docs/reference/safety.md, and under their conditions.
+    /// Transitions follow the table of docs/reference/safety.md, under its conditions.
     fn edges(&self, from: State, input: &Input<'_>, said: &Said) -> Judged {
         use State::*;
         let (to, asked) = (said.output.state, input.request);
@@ -202,7 +202,7 @@ impl Checker {
         Ok(())
     }
 
-    /// What is wrong is answered in its time.
+    /// Faults are handled in time.
     fn reactions(&self, input: &Input<'_>, said: &Said) -> Judged {
         let (state, limits) = (said.output.state, &self.limits);
         if said.output.torque != state.active() {

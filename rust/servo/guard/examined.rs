@@ -1,4 +1,4 @@
-//! The examiner's data on one servo, and their age by the servo's own clock.
+//! The checker's data on one servo, and their age by the servo's own clock.
 
 use super::{Feedback, Limits};
 
@@ -6,8 +6,8 @@ use super::{Feedback, Limits};
 pub(super) struct Known {
     pub position: Option<i32>,
     clock: u16,
-    /// The time (s, by clock and by periods) when its clock was last not behind, the ms that it
-    /// went on since, and the time when it was last believed.
+    /// The time (s, by clock and by periods) when its clock was last not behind, its advance since
+    /// then in ms, and the time when it was last trusted.
     level: (f64, u64),
     ticked: f64,
     believed: (f64, u64),
@@ -21,8 +21,8 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Take in the answer of a servo, if any, in the period that ends at `time` (s by the clock,
-    /// and periods); `near` checks whether a position is where it was sent.
+    /// Process the answer of a servo, if any, in the period that ends at `time` (s by the clock,
+    /// and periods); `near` checks whether a position is at its goal.
     pub fn hear(
         &mut self,
         said: Option<Feedback>,
@@ -53,7 +53,7 @@ impl Known {
         if self.position.is_none() || since(self.believed) > 1.0 {
             (self.level, self.ticked) = (time, 0.0);
         } else {
-            // A clock counts ms up to 32 768; half of that is taken for going back.
+            // A clock counts ms up to 32 768; half of that or more counts as going back.
             let ticked = i32::from(clock) - i32::from(self.clock);
             let ticked = self.ticked + f64::from((ticked + 0x4000).rem_euclid(0x8000) - 0x4000);
             let behind = 995.0 * since(self.level) - ticked;

@@ -1,5 +1,4 @@
-//! Ten million periods of anything that can happen, checked by `checker.rs`; and guards that are
-//! broken on purpose.
+//! Ten million periods of random events, checked by `checker.rs`; and deliberately broken guards.
 
 use super::checker::{Checker, Said};
 use super::{Axis, Budget, Cause, Feedback, Guard, Health, Input, Limits, Message, Request, State};
@@ -13,7 +12,7 @@ fn periods() -> usize {
     std::env::var("SOFTMAP_FUZZ_PERIODS").map_or(TICKS, |count| count.parse().unwrap())
 }
 
-/// Numbers by chance (xorshift*, Marsaglia 2003; Vigna 2016).
+/// Random numbers (xorshift*, Marsaglia 2003; Vigna 2016).
 struct Chance(u64);
 
 impl Chance {
@@ -86,15 +85,14 @@ fn limits(chance: &mut Chance) -> Limits {
     .unwrap()
 }
 
-/// A robot that mostly follows its commands, a user who mostly means well, and everything else
-/// now and then.
+/// A robot that mostly follows its commands, a mostly sensible user, and occasional random events.
 struct World {
     chance: Chance,
     limits: Limits,
     now: u64,
     at: Vec<f64>,
     broken: Vec<u64>,
-    /// Periods for which somebody is gone, or everything is quiet.
+    /// Periods of silence of one part, or of calm.
     away: u64,
     target: Vec<f64>,
     feedback: Vec<Option<Feedback>>,
@@ -123,7 +121,7 @@ impl World {
         }
     }
 
-    /// The next input of the guard; its last goals and state are known to the world.
+    /// The next input of the guard, from its last goals and state.
     fn tell(
         &mut self,
         guard: &Guard,
@@ -137,8 +135,8 @@ impl World {
             self.chance.within(0.9, 1.1)
         };
         self.now = (self.now as f64 + passed * period * 1e9).max(0.0) as u64;
-        // Where this computer slept, the servos' clocks went on; now and then it is its clock alone
-        // that leaps.
+        // If this computer sleeps, the servos' clocks continue; occasionally only its own clock
+        // jumps.
         let slept = passed > 2.0 && !self.chance.once_in(4);
         self.clock += period * 1000.0 * if slept { passed } else { 1.0 };
         for k in 0..self.at.len() {
@@ -247,7 +245,7 @@ impl World {
     }
 }
 
-/// Play `ticks` periods; `breaks` may change the outputs of the guard.
+/// Run `ticks` periods; `breaks` may change the outputs of the guard.
 fn play(
     seed: u64,
     ticks: usize,

@@ -1,5 +1,5 @@
-//! The limits of rig and finger, checked before anything moves: a limit that makes no sense is
-//! refused, not clamped.
+//! The limits of rig and finger, checked before any motion: an invalid limit is rejected, not
+//! clamped.
 
 use crate::guard::Budget;
 use crate::guard::path::Bounds;
@@ -9,48 +9,49 @@ use crate::guard::path::Bounds;
 pub struct Axis {
     /// Tick at which the finger is straight, as homed after power-up.
     pub home: i32,
-    /// Lowest and highest goal, ticks; home lies between.
+    /// Lowest and highest goal, ticks; home is between them.
     pub low: i32,
     pub high: i32,
     /// Ticks/s and ticks/s².
     pub slew: f64,
     pub acceleration: f64,
-    /// mA that it may draw; none where the servo caps no current.
+    /// Current limit, mA; None if the servo has no current cap.
     pub current: Option<f64>,
-    /// Ticks/s that the servo reaches at most by itself, above which a position is not believed.
+    /// Maximum speed of the servo, ticks/s; a faster position change is rejected.
     pub fastest: f64,
-    /// Ticks between goal and position that are not believed to be lag.
+    /// Distance of goal and position beyond lag, ticks.
     pub following: f64,
-    /// °C from which its current is cut back, and at which it releases tension.
+    /// Temperatures, °C: from the first, its current is reduced; at the second, it releases
+    /// tension.
     pub warm: f64,
     pub hot: f64,
-    /// Volts between which it runs.
+    /// Supply range, V.
     pub voltage: (f64, f64),
 }
 
 /// Limits of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
-    /// Seconds of a period of the loop.
+    /// Period of the loop, s.
     pub period: f64,
     pub axes: Vec<Axis>,
-    /// Seconds without a command after which it holds.
+    /// Time without a command before it holds, s.
     pub stale: f64,
-    /// Seconds of holding after which it releases tension.
+    /// Time of holding before it releases tension, s.
     pub hold: f64,
-    /// Seconds after which slackening ends wherever it is, torque off.
+    /// Time after which tension release ends at any position, with torque off, s.
     pub slacken: f64,
-    /// Seconds without an answer of a servo after which it holds, and after which torque goes off.
+    /// Times without an answer of a servo before it holds, and before torque off, s.
     pub late: f64,
     pub silent: f64,
-    /// Seconds that a following error, an overload or a wrong voltage lasts before it is believed.
+    /// Duration of a following error, an overload or a wrong voltage before it counts, s.
     pub grace: f64,
-    /// Seconds over which speed grows after engaging.
+    /// Ramp of the speed after engaging, s.
     pub ramp: f64,
-    /// Ticks by which a target may jump: more is slowed down and reported, or beyond the second
-    /// refused.
+    /// Jump of a target, ticks: above the first it is slowed down and reported, above the second
+    /// rejected.
     pub jump: (f64, f64),
-    /// Moves of commissioning: ticks from where they began, ticks/s, mA.
+    /// Commissioning moves: ticks from their start, ticks/s, mA.
     pub jog_travel: f64,
     pub jog_slew: f64,
     pub jog_current: f64,
@@ -58,8 +59,7 @@ pub struct Limits {
     pub budget: Budget,
 }
 
-/// A limit that makes no sense: its name, its servo (from 0) where it is one's own, and the
-/// sentence.
+/// An invalid limit: its name, its servo (from 0) if it belongs to one, and the message.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{text}")]
 pub struct BadLimit {
@@ -68,14 +68,14 @@ pub struct BadLimit {
     pub text: String,
 }
 
-/// Servos that one loop drives at most.
+/// Most servos of one loop.
 pub const MOST_SERVOS: usize = 16;
-/// Ticks that a goal may be away from 0, as the servos themselves allow.
+/// Largest goal of the servos, ticks from 0.
 pub const FARTHEST: i32 = crate::registers::FARTHEST_GOAL;
 
-/// Of each limit by itself: name, lowest and highest value, unit (of the commands where there is
-/// none). `low` and `high` lie about home, `jump` and `voltage` are pairs; what the others leave of
-/// it, `Limits::checked` knows.
+/// For each limit alone: name, lowest and highest value, unit (that of the commands if empty).
+/// `low` and `high` are about home, `jump` and `voltage` are pairs; `Limits::checked` tests the
+/// dependent limits.
 #[rustfmt::skip]
 pub const RANGES: [(&str, f64, f64, &str); 27] = [
     ("servos", 1.0, MOST_SERVOS as f64, ""),
@@ -107,7 +107,7 @@ pub const RANGES: [(&str, f64, f64, &str); 27] = [
     ("voltage", 3.0, 30.0, "V"),
 ];
 
-/// A value, whose it is, and what the other limits leave of its range.
+/// A value, its owner, and its range given the other limits.
 struct Named {
     servo: Option<usize>,
     name: &'static str,
@@ -148,7 +148,7 @@ impl Named {
     }
 
     fn check(&self) -> Result<(), BadLimit> {
-        // Of a name that has no range nothing is allowed.
+        // A name without a range allows no value.
         let (low, high, unit) = RANGES
             .iter()
             .find(|range| range.0 == self.name)
@@ -175,7 +175,7 @@ impl Named {
 }
 
 impl Limits {
-    /// The same limits, or what is wrong with them.
+    /// The same limits, or their faults.
     pub fn checked(self) -> Result<Limits, BadLimit> {
         let (period, jump, budget) = (self.period, self.jump, self.budget);
         let robot = [
@@ -232,8 +232,8 @@ impl Axis {
         }
     }
 
-    /// The share of its current that it gets at `temperature` (°C): all while cool, a third where
-    /// it releases tension.
+    /// The share of its current at `temperature` (°C): all while cool, a third where it releases
+    /// tension.
     pub fn share(&self, temperature: f64) -> f64 {
         let above = (temperature - self.warm) / (self.hot - self.warm).max(1e-9);
         1.0 - above.clamp(0.0, 1.0) * (2.0 / 3.0)

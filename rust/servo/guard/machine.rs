@@ -1,4 +1,4 @@
-//! The guard's state machine. What it promises stands in `mod.rs`; docs/reference/safety.md has the
+//! The guard's state machine. `mod.rs` describes its guarantees; docs/reference/safety.md has the
 //! table of faults.
 
 use super::limits::{Axis, FARTHEST, Limits};
@@ -15,13 +15,13 @@ const AT_HOME: f64 = 64.0;
 pub struct Guard {
     limits: Limits,
     bounds: Vec<Bounds>,
-    /// The same while commissioning.
+    /// The same during commissioning.
     jogs: Vec<Bounds>,
     state: State,
     cause: (Cause, Option<u8>),
-    /// The robot was homed and nothing has happened since that could lose home.
+    /// The robot was homed, and nothing since could have lost home.
     homed: bool,
-    /// A cause took home away since it was known.
+    /// Home was lost since it was known.
     forgot: bool,
     servos: Vec<Servo>,
     paths: Vec<Path>,
@@ -31,12 +31,12 @@ pub struct Guard {
     time: Time,
     entered: Stamp,
     engaged: Stamp,
-    /// When a target was last taken.
+    /// Time of the last accepted target.
     fresh: Option<Stamp>,
     refused: bool,
-    /// Whether it is pressed, and when it was last.
+    /// Whether it is pressed, and when it was last pressed.
     deadman: (bool, Stamp),
-    /// It has to be released before it counts again.
+    /// It must be released before it is valid again.
     rearm: bool,
 }
 
@@ -80,8 +80,8 @@ impl Guard {
         self.state
     }
 
-    /// Whether a cause took home away, so that it must be homed again. Silence without torque does
-    /// not: nothing was turned.
+    /// Whether home was lost, so the robot must be homed again. Silence without torque does not
+    /// lose it: nothing turned.
     pub fn forgot_home(&self) -> bool {
         self.forgot
     }
@@ -90,7 +90,7 @@ impl Guard {
         &self.limits
     }
 
-    /// Goals in ticks, one a servo; to be sent while torque is on.
+    /// Goals in ticks, one per servo; to be sent while torque is on.
     pub fn goals(&self) -> &[i32] {
         &self.goals
     }
@@ -100,12 +100,12 @@ impl Guard {
         &self.paths
     }
 
-    /// mA that each servo may draw now, where it caps its current.
+    /// Current cap of each servo now, mA, if it has one.
     pub fn currents(&self) -> &[Option<f64>] {
         &self.currents
     }
 
-    /// Take one period's input, give what is to be done.
+    /// Process the input of one period; return the actions.
     pub fn tick(&mut self, input: &Input<'_>) -> Output {
         self.time.pass(input.now);
         let active = self.state.active();
@@ -140,7 +140,7 @@ impl Guard {
         }
     }
 
-    /// Take in what is asked: whether a goal was refused, and whether it jumped.
+    /// Process the target; return whether a goal was rejected, and whether it jumped.
     fn listen(&mut self, input: &Input<'_>) -> (bool, bool) {
         if let Some(message) = &input.message {
             self.rearm &= message.deadman;
@@ -175,7 +175,7 @@ impl Guard {
         (false, jump > self.limits.jump.0)
     }
 
-    /// The gravest thing that is wrong now, and with which servo.
+    /// The most severe present fault, and its servo.
     fn trouble(&self, emergency: bool) -> Option<(Cause, Option<u8>)> {
         let engaged = self.state.active().then_some(self.engaged);
         let servos = self.servos.iter().zip(&self.limits.axes).enumerate();
@@ -221,7 +221,7 @@ impl Guard {
         }
     }
 
-    /// Do what is asked, or say why not.
+    /// Apply the request, or return the reason for its denial.
     fn obey(&mut self, request: Request, trouble: Option<Cause>) -> Option<Denied> {
         let to = match (self.state, request) {
             (State::Off, Request::Connect) => State::Connected,
@@ -270,7 +270,7 @@ impl Guard {
         self.servos.fill(Servo::default());
     }
 
-    /// Without torque, by whether home is still known.
+    /// The state without torque, depending on whether home is known.
     fn rest(&self) -> State {
         if self.homed {
             State::Homed
@@ -279,7 +279,7 @@ impl Guard {
         }
     }
 
-    /// Transitions that come with time.
+    /// Timed transitions.
     fn go_on(&mut self, trouble: bool) {
         let driven = self.driven();
         match self.state {
@@ -319,7 +319,7 @@ impl Guard {
         }
     }
 
-    /// Move the goals on by one period.
+    /// Advance the goals by one period.
     fn advance(&mut self, trouble: bool) {
         let grown = self.time.since(self.engaged) / self.limits.ramp.max(self.limits.period);
         let (state, moves) = (self.state, self.driven() && !trouble);
@@ -348,7 +348,7 @@ impl Guard {
         }
     }
 
-    /// Torque goes on where the servos stand.
+    /// Switch torque on at the present positions.
     fn start(&mut self) {
         self.engaged = self.time.now;
         for (k, servo) in self.servos.iter_mut().enumerate() {
@@ -356,8 +356,8 @@ impl Guard {
         }
     }
 
-    /// The same for moves of commissioning, which wait for targets of their own. From outside the
-    /// window they lead back only.
+    /// The same for commissioning moves, which wait for their own targets. From outside the window,
+    /// they only lead back.
     fn start_jog(&mut self) {
         self.start();
         self.fresh = None;
@@ -377,7 +377,7 @@ impl Guard {
         self.deadman.0 && self.time.since(self.deadman.1) <= self.limits.stale
     }
 
-    /// The enable key is pressed and a target is there, both fresh.
+    /// The enable key is pressed and there is a target, both fresh.
     fn driven(&self) -> bool {
         let stale = |since| self.time.since(since) > self.limits.stale;
         self.pressed() && self.fresh.is_some_and(|since| !stale(since))
@@ -394,7 +394,7 @@ impl Guard {
             .all(|servo| servo.health.is_some_and(|health| !health.torque))
     }
 
-    /// Path and servo are home: a servo that lags or is short of current pulls its tendon yet.
+    /// Path and servo are home: a servo that lags or lacks current still pulls its tendon.
     fn slack(&self) -> bool {
         let mut servos = self.paths.iter().zip(&self.servos).zip(&self.limits.axes);
         servos.all(|((path, servo), axis)| {
@@ -405,7 +405,7 @@ impl Guard {
     }
 }
 
-/// The tick of the window that is nearest to `tick`.
+/// The tick of the window nearest to `tick`.
 fn within(tick: f64, axis: &Axis) -> f64 {
     tick.clamp(axis.low.into(), axis.high.into())
 }

@@ -1,14 +1,14 @@
-//! The guard between every target and the servos: a state machine that denies by default, and paths
-//! within limits.
+//! The guard between every target and the servos: a state machine that denies by default, and
+//! limited paths.
 //!
 //!   OFF → CONNECTED → HOMED → READY → ENGAGED ⇄ HOLD → SAFE_STOP → READY, or FAULT
 //!
-//! Pure: one call a period with the time, what was heard of each servo and what is asked; out come
-//! state, torque and the goals to send. The same inputs give the same goals, bit for bit, so that a
-//! recording can be replayed. An *unsafe tick* is a goal outside the window, or beyond slew or
-//! acceleration limits, in this order of priority. Reactions to every fault:
-//! docs/reference/safety.md. Time-outs run by the clock and by counted periods, whichever is
-//! sooner: a clock that stands still or jumps back stretches none.
+//! It is pure: one call per period with the time, the answers of the servos and the user's inputs
+//! returns state, torque and goals. Equal inputs give equal goals, bit for bit, so a recording can
+//! be replayed. An *unsafe tick* is a goal outside the window, or beyond slew or acceleration
+//! limits, in this order of priority. Reactions to every fault: docs/reference/safety.md. Time-outs
+//! run by the clock and by counted periods, whichever is sooner: a clock that stops or jumps back
+//! extends none.
 
 #[cfg(test)]
 mod age_tests;
@@ -37,8 +37,7 @@ pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS, RANGES};
 pub use machine::Guard;
 pub use reversals::Budget;
 
-/// Where the guard stands. Torque is on from ENGAGED to SAFE_STOP and while commissioning, nowhere
-/// else.
+/// The state of the guard. Torque is on only from ENGAGED to SAFE_STOP and during commissioning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum State {
@@ -52,13 +51,13 @@ pub enum State {
     Ready,
     /// Follows targets.
     Engaged,
-    /// Brakes, then stands under torque.
+    /// Brakes, then holds under torque.
     Hold,
     /// Goes home at half the slew, then torque off.
     SafeStop,
     /// Torque off, until acknowledged.
     Fault,
-    /// Small slow moves under little current, before home is known.
+    /// Small slow moves with low current, before home is known.
     Commissioning,
 }
 
@@ -84,25 +83,25 @@ impl State {
     }
 }
 
-/// The requests of a user. A request that the state does not allow is denied: nothing happens.
+/// The requests of a user. A request that the state does not allow is denied without effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Request {
-    /// OFF → CONNECTED, once all servos are heard, healthy and without torque.
+    /// OFF → CONNECTED, once all servos answer, healthy and without torque.
     Connect,
-    /// CONNECTED → HOMED: a user confirmed home, and all positions lie in the window.
+    /// CONNECTED → HOMED: a user confirmed home, and all positions are in the window.
     Home,
-    /// HOMED → READY, without any trouble.
+    /// HOMED → READY, without any fault.
     Arm,
     /// READY → ENGAGED, with the enable key pressed and a fresh target.
     Engage,
     /// ENGAGED → HOLD.
     Hold,
-    /// Release tension, then torque off; while commissioning torque off at once.
+    /// Release tension, then torque off; during commissioning, torque off immediately.
     Stop,
     /// FAULT → HOMED or CONNECTED, once its cause is gone.
     Acknowledge,
-    /// Back to OFF from a state without torque; not from FAULT, which is acknowledged first.
+    /// Back to OFF from a state without torque; not from FAULT, which must be acknowledged first.
     Disconnect,
     /// CONNECTED or HOMED → COMMISSIONING.
     Commission,
@@ -122,22 +121,22 @@ impl Request {
     ];
 }
 
-/// Why the guard stands where it stands.
+/// The cause of the guard's state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Cause {
     None,
-    /// Somebody asked for it.
+    /// A user request.
     Asked,
-    /// The enable key was released, or not heard of for `stale`.
+    /// The enable key was released, or not received for `stale`.
     Deadman,
     /// No valid target for `stale`.
     Stale,
-    /// Targets were refused until none was left: not finite, far outside, or jumping.
+    /// All targets were rejected: not finite, far outside, or jumping.
     Refused,
     /// A servo did not answer for `late`.
     Late,
-    /// A servo draws more than it may.
+    /// A servo exceeds its current limit.
     Overload,
     Voltage,
     Hot,
@@ -146,13 +145,13 @@ pub enum Cause {
     Silent,
     /// A servo reports a hardware error.
     Hardware,
-    /// A position is too far from its goal: blocked, or its encoder stands.
+    /// A position is too far from its goal: blocked, or a frozen encoder.
     Following,
-    /// A position moved as no servo can: turns were lost, or ids exchanged.
+    /// An impossible position change: turns were lost, or ids exchanged.
     Lost,
-    /// A servo has no torque though it should: it was reset or shut down.
+    /// A servo lacks torque although it is on: it was reset or shut down.
     Dropped,
-    /// A servo's bus watchdog tripped: it heard nothing for too long and holds.
+    /// A servo's bus watchdog tripped: it received nothing for too long and holds.
     Tripped,
 }
 
@@ -186,22 +185,22 @@ impl Cause {
         }
     }
 
-    /// Whether the turns of the servos are known afterwards.
+    /// Whether the servos' turns are known afterwards.
     pub fn keeps_home(self) -> bool {
         self.reaction() != Reaction::Release || self == Cause::Emergency
     }
 }
 
-/// Why a request changed nothing.
+/// Why a request had no effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Denied {
     /// It is not allowed in this state.
     From(State),
-    /// Something is wrong.
+    /// There is a fault.
     Trouble(Cause),
     /// A servo has torque, or has not reported whether it has.
     Torque,
-    /// A servo stands outside the window.
+    /// A servo is outside the window.
     Outside,
     /// The enable key is not pressed, or there is no fresh target.
     Undriven,
@@ -224,7 +223,7 @@ pub enum Reaction {
 pub struct Feedback {
     /// Ticks.
     pub position: i32,
-    /// Its own clock, ms; it stands still if an old answer comes again.
+    /// Its own clock, ms; it does not advance if an old answer is repeated.
     pub clock: u16,
     /// mA, where it is measured.
     pub current: Option<f64>,
@@ -232,11 +231,11 @@ pub struct Feedback {
     pub voltage: f64,
     /// °C.
     pub temperature: f64,
-    /// Readings that are asked for less often.
+    /// Readings at a lower rate.
     pub health: Option<Health>,
 }
 
-/// The health that a servo reports.
+/// The reported health of a servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Health {
     /// Bits of its hardware error status.
@@ -250,27 +249,27 @@ pub struct Health {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Message<'a> {
     pub deadman: bool,
-    /// Goals in ticks, one a servo, if there are new ones.
+    /// Goals in ticks, one per servo, if there are new ones.
     pub goal: Option<&'a [f64]>,
 }
 
-/// All that a tick is decided by.
+/// All inputs of a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Input<'a> {
-    /// ns of a clock that does not go backwards.
+    /// Time of a monotonic clock, ns.
     pub now: u64,
-    /// Of each servo, what was heard since the last tick.
+    /// The answer of each servo since the last tick.
     pub feedback: &'a [Option<Feedback>],
     pub message: Option<Message<'a>>,
-    /// Without a new goal: the last one as the planner has it now. No news, so that it keeps
-    /// nothing going.
+    /// Without a new goal: the planner's current version of the last one. It does not reset
+    /// time-outs.
     pub again: Option<&'a [f64]>,
     pub request: Option<Request>,
-    /// The emergency stop is pressed, or its line is dead.
+    /// The emergency stop is pressed, or its line has failed.
     pub emergency: bool,
 }
 
-/// The actions for now; goals and currents are asked of the guard.
+/// The actions of this tick; goals and currents are read from the guard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Output {
     pub state: State,
@@ -278,13 +277,13 @@ pub struct Output {
     /// The servo that caused it.
     pub servo: Option<u8>,
     pub torque: bool,
-    /// Why the request of this tick changed nothing.
+    /// Why the request of this tick had no effect.
     pub denied: Option<Denied>,
-    /// The target of this tick was refused.
+    /// The target of this tick was rejected.
     pub refused: bool,
-    /// A target jumped by more than passes unnoticed.
+    /// A target jumped by more than the reported limit.
     pub jumped: bool,
-    /// A target lies outside the window.
+    /// A target is outside the window.
     pub outside: bool,
     /// A goal is not at its target yet.
     pub slowed: bool,

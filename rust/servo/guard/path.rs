@@ -1,12 +1,11 @@
-//! How a goal moves: as fast as window, slew and acceleration limits let it, and never so fast that
-//! it could not stop.
+//! The path of a goal: as fast as window, slew and acceleration limits allow, and always able to
+//! stop.
 //!
 //! With d ticks ahead and A ticks per period² of braking, the fastest speed v from which a stop
-//! fits into d is the one
-//! whose braking sum v + (v−A) + (v−2A) + … equals d:   n = ⌊(√(1 + 8d/A) − 1)/2⌋,   v = (d + A
-//!   n(n+1)/2)/(n+1).
-//! A step that never exceeds it towards the window's edges can always brake, so that the three
-//! limits do not conflict; round-off is settled in the order window, slew, acceleration.
+//! fits into d is the one whose braking sum v + (v−A) + (v−2A) + … equals d: n = ⌊(√(1 + 8d/A) −
+//! 1)/2⌋, v = (d + A n(n+1)/2)/(n+1). Below this speed towards the window's edges, it can always
+//! brake, so the three limits do not conflict; round-off is resolved in the order window, slew,
+//! acceleration.
 
 /// Limits of one servo: ticks, ticks per period, ticks per period².
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,7 +16,7 @@ pub struct Bounds {
     pub acceleration: f64,
 }
 
-/// Where a goal is and how fast it moves: ticks, ticks per period.
+/// Position and speed of a goal: ticks, ticks per period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Path {
     pub at: f64,
@@ -30,7 +29,7 @@ impl Path {
         Path { at, speed: 0.0 }
     }
 
-    /// Move on by one period towards `target`, not faster than `cruise` once that speed is reached.
+    /// Advance by one period towards `target`, not faster than `cruise` once that speed is reached.
     pub fn step(&mut self, target: f64, cruise: f64, bounds: &Bounds) {
         let most = |distance: f64| fastest(distance, bounds.acceleration);
         let away = target - self.at;
@@ -46,7 +45,7 @@ impl Path {
         (self.speed, self.at) = (next - self.at, next);
     }
 
-    /// Brake as fast as is allowed.
+    /// Brake as fast as allowed.
     pub fn brake(&mut self, bounds: &Bounds) {
         self.step(self.at, 0.0, bounds);
     }
@@ -57,7 +56,7 @@ impl Path {
     }
 }
 
-/// The fastest speed from which a stop fits into `distance`; 0 where there is none.
+/// The fastest speed from which a stop fits into `distance`; 0 if there is none.
 fn fastest(distance: f64, acceleration: f64) -> f64 {
     let distance = distance.max(0.0);
     let steps = (((1.0 + 8.0 * distance / acceleration).sqrt() - 1.0) / 2.0).floor();

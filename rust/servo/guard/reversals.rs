@@ -1,19 +1,18 @@
-//! Reversals that are worth their cost: a still hand must not make a servo chatter through an
-//! inverted backlash.
+//! Limit reversals: a still hand must not make a servo chatter through a compensated backlash.
 //!
-//! Compensating a play of 0.5 mm jumps by 0.5 mm at every reversal, even one of 5 µm. So a
-//! command follows exactly while it keeps its direction, turns only once the goal has come back by
-//! more than `band`, and turns at most `turns` times a second in the long run (`burst` at once).
-//! While it may not turn it stands, never further off than the goal has come back.
+//! Compensating a play of 0.5 mm jumps by 0.5 mm at every reversal, even one of 5 µm. So a command
+//! follows exactly while it keeps its direction. It turns only once the goal has reversed by more
+//! than `band`, and at most `turns` times per second in the long run (`burst` at once). While it
+//! may not turn, it stops; its error is at most the reversal of the goal.
 
-/// What one channel is allowed.
+/// The limits of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Budget {
-    /// mm that a goal comes back before the command turns.
+    /// Reversal of a goal before the command turns, mm.
     pub band: f64,
-    /// Turns a second.
+    /// Turns per second.
     pub turns: f64,
-    /// Turns that may be saved up, at least 1.
+    /// Most accumulated turns, at least 1.
     pub burst: f64,
 }
 
@@ -24,13 +23,13 @@ pub struct Reversals {
     /// +1, −1, or 0 before the first move.
     direction: f64,
     left: f64,
-    /// Turns so far, and those that were put off (periods).
+    /// Turns so far, and delayed ones (periods).
     pub turned: u64,
     pub refused: u64,
 }
 
 impl Reversals {
-    /// At rest at `at`, the budget full.
+    /// At rest at `at`, with a full budget.
     pub fn new(at: f64, budget: &Budget) -> Reversals {
         Reversals {
             at,
@@ -117,7 +116,7 @@ mod tests {
         for i in 0..1000 {
             channel.step(if i % 2 == 0 { 0.5 } else { -0.5 }, 0.01, &BUDGET);
         }
-        // 10 s at 2 a second and 3 at once.
+        // 10 s at 2 per second and 3 at once.
         assert_eq!(channel.turned, 22);
         assert_eq!(channel.refused, 489);
     }

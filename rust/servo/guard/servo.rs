@@ -4,47 +4,47 @@ use super::limits::{Axis, Limits};
 use super::time::{Stamp, Time};
 use super::{Cause, Feedback, Health};
 
-/// Ticks by which a position may move without time: noise of the encoder, and when it was read.
+/// Position change without time, ticks: encoder noise and read time.
 const LOOSE: f64 = 64.0;
-/// Seconds for which a servo's own clock may stand: it counts ms, and is read with each answer.
+/// Longest stop of a servo's own clock, s: it counts ms, and is read with each answer.
 const CLOCK_STANDS: f64 = 0.1;
-/// The share by which its clock may run slower than this side's: a cheap oscillator.
+/// Largest relative slowness of its clock: a cheap oscillator.
 const DRIFT: f64 = 0.005;
-/// ms after which its clock begins again.
+/// Period of its clock, ms.
 const ROUND: u16 = 0x8000;
-/// Seconds of old answers after which its clock is read again; no `silent` is longer.
+/// Duration of old answers before its clock is read again, s; not shorter than `silent`.
 const ANEW: f64 = 1.0;
-/// Seconds from torque on until a servo that reports none is believed; its health is to be asked
-/// for at least that often.
+/// Time from torque on until a report of no torque counts, s; its health must be read at least this
+/// often.
 const SWITCHING: f64 = 0.5;
-/// The share of its cap that a servo draws at most while it is at it.
+/// Largest share of its cap that a servo draws at the cap.
 const AT_CAP: f64 = 1.25;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Servo {
-    /// Ticks; none until it is heard.
+    /// Ticks; None until it answers.
     pub position: Option<f64>,
     /// °C.
     pub temperature: f64,
     pub health: Option<Health>,
-    /// Its position moved as no servo can.
+    /// Its position change was impossible.
     pub lost: bool,
     clock: u16,
     heard: Stamp,
     ticked: Stamp,
-    /// When its answers were last in time, and by how many s its clock went on since. How far it
-    /// falls behind counts from there and not from answer to answer: a late period and the next
-    /// that makes up for it would count as two.
+    /// When its answers were last in time, and the advance of its clock since, s. Its delay counts
+    /// from there and not from answer to answer: a late period and the next one that catches up
+    /// would count as two.
     punctual: Stamp,
     gone: f64,
-    /// When position, current and voltage were last as they should be.
+    /// When position, current and voltage were last normal.
     followed: Stamp,
     light: Stamp,
     powered: Stamp,
 }
 
 impl Servo {
-    /// Take in an answer; `goal` is where it is sent while torque is on.
+    /// Process an answer; `goal` is its goal while torque is on.
     pub fn hear(
         &mut self,
         said: &Feedback,
@@ -82,14 +82,14 @@ impl Servo {
         }
     }
 
-    /// Whether an answer of this `clock` is too old to count: the clock stands, or has fallen
-    /// behind by more than `late`.
+    /// Whether an answer with this `clock` is too old: the clock has stopped, or is behind by more
+    /// than `late`.
     fn old(&mut self, clock: u16, limits: &Limits, time: &Time) -> bool {
         let round = clock.wrapping_sub(self.clock) % ROUND;
         let passed = f64::from(round) - f64::from(ROUND) * f64::from(u8::from(round >= ROUND / 2));
         let gone = self.gone + 1e-3 * passed;
         let behind = (1.0 - DRIFT) * time.since(self.punctual) - gone;
-        // A servo without useful answers for so long may have restarted; the guard has already
+        // After this long without useful answers, a servo may have restarted; the guard has already
         // reacted.
         let anew = time.since(self.heard) > ANEW;
         let stands = clock == self.clock && time.since(self.ticked) > CLOCK_STANDS;
@@ -107,7 +107,7 @@ impl Servo {
         false
     }
 
-    /// Torque goes on: what it was before counts no more. Returns where it stands.
+    /// Torque on: reset its history; return its position.
     pub fn start(&mut self, time: &Time) -> Option<f64> {
         (self.followed, self.light) = (time.now, time.now);
         self.health
@@ -116,8 +116,8 @@ impl Servo {
         self.position
     }
 
-    /// The gravest thing that is wrong. `engaged`: since when torque is on, if it is; `homed`:
-    /// whether home is known.
+    /// The most severe fault. `engaged`: start of torque on, if it is; `homed`: whether home is
+    /// known.
     pub fn ill(
         &self,
         axis: &Axis,

@@ -1,5 +1,4 @@
-//! Time as the guard counts it: by the clock it is given and by the periods that passed, whichever
-//! says more.
+//! Time of the guard: the larger of clock time and counted periods.
 
 /// A moment, by the clock (ns) and by counted periods.
 #[derive(Debug, Clone, Copy, Default)]
@@ -26,8 +25,8 @@ impl Time {
         }
     }
 
-    /// One more period, the clock at `now`; one that stands or goes back is taken to have gone on
-    /// by a period.
+    /// One more period, with the clock at `now`; a clock that stops or goes back counts as one
+    /// period.
     pub fn pass(&mut self, now: u64) {
         let passed = match self.last {
             Some(last) if now > last => now - last,

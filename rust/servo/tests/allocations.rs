@@ -1,5 +1,5 @@
-//! The control tick allocates nothing: counted by the allocator itself, on the loop's thread, with
-//! real packets at a pseudo-terminal, answers that are damaged and a servo that falls silent.
+//! The control tick allocates nothing: counted by the allocator on the loop's thread, with real
+//! packets at a pseudo-terminal, damaged answers and a silent servo.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -21,7 +21,7 @@ thread_local! {
 
 struct Counting;
 
-// SAFETY: every call goes to the system's allocator as it came.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // A thread that is ending has no count any more; its allocations are not counted.
@@ -64,8 +64,7 @@ impl Record for Nowhere {
 fn the_tick_allocates_nothing() {
     let terminal = Terminal::open(bench::emulator()).unwrap();
     let serial = Serial::open(terminal.path(), bench::BAUD).unwrap();
-    // A busy computer is late: what the real time of this test may not depend on is allowed more of
-    // it.
+    // A busy computer is late, so limits that are not under test are wider.
     let mut limits = Limits {
         stale: 0.2,
         late: 0.2,
@@ -86,7 +85,7 @@ fn the_tick_allocates_nothing() {
     );
     let mut reached = [false; 4];
     for tick in 0..250 {
-        // Requests are repeated until they are heard: a busy computer may be late at any of them.
+        // Requests are repeated until they are received: a busy computer may be late.
         control.mailbox.1 = match control.guard.state() {
             State::Off => Some(Request::Connect),
             State::Connected => Some(Request::Home),

@@ -1,11 +1,11 @@
-//! Goal positions on the wire: every number that is sent is the number that arrives.
+//! Goal positions on the wire: every sent number arrives unchanged.
 
 use softmap_servo::decoder::Decoder;
 use softmap_servo::packet::{BROADCAST, LONGEST, Packet, instruction};
 
 const GOAL: u16 = 116;
 
-/// Send two goals in one packet, as the loop does, and take them out again.
+/// Send two goals in one packet, as the loop does, and decode them.
 fn arrives(decoder: &mut Decoder, first: i32, second: i32) {
     let mut buffer = [0; LONGEST];
     let mut sent = Packet::new(&mut buffer, BROADCAST, instruction::SYNC_WRITE);
