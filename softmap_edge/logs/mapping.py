@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import (
     Column,
@@ -152,7 +153,7 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
                 f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the "
                 "mapping, not the log"
             )
-        return parse_mapping(path.read_bytes().decode("utf-8"), path)
+        return parse_mapping(own_text(path, _SIZE), path)
     except OSError as cause:
         raise RunError(
             f"{path}: cannot be read ({cause.strerror or cause}); give the path of a mapping file"

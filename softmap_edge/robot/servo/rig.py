@@ -15,6 +15,7 @@ from pathlib import Path
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.toml import TomlTable, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -132,8 +133,7 @@ class Rig:
         from softmap_edge.robot.servo.rig_edit import edited  # only an edit needs tomlkit
 
         read_rig(path)
-        with open(path, encoding="utf-8", newline="") as file:
-            text = file.read()
+        text = own_text(path, MOST_TEXT, keep_line_ends=True)
         write_atomically(path, edited(text, self.to_toml(), KEPT))
 
 
@@ -146,11 +146,7 @@ def read_rig(path: str | Path) -> Rig:
     """
     file = Path(path)
     try:
-        if file.exists() and not file.is_file():
-            raise ServoError(f"{file}: no file; give a rig.toml")
-        if file.stat().st_size > MOST_TEXT:
-            raise ServoError(f"{file}: too large for a rig")
-        table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))
+        table = TomlTable(tomllib.loads(own_text(file, MOST_TEXT)), str(file))
         table.choice("schema", (SCHEMA,), "")
         port, baud = table.get("port", (str,), ""), table.integer("baud", 57_600, 9_600, 4_500_000)
         servos = []
@@ -181,6 +177,8 @@ def read_rig(path: str | Path) -> Rig:
         table.done()
         return Rig(port, baud, tuple(servos), ceiling, emergency, found, file=str(file))
     except OSError as fault:
+        if file.exists():
+            raise ServoError(f"{file}: {fault.strerror}; give a rig.toml") from None
         make = f"make it with `softmap servo setup --rig {shlex.quote(str(file))}`"
         raise ServoError(f"{file}: {fault.strerror}; {make}") from None
     except ServoError:
