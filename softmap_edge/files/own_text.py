@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> str:
-    """Return the text of a file of at most `most` bytes.
+    """Return the text of a file of at most `most` bytes, without its byte order mark.
 
     Nothing is read of a folder, a device or a pipe: they may be endless.
 
@@ -31,5 +31,5 @@ def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> st
         content = stream.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"more than {most} bytes", str(file))
-    text = content.decode("utf-8")
+    text = content.decode("utf-8-sig")
     return text if keep_line_ends else text.replace("\r\n", "\n").replace("\r", "\n")

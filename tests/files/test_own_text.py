@@ -1,5 +1,6 @@
-"""Mappings, fingers, robots, rigs and JSON of ours: regular files only."""
+"""Mappings, fingers, robots, rigs and JSON of ours: regular files, in UTF-8."""
 
+import json
 import os
 from pathlib import Path
 
@@ -12,9 +13,10 @@ from softmap_edge.fem.mesh_file import read_guides
 from softmap_edge.files.own_text import own_text
 from softmap_edge.logs.mapping import read_mapping
 from softmap_edge.robot.drive.command_file import read_commands
-from softmap_edge.robot.servo.rig import read_rig
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.rod.robot import Robot
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 READERS = {
     "mapping": read_mapping,
     "finger": Finger.load,
@@ -65,3 +67,43 @@ def test_line_ends_are_read_alike_or_kept(text, tmp_path):
     path.write_bytes(text)
     assert own_text(path, 100) == "a\nb\n"
     assert own_text(path, 100, keep_line_ends=True).encode() == text
+
+
+SAMPLES = {
+    "mapping": EXAMPLES / "sample_map.toml",
+    "finger": EXAMPLES / "three_tendons.toml",
+    "robot": EXAMPLES / "tdcr_robot.toml",
+}
+
+
+@pytest.mark.parametrize("reader", SAMPLES)
+def test_a_byte_order_mark_is_skipped(reader, tmp_path):
+    plain, marked = tmp_path / "plain.toml", tmp_path / "marked.toml"
+    plain.write_bytes(SAMPLES[reader].read_bytes())
+    marked.write_bytes(b"\xef\xbb\xbf" + SAMPLES[reader].read_bytes())
+    read = READERS[reader]
+    assert repr(read(plain)).replace("plain", "marked") == repr(read(marked))
+
+
+def test_a_byte_order_mark_of_a_rig_commands_guides_and_a_diagnosis_is_skipped(tmp_path):
+    path = tmp_path / "marked"
+    path.write_text(Rig("/dev/ttyUSB0", 57_600, (RigServo(1, "XL330-M288"),)).to_toml(), encoding="utf-8-sig")
+    assert read_rig(path).port == "/dev/ttyUSB0"
+    read_rig(path).note(path)
+    assert read_rig(path).port == "/dev/ttyUSB0"
+    path.write_text("[[0, 0, 0], [0, 0, 9]]", encoding="utf-8-sig")
+    assert read_guides(path)[1] == (0, 0, 9)
+    found = json.dumps(Diagnosis("nothing").to_dict())
+    path.write_text(found, encoding="utf-8-sig")
+    assert Diagnosis.load(path).verdict == "nothing"
+    path.write_text("# softmap commands 1; robot x; unit mm\nt,u1\n0,0\n", encoding="utf-8-sig")
+    with pytest.raises(SoftmapError, match="columns t,u1"):  # its first line is understood
+        read_commands(path)
+
+
+@pytest.mark.parametrize("mark", [b"\xff\xfe", b"\xfe\xff", b"\xef\xbb"])
+def test_other_marks_are_no_text(mark, tmp_path):
+    path = tmp_path / "wide.toml"
+    path.write_bytes(mark + b"robot = 1\n")
+    with pytest.raises(SoftmapError, match="UTF-8"):
+        read_mapping(path)
