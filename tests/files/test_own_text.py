@@ -87,7 +87,9 @@ def test_a_byte_order_mark_is_skipped(reader, tmp_path):
 
 def test_a_byte_order_mark_of_a_rig_commands_guides_and_a_diagnosis_is_skipped(tmp_path):
     path = tmp_path / "marked"
-    path.write_text(Rig("/dev/ttyUSB0", 57_600, (RigServo(1, "XL330-M288"),)).to_toml(), encoding="utf-8-sig")
+    path.write_text(
+        Rig("/dev/ttyUSB0", 57_600, (RigServo(1, "XL330-M288"),)).to_toml(), encoding="utf-8-sig"
+    )
     assert read_rig(path).port == "/dev/ttyUSB0"
     read_rig(path).note(path)
     assert read_rig(path).port == "/dev/ttyUSB0"
