@@ -6,7 +6,6 @@ tests/robot/test_rig_file.py.
 
 from __future__ import annotations
 
-import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
 from softmap_edge.files.own_text import own_text
+from softmap_edge.files.shell import shell_file
 from softmap_edge.files.toml import TomlTable, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -179,7 +179,7 @@ def read_rig(path: str | Path) -> Rig:
     except OSError as fault:
         if file.exists():
             raise ServoError(f"{file}: {fault.strerror}; give a rig.toml") from None
-        make = f"make it with `softmap servo setup --rig {shlex.quote(str(file))}`"
+        make = f"make it with `softmap servo setup --rig {shell_file(file)}`"
         raise ServoError(f"{file}: {fault.strerror}; {make}") from None
     except ServoError:
         raise
