@@ -197,6 +197,13 @@ def commands_here() -> list[Command]:
 
 
 def _run(command: Command, argv: list[str]) -> int:
+    if broken := [word for word in argv if any(c in word for c in "\n\r\t")]:
+        print(
+            f"softmap {command.name}: '{one_line(broken[0])}' holds a line end or a tab; names "
+            "must be one line: rename the file, then give its new name",
+            file=sys.stderr,
+        )
+        return WRONG_USE
     module = importlib.import_module(command.module)
     function = command.function + ("_" if command.function == "import" else "")
     parser = parser_of(command)
