@@ -52,7 +52,13 @@ VERDICTS = {
 }
 
 
-_LATER = ("model", "servo", "learned_in", "remarks")  # not in every document of the schema
+_LATER = (
+    "model",
+    "families",
+    "servo",
+    "learned_in",
+    "remarks",
+)  # not in every document of the schema
 
 
 @dataclass(frozen=True, eq=False)

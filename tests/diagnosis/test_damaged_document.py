@@ -11,7 +11,7 @@ from softmap_edge.diagnosis.findings import Finding, Number
 from softmap_edge.errors import ReportError
 
 FIELDS = [
-    *("schema", "verdict", "sentence", "effects", "faults", "families", "alternatives"),
+    *("schema", "verdict", "sentence", "effects", "faults", "alternatives"),
     *("not_testable", "where", "error", "unexplained", "next", "made_from"),
 ]
 
