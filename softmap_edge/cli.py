@@ -19,8 +19,8 @@ from importlib.metadata import entry_points
 from typing import Any, TextIO, cast
 
 from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
-from softmap_edge.commands.parser import Parser
-from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, nearest, no_name
+from softmap_edge.commands.parser import Parser, actions_of
+from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
 from softmap_edge.version import __version__
 
@@ -143,14 +143,22 @@ def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
     elif argv[0] in ELSEWHERE:
         fault = f"'{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}"
     else:
-        fault = no_name(
-            "command", argv[0], dict.fromkeys([*(name.split()[0] for name in known), HELP])
-        )
-        full = {name.split()[1]: name for name in known if " " in name}
-        if "did you mean" not in fault and (near := nearest(argv[0], list(full))):
-            fault += f"; did you mean '{full[near[0]]}'?"
+        words = dict.fromkeys([*(name.split()[0] for name in known), HELP])
+        fault = no_name("command", argv[0], words, also=_names_below(known))
     print(one_line(f"softmap: {fault}"), file=sys.stderr)
     return WRONG_USE
+
+
+def _names_below(known: Mapping[str, Command]) -> dict[str, str]:
+    """Return the actions of groups and the old names of commands, each with its full name."""
+    groups = {name.split()[0] for name in known if " " in name}
+    below = [
+        f"{group} {action}"
+        for group in groups & set(known)
+        for action in actions_of(parser_of(known[group]))
+    ]
+    full = {name.split()[1]: name for name in sorted([*below, *known]) if " " in name}
+    return full | RENAMED
 
 
 def parser_of(command: Command) -> Parser:
@@ -163,6 +171,8 @@ def parser_of(command: Command) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     getattr(module, f"{command.function}_arguments")(parser)
+    below = [one.name for one in commands_here() if one.name.startswith(f"{command.name} ")]
+    parser.more = [name.split()[1] for name in below]
     parser.add_argument(
         "--json", action="store_true", help="print one JSON document instead of text"
     )
@@ -188,6 +198,13 @@ def commands_here() -> list[Command]:
 
 
 def _run(command: Command, argv: list[str]) -> int:
+    if broken := [word for word in argv if any(c in word for c in "\n\r\t")]:
+        print(
+            f"softmap {command.name}: '{one_line(broken[0])}' holds a line end or a tab; names "
+            "must be one line: rename the file, then give its new name",
+            file=sys.stderr,
+        )
+        return WRONG_USE
     module = importlib.import_module(command.module)
     function = command.function + ("_" if command.function == "import" else "")
     parser = parser_of(command)

@@ -1,6 +1,6 @@
 """The family of errors that this package raises: what was wrong, what is allowed, what to do."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 _LEAST, _MOST = 6, 17  # digits of a time that are printed
 _NEAR = 0.05  # of the smallest difference: how far a text may be off
@@ -135,7 +135,13 @@ class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 
 
-def no_name(what: str, name: str, known: Iterable[str], most: int | None = None) -> str:
+def no_name(
+    what: str,
+    name: str,
+    known: Iterable[str],
+    most: int | None = None,
+    also: Mapping[str, str] | None = None,
+) -> str:
     """Return the error message for an unknown name, with the nearest known one.
 
     Args:
@@ -143,9 +149,11 @@ def no_name(what: str, name: str, known: Iterable[str], most: int | None = None)
         name: as it was given.
         known: the names that exist.
         most: how many of them are listed; None for all.
+        also: further names that are not listed, each with what is suggested for it.
     """
     names = list(known)
-    near = next(iter(nearest(name, names)), None)
+    full = dict(also or {}) | {one: one for one in names}
+    near = next((full[one] for one in nearest(name, full)), None)
     listed = ", ".join(names[:most]) + (
         f", … ({len(names)} in all)" if most is not None and len(names) > most else ""
     )

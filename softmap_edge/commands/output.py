@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import sys
 from pathlib import Path
 from typing import Protocol
 
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.npz import archive_names
+from softmap_edge.files.shell import shell_file
 from softmap_edge.model.bundle import check_folder
 from softmap_edge.robot.remedies import filled
+
+# options of the commands that are printed; any other word that begins with a dash is a file
+_OPTIONS = (
+    *("--baud", "--bundle", "--id", "--map", "--out", "--port", "--rig"),
+    *("--sim", "--standard", "--truth", "--virtual"),
+)
 
 
 class JsonOption(Protocol):
@@ -31,7 +37,8 @@ def next_command(*words: str | None, bundle: str | None = None) -> str:
     """
     given = [word for word in words if word is not None]
     given += [] if bundle is None else ["--bundle", bundle]
-    return " ".join(["next: softmap", *map(shlex.quote, given)])
+    shown = (word if word in _OPTIONS else shell_file(word) for word in given)
+    return " ".join(["next: softmap", *shown])
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:

@@ -35,6 +35,7 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors suggest the nearest valid name."""
 
     asked: Sequence[str] = ()
+    more: Sequence[str] = ()  # actions that are commands of their own, such as `align` of `run`
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse `args`; print one line and exit with code 2 if they are not valid."""
@@ -49,7 +50,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print usage, the fault and the nearest valid name; exit with code 2."""
-        hints = [*self._options(), *_choice(message)]
+        hints = [*self._options(), *_choice(message, self.more)]
         super().error("; ".join([message, *dict.fromkeys(hints)]))
 
     def _options(self) -> list[str]:
@@ -94,6 +95,12 @@ def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:
                 yield from parsers_below(one)
 
 
+def actions_of(parser: argparse.ArgumentParser) -> list[str]:
+    """Return the names of a parser's actions, such as `scan` of `servo`."""
+    found = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    return [name for one in found for name in one.choices]
+
+
 def options_of(parser: argparse.ArgumentParser) -> list[str]:
     """Return the long options of a parser and its actions, without hidden old names."""
     actions = [action for one in (parser, *parsers_below(parser)) for action in one._actions]
@@ -102,10 +109,10 @@ def options_of(parser: argparse.ArgumentParser) -> list[str]:
     return sorted(text for text in found if text.startswith("--"))
 
 
-def _choice(message: str) -> list[str]:
-    """Return the nearest valid choice for an unknown one."""
+def _choice(message: str, more: Sequence[str] = ()) -> list[str]:
+    """Return the nearest choice, or other action, for one that does not exist."""
     found = _CHOICE.search(message)
     if found is None:
         return []
-    near = nearest(found[1], [text.strip(" '\"") for text in found[2].split(",")])
+    near = nearest(found[1], [*(text.strip(" '\"") for text in found[2].split(",")), *more])
     return [f"did you mean {near[0]}?"] if near else []

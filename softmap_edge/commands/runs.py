@@ -19,6 +19,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.npz import read_npz
+from softmap_edge.files.printable import one_line
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
 from softmap_edge.model.manifest import load_manifest
@@ -270,8 +271,8 @@ def show(args: ShowOptions) -> int:
     for field in fields:
         span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
         print(
-            f"  {field['name']:<14} {field['shape']!s:<16} {field['type']:<8} "
-            f"{span or field['text'] or ''}"
+            f"  {one_line(field['name']):<14} {field['shape']!s:<16} {field['type']:<8} "
+            f"{span or one_line(field['text'] or '')}"
         )
     for label, values in [] if run is None else _traces(run):
         print(f"  {label:<14} {_trace(values)}")

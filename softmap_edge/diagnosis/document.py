@@ -35,6 +35,7 @@ from softmap_edge.errors import ReportError, SoftmapError, brief
 from softmap_edge.files.atomic import Document, read_document
 from softmap_edge.model.chain_labels import readings, valued
 from softmap_edge.model.learned_in import LearnedIn
+from softmap_edge.model.manifest import LARGEST
 from softmap_edge.model.parameter_layout import ranges_of
 
 if TYPE_CHECKING:
@@ -49,6 +50,15 @@ VERDICTS = {
     "cannot_tell": "inconclusive: these data cannot show all effects",
     "measurement_fault": "measurement fault",
 }
+
+
+_LATER = (
+    "model",
+    "families",
+    "servo",
+    "learned_in",
+    "remarks",
+)  # not in every document of the schema
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +135,12 @@ class Diagnosis:
             raise SoftmapError(
                 f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`"
             ) from None
+        if isinstance(document, dict) and document.get("schema") == SCHEMA:
+            written = [f.name for f in fields(cls) if f.name not in _LATER]
+            if missing := [name for name in written if name not in document]:
+                raise ReportError(
+                    f"{path}: damaged diagnosis: it has no '{missing[0]}'; diagnose again"
+                )
         return cls.from_dict(document)
 
     def params_of(self, name: str) -> dict[str, float]:
@@ -162,6 +178,11 @@ class Diagnosis:
     def _checked(self, model: Model, name: str) -> dict[str, float]:
         """Return all fitted parameters of one effect, within its bounds."""
         params, chain = self.params_of(name), _core.Chain([name], model.channels)
+        if far := next((label for label in params if abs(params[label]) > LARGEST), None):
+            raise SoftmapError(
+                f"{far} is {params[far]:.6g} in the diagnosis, allowed are ±{LARGEST:g}; diagnose "
+                "again"
+            )
         values = valued(chain, params, np.full(len(chain.labels), np.nan))
         ranges = ranges_of(model, chain)
         for i, (value, low, high) in enumerate(zip(values, ranges.low, ranges.limit)):
@@ -195,7 +216,7 @@ def with_error(model: Model, entries: Sequence[Finding]) -> Model:
         if entry.refitted is None:
             continue
         error = np.asarray(entry.refitted.error_mm, float)
-        if error.shape != (model.form_error.size,) or not np.all(np.isfinite(error) & (error >= 0)):
+        if error.shape != (model.form_error.size,) or not np.all((error >= 0) & (error < LARGEST)):
             raise SoftmapError(
                 f"the diagnosis is not of this model of '{model.robot}'; diagnose again"
             )

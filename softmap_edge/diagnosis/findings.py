@@ -17,6 +17,7 @@ from softmap_edge.errors import ReportError
 from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
+_LARGEST = 1e30  # of any number: beyond any robot, and its square is finite
 BEYOND = 6  # largest reported power of ten of an e-value
 
 
@@ -313,9 +314,10 @@ def _value(hint: object, value: object, where: str) -> Any:
         return read(hint, value, where)
     if hint is float:
         found = float(_typed((int, float), value, where))
-        if not math.isfinite(found):
+        if not abs(found) <= _LARGEST:  # also not for NaN
             raise ReportError(
-                f"damaged diagnosis: {where} is {found}, no finite value; diagnose again"
+                f"damaged diagnosis: {where} is {found:g}, no finite value within "
+                f"±{_LARGEST:g}; diagnose again"
             )
         return found
     return value if hint is Any else _typed(hint, value, where)

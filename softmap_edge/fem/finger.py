@@ -35,6 +35,7 @@ from softmap_edge.fem.tendons import (
     unit_of,
 )
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.toml import parsed, quoted
 
 __all__ = ["Finger", "Region", "Tendon"]
@@ -164,13 +165,11 @@ class Finger:
     def load(cls, path: str | Path) -> Finger:
         """Read a `finger.toml`; raises FingerError that names the file and the field."""
         try:
-            if Path(path).exists() and not Path(path).is_file():  # reading a pipe would block
-                raise OSError("a folder" if Path(path).is_dir() else "no file")
-            with Path(path).open(encoding="utf-8") as file:
-                text = file.read(_MOST_TEXT + 1)
+            text = own_text(path, _MOST_TEXT)
         except (OSError, UnicodeDecodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
             raise FingerError(
-                f"{path}: cannot be read as a finger file ({error}); give a finger.toml; a copy of "
+                f"{path}: cannot be read as a finger file ({why}); give a finger.toml; a copy of "
                 "softmap_edge/data/finger.toml is a start"
             ) from None
         try:

@@ -20,6 +20,7 @@ from softmap_edge.errors import FingerError, brief
 from softmap_edge.fem.foreign_mesh import kind_of, parse
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
+from softmap_edge.files.own_text import own_text
 
 _MOST_BYTES = 64 << 20  # limit of a mesh file; 60 000 tetrahedra need 4 MB
 _MOST_TEXT = 1 << 20  # limit of a file of guides
@@ -107,7 +108,7 @@ def read_guides(path: Path) -> tuple[tuple[float, float, float], ...]:
     """
     _check(path, _MOST_TEXT, "guides; give a JSON list of [x, y, z]")
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
+        rows = json.loads(own_text(path, _MOST_TEXT))
         points = tuple((float(x), float(y), float(z)) for x, y, z in rows)
     except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FingerError(

@@ -95,4 +95,4 @@ def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) ->
             f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are "
             "read"
         )
-    return file.read_text(encoding="utf-8")
+    return file.read_text(encoding="utf-8-sig")

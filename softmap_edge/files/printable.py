@@ -29,8 +29,11 @@ def one_line(text: str) -> str:
 
 
 def listed(items: Iterable[object], most: int) -> str:
-    """Return the first `most` items with commas between them, and the number of the others."""
-    texts = list(map(str, items))
+    """Return the first `most` items with commas between them, and the number of the others.
+
+    Each is one printable line.
+    """
+    texts = [one_line(str(item)) for item in items]
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
@@ -84,7 +85,7 @@ def read_info(path: Path) -> Info:
             raise RunError(
                 f"{path}: {path.stat().st_size} bytes, at most {_SIZE} are read; download it again"
             )
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(own_text(path, _SIZE))
     except OSError as cause:
         raise RunError(
             f"{path}: cannot be read ({cause.strerror or cause}); download it again"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.toml import TomlTable, parsed, shown
 from softmap_edge.logs.measured import (
     Column,
@@ -30,6 +31,7 @@ from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
 from softmap_edge.logs.time_keys import clock_of
+from softmap_edge.run.fields import plain
 from softmap_edge.run.rollover import DRIVES
 
 Array = NDArray[np.float64]
@@ -152,7 +154,7 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
                 f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the "
                 "mapping, not the log"
             )
-        return parse_mapping(path.read_bytes().decode("utf-8"), path)
+        return parse_mapping(own_text(path, _SIZE), path)
     except OSError as cause:
         raise RunError(
             f"{path}: cannot be read ({cause.strerror or cause}); give the path of a mapping file"
@@ -184,7 +186,7 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
             f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in "
             "the first line"
         )
-    unit = top.get("command_unit", (str,), "mm")
+    unit = _name(top, "command_unit") or "mm"
     logs = top.get("log", (list,), [])
     if not logs:
         raise RunError(f"{path}: no [[log]]; each file of the logs needs one")
@@ -203,7 +205,7 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
     pairs = {"gravity": gravity, "temperature": temperature, "sigma": sigma}
     return Mapping(
         path=path,
-        robot=top.get("robot", (str,)),
+        robot=_name(top, "robot"),
         command_unit=unit,
         zero_time=bool(top.get("zero_time", (bool,), False)),
         logs=tuple(
@@ -225,6 +227,12 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         fast_ppm=seen.number("fast_ppm", 0.0, -1e5, 1e5) or 0.0,
         clock_step=_step(seen),
     )
+
+
+def _name(top: TomlTable, key: str) -> str | None:
+    """Return a text that the run stores, checked as the run's."""
+    text = top.get(key, (str,))
+    return None if text is None else plain(f"{top.where}: {key}", text)
 
 
 def _step(seen: TomlTable) -> tuple[float, float] | None:

@@ -48,6 +48,7 @@ from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.files.atomic import MOST_TEXT, Document, replacement_of_folder
 from softmap_edge.files.npz import Arrays, read_npz, write_npz
+from softmap_edge.files.own_text import own_text
 from softmap_edge.model.manifest import (
     LARGEST,
     MAX_EFFECT_BYTES,
@@ -466,7 +467,7 @@ def _safety(folder: Path, manifest: Document) -> Safety | None:
             "copy it again"
         )
     try:
-        text = file.read_text(encoding="utf-8")
+        text = own_text(file, MOST_TEXT)
     except UnicodeDecodeError:
         raise BundleError(f"{folder.name}: {SAFETY} is no text; copy it again") from None
     read = read_safety(

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from softmap_edge.errors import BundleError, brief
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.own_text import own_text
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a
 # residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no
@@ -19,6 +20,7 @@ from softmap_edge.files.atomic import Document
 SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
 EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user's own effect
+_MOST = 16 << 20  # bytes of a JSON file
 MAX_EFFECT_BYTES = 1 << 20  # of its file
 MAX_ONNX_BYTES = 64 << 20  # the published network has 7 MB
 LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
@@ -151,10 +153,10 @@ def _floats(value: object, length: int) -> bool:
 
 
 def read_json(file: Path) -> Document:
-    if file.stat().st_size > 16 << 20:
+    if file.stat().st_size > _MOST:
         raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(own_text(file, _MOST))
     except (ValueError, RecursionError) as fault:
         raise BundleError(
             f"{file.parent.name}: {file.name} is not readable JSON ({brief(fault)}); copy it again"

@@ -8,8 +8,9 @@ command that prints the message fills it in. Pinned by tests/robot/test_hints.py
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping
+
+from softmap_edge.files.shell import shell_file
 
 COMMAND = re.compile(r"`softmap\s([^`]+)`")
 OPENS, CLOSES = "([{", ")]}"
@@ -62,8 +63,8 @@ def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
     """
     if rig is None and bundle is None:
         return text
-    given = {"bundle": "DIR" if bundle is None else shlex.quote(bundle)}
-    given |= {} if rig is None else {"rig": shlex.quote(rig)}
+    given = {"bundle": "DIR" if bundle is None else shell_file(bundle)}
+    given |= {} if rig is None else {"rig": shell_file(rig)}
     return COMMAND.sub(lambda found: "`softmap " + _complete(found[1], given) + "`", text)
 
 

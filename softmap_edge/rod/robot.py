@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
+from softmap_edge.files.own_text import own_text
 from softmap_edge.files.toml import TomlTable, parsed
 from softmap_edge.model.elastic_rod import MODES, Coordinates, RodLayout
 
@@ -60,7 +61,7 @@ class Robot:
                     f"{file}: {file.stat().st_size} bytes, a robot's file has at most {_SIZE}; "
                     f"{EXAMPLE}"
                 )
-            text = file.read_bytes().decode("utf-8")
+            text = own_text(file, _SIZE)
         except OSError as cause:
             raise RobotError(
                 f"{file}: cannot be read ({cause.strerror or cause}); give a robot.toml"

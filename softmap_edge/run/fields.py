@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import one_line
 from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
@@ -119,6 +120,7 @@ RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "sigma": (1e-9, 1e3, "mm", "give the standard deviation of a coordinate in mm"),
 }
 _COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
+_LONGEST = 100  # characters of a name, as in a bundle
 _SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
 # no robot is that much longer or shorter than at rest; other units are ten times off
 _STRETCH = 4.0
@@ -186,9 +188,23 @@ def text(name: str, value: NDArray[np.generic]) -> str:
     if value.dtype.kind not in "US" or value.size != 1:
         raise RunError(f"{name}: {value.dtype} of shape {value.shape}, expected one text")
     item = value.reshape(-1)[0]
-    found = item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
+    return plain(name, item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item))
+
+
+def plain(name: str, found: str) -> str:
+    """Return the text of a field.
+
+    Raises:
+        RunError: it has characters that do not print, or more than a bundle can hold.
+    """
     if not found.isprintable():
-        raise RunError(f"{name}: holds unprintable characters; give a plain name")
+        raise RunError(
+            f"{name}: '{one_line(found[:60])}' holds unprintable characters; give a plain name"
+        )
+    if len(found) > _LONGEST:
+        raise RunError(
+            f"{name}: {len(found)} characters, at most {_LONGEST} are allowed; give a shorter name"
+        )
     return found
 
 
@@ -249,6 +265,8 @@ def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
 
 def check(run: Run) -> None:
     """Check a complete run: shapes, then values, then how the fields fit together."""
+    for name, text_of in (("robot", run.robot), ("command_unit", run.command_unit)):
+        plain(name, str(text_of or ""))
     sizes = _sizes(run)
     for name, (axes, _) in AXES.items():
         value = run.array(name)

@@ -5,11 +5,13 @@ import json
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from softmap_edge.cli import main
-from softmap_edge.files.printable import PrintableStream, one_line, printable, raw
+from softmap_edge.files.printable import PrintableStream, listed, one_line, printable, raw
 from softmap_edge.report.pages import render
+from softmap_edge.run.run import Run
 
 HOSTILE = {
     "\x1b[31m": "\\u001b[31m",
@@ -77,3 +79,28 @@ def test_a_page_shows_every_value_as_text_without_control_characters(tmp_path):
     text = render("t.html", SimpleNamespace(a='<b onload="x">\x1b[1m'), tmp_path)
     one = "&lt;b onload=&#34;x&#34;&gt;\\u001b[1m"
     assert text == f'{one}|{one} {one}|{one}|<i alt="{one}">{one}!'
+
+
+@pytest.mark.parametrize("name", ["a\nsoftmap: all is well.npz", "a\tb.npz", "a\rb.npz", "\n"])
+@pytest.mark.parametrize("words", [["show"], ["check"], ["import", "log.csv", "--guess", "--out"]])
+def test_a_name_with_a_line_end_or_a_tab_is_refused(words, name, capsys):
+    assert main([*words, name]) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and error[:-1].isprintable() and "rename the file" in error
+
+
+@pytest.mark.parametrize("name", ["a\nb", "tab\t", "line\u2028line", "\u202egnp"])
+def test_the_fields_of_a_run_are_printed_on_one_line(name, tmp_path, capsys):
+    t = np.arange(3.0)
+    markers = np.ones((3, 1, 3)) * t[:, None, None] * 10
+    path = tmp_path / "run.npz"
+    Run(t=t, command=t[:, None], markers=markers, t_seen=t, extra={name: np.array(name)}).save(path)
+    main(["show", str(path)])
+    shown = capsys.readouterr().out
+    assert all(line.isprintable() for line in shown.splitlines()) and one_line(name) in shown
+    assert name not in shown
+
+
+@pytest.mark.parametrize("name", ["a\nb", "tab\t", "\x1b[31m"])
+def test_names_in_a_list_are_one_line(name):
+    assert listed([name, "x"], 1) == f"{one_line(name)} and 1 more"

@@ -4,11 +4,13 @@ nearest.
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import CONSTANTS, KEYS, LOG, parse_mapping
 from softmap_edge.logs.time_keys import KEYS as TIME_KEYS
+from softmap_edge.run.run import Run
 
 MAP = """schema = "softmap.mapping/1"
 [[log]]
@@ -16,6 +18,7 @@ time = { column = "t" }
 command = { columns = ["a"] }
 markers = { columns = [["x", "y", "z"]] }
 """
+MOVED = np.array([0.0, 10.0, 20.0])[:, None, None]  # mm, by frame
 
 
 def refused(text):
@@ -88,3 +91,38 @@ def test_kinds_are_named_in_words():
         MAP.replace('"t" }', '"t", rate_hz = "100" }')
     )
     assert "expected a table" in refused(MAP.replace('{ column = "t" }', "5"))
+
+
+@pytest.mark.parametrize("key", ["robot", "command_unit"])
+@pytest.mark.parametrize(
+    "text", ["a\\u001b[31m", "a\\nb", "tab\\t", "\\u202egnp", "line\\u2028line", "x" * 101]
+)
+def test_a_name_that_the_run_refuses_is_refused_in_the_mapping(key, text):
+    fault = refused(f'{key} = "{text}"\n{MAP}')
+    assert fault.startswith(f"map.toml: {key}: ") and fault.isprintable()
+    assert "plain name" in fault or "101 characters, at most 100" in fault
+
+
+@pytest.mark.parametrize("text", ["trunk", "Rüssel 3", "机器人", "x" * 100])
+def test_a_plain_name_of_a_robot_is_kept(text):
+    assert parse_mapping(f'robot = "{text}"\n{MAP}', Path("map.toml")).robot == text
+    run = Run(
+        t=np.arange(3.0),
+        command=np.ones((3, 1)),
+        markers=np.ones((3, 1, 3)) * MOVED,
+        t_seen=np.arange(3.0),
+        robot=text,
+    )
+    assert run.robot == text
+
+
+@pytest.mark.parametrize("text", ["a\x1b[31m", "a\nb", "tab\t", "\u202egnp", "x" * 101])
+def test_a_run_in_memory_has_the_rule_of_a_run_that_is_read(text):
+    with pytest.raises(RunError, match="robot: "):
+        Run(
+            t=np.arange(3.0),
+            command=np.ones((3, 1)),
+            markers=np.ones((3, 1, 3)) * MOVED,
+            t_seen=np.arange(3.0),
+            robot=text,
+        )

@@ -3,7 +3,8 @@
 They may be in any order.
 
 Sizes in the header are compared with the bytes of the file before memory is allocated. Elements
-before the vertices are skipped, also those with lists; elements after the vertices are not read.
+before the vertices are skipped, also those with lists, and so are lists among the properties of a
+vertex; elements after the vertices are not read.
 """
 
 from __future__ import annotations
@@ -34,8 +35,10 @@ _TYPES = {
 } | {f"{word}{8 * n}": f"{word[0]}{n}" for word in ("int", "uint", "float") for n in (1, 2, 4, 8)}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MOST_HEADER = 1000  # lines
-_MOST_LISTS = 1_000_000  # rows with lists that are skipped, one by one
+_MOST_LISTS = 1_000_000  # rows with lists that are read or skipped, one by one
+_MOST_ITEMS = 1_000_000  # of one list
 _MOST_POINTS = 10_000_000
+_MOST_LINE = 1_000_000  # bytes of a row of text
 _ROWS = 2000  # from which columns are decided
 
 
@@ -53,6 +56,11 @@ class _Element:
     @property
     def listed(self) -> bool:
         return any(len(types) > 1 for _, types in self.properties)
+
+    @property
+    def numbers(self) -> list[str]:
+        """Names of the properties that are one number."""
+        return [name for name, types in self.properties if len(types) == 1]
 
     def row(self, order: str) -> np.dtype[np.void]:
         return np.dtype(
@@ -115,16 +123,17 @@ def _header(file: BinaryIO) -> tuple[str, list[_Element]]:
 
 
 def _check(vertex: _Element, there: int) -> None:
-    if vertex.listed:
-        raise ValueError("its vertices have lists")
-    if len(vertex.properties) < 3:
+    if len(vertex.numbers) < 3:
+        raise ValueError(f"its vertices have {len(vertex.numbers)} numbers, x, y, z are needed")
+    if vertex.listed and vertex.count > _MOST_LISTS:
         raise ValueError(
-            f"its vertices have {len(vertex.properties)} properties, x, y, z are needed"
+            f"{vertex.count} vertices with lists, at most {_MOST_LISTS} are read: leave the lists "
+            "out"
         )
     if vertex.count > _MOST_POINTS:
         raise ValueError(f"{vertex.count} vertices, at most {_MOST_POINTS} are read: thin it out")
     least = vertex.count * 2 * len(vertex.properties)  # of text; a digit and a separator
-    binary = vertex.count * vertex.row("").itemsize
+    binary = vertex.count * vertex.row("").itemsize  # lists without items are the shortest
     if min(least, binary) > there + 1:
         raise ValueError(f"its header claims {vertex.count} vertices, {there} bytes are there")
 
@@ -148,6 +157,10 @@ def _vertices(
                 f"its header claims {vertex.count} vertices of {row.itemsize} bytes, {there} are "
                 "there"
             )
+        if vertex.listed:
+            values = _rows_with_lists(file.read(there), vertex, order)
+            columns = _columns(vertex, list(values[:_ROWS].T), path, notes)
+            return values[:, columns]
         table = (
             np.memmap(path, row, "r", file.tell(), (vertex.count,))
             if vertex.count
@@ -158,15 +171,16 @@ def _vertices(
     for _ in range(sum(element.count for element in before)):
         if not file.readline():
             raise ValueError("it ends before its vertices")
-    first = [file.readline().split() for _ in range(min(vertex.count, _ROWS))]
-    if any(len(cells) != len(vertex.properties) for cells in first):
-        raise ValueError(f"rows of {len(vertex.properties)} numbers are expected, others are there")
+    lines = iter(lambda: file.readline(_MOST_LINE), b"")
+    if vertex.listed:
+        lines = (b" ".join(_numbers_of(line.split(), vertex)) for line in lines)
+    first = [next(lines, b"").split() for _ in range(min(vertex.count, _ROWS))]
+    if any(len(cells) != len(vertex.numbers) for cells in first):
+        raise ValueError(f"rows of {len(vertex.numbers)} numbers are expected, others are there")
     columns = _columns(
-        vertex, list(np.array(first, float).reshape(-1, len(vertex.properties)).T), path, notes
+        vertex, list(np.array(first, float).reshape(-1, len(vertex.numbers)).T), path, notes
     )
-    rows = itertools.chain(
-        (b" ".join(cells) for cells in first), iter(lambda: file.readline(10_000), b"")
-    )
+    rows = itertools.chain((b" ".join(cells) for cells in first), lines)
     values = (
         np.loadtxt(itertools.islice(rows, vertex.count), usecols=columns, ndmin=2)
         if vertex.count
@@ -181,9 +195,56 @@ def _columns(
     vertex: _Element, some: list[NDArray[np.generic]], path: Path, notes: list[str]
 ) -> Triple:
     sample = np.stack([np.asarray(column, np.float64) for column in some], axis=1)
-    columns, sentence = choose([name for name, _ in vertex.properties], sample, str(path))
+    columns, sentence = choose(vertex.numbers, sample, str(path))
     notes += [f"{path.name}: {sentence}"] if sentence else []
     return columns
+
+
+def _numbers_of(cells: list[bytes], vertex: _Element) -> list[bytes]:
+    """Return the cells of a row of text without those of its lists."""
+    kept, place = list[bytes](), 0
+    for _, types in vertex.properties:
+        if place >= len(cells):
+            raise ValueError("a row ends within its numbers")
+        if len(types) > 1:
+            place += 1 + _length(float(cells[place]))
+        else:
+            kept.append(cells[place])
+            place += 1
+    if place != len(cells):
+        raise ValueError(f"a row has {len(cells)} cells, its header and lists make {place}")
+    return kept
+
+
+def _rows_with_lists(content: bytes, vertex: _Element, order: str) -> Floats:
+    """Return the numbers (M, C) of binary rows, without their lists."""
+    parts: list[tuple[struct.Struct, int]] = []  # of a list: of its length, bytes of an item
+    for _, types in vertex.properties:
+        unpack = struct.Struct(order + np.dtype(types[0]).char)
+        size = np.dtype(types[1]).itemsize if len(types) > 1 else 0
+        parts.append((unpack, size))
+    values = np.empty((vertex.count, len(vertex.numbers)))
+    place = 0
+    for row in values:
+        column = 0
+        for unpack, size in parts:
+            (number,) = unpack.unpack_from(content, place)
+            place += unpack.size
+            if size:
+                place += _length(number) * size
+            else:
+                row[column] = number
+                column += 1
+        if place > len(content):
+            raise ValueError("a list goes beyond the end of the file")
+    return values
+
+
+def _length(number: float) -> int:
+    """Return the number of items of a list."""
+    if not 0 <= number <= _MOST_ITEMS or number != int(number):
+        raise ValueError(f"a list of {number:g} items, 0 to {_MOST_ITEMS} are read")
+    return int(number)
 
 
 def _pass_over(file: BinaryIO, element: _Element, order: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import shlex
 import sys
 import threading
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.shell import shell_file
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.emulated.finger import (
@@ -202,15 +202,15 @@ def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> st
     ]
     lines += [f"{path}: written" for path in (args.rig, args.calibrated) if path]
     if args.fresh:
-        rig = shlex.quote(args.rig or "rig.toml")
+        rig = shell_file(args.rig or "rig.toml")
         lines += [
             "next, in another terminal, for each servo:",
             f"  softmap servo setup --port {port} --baud {args.baud} --id 1 --rig {rig}",
         ]
     elif args.rig and args.calibrated:
-        on = f"--bundle {shlex.quote(args.calibrated)} --rig {shlex.quote(args.rig)}"
+        on = f"--bundle {shell_file(args.calibrated)} --rig {shell_file(args.rig)}"
         seen = f" --camera {args.stream[0].replace('//127.0.0.1:', '//:')}" if args.stream else ""
-        seen += f" --key {shlex.quote(args.key)}" if seen and args.key else ""
+        seen += f" --key {shell_file(args.key)}" if seen and args.key else ""
         lines += ["next, in another terminal:", f"  softmap track S {on}{seen} --picture s.svg"]
         if seen:
             lines += [

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shlex
 import stat
 import textwrap
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.files.shell import shell_file
 from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.robot.link.session import read_key
 from softmap_edge.robot.servo.bus import opened
@@ -127,7 +127,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
         try:
             read_key(stops.udp.key_file)
         except (SoftmapError, OSError) as fault:
-            key = shlex.quote(str(stops.udp.key_file))
+            key = shell_file(stops.udp.key_file)
             line, do = (
                 faulty("emergency stop", fault, ""),
                 f"`softmap servo heartbeat --new-key {key}` makes one for both",

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.atomic import replacement_of
+from softmap_edge.files.own_text import own_text
 from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]
@@ -75,15 +76,17 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
             message names the line.
     """
     file = Path(path)
-    if file.exists() and not file.is_file():
-        raise RunError(f"{path}: no file; {REMEDY}")
-    if file.stat().st_size > BYTES:
+    if file.exists() and file.is_file() and file.stat().st_size > BYTES:
         raise RunError(
             f"{path}: {file.stat().st_size >> 20} MB, command files of up to {BYTES >> 20} MB are "
             "read"
         )
     try:
-        lines = file.read_text(encoding="utf-8").split("\n")
+        lines = own_text(file, BYTES).split("\n")
+    except FileNotFoundError:
+        raise
+    except OSError as fault:
+        raise RunError(f"{path}: {fault.strerror}; {REMEDY}") from None
     except UnicodeDecodeError as fault:
         raise RunError(f"{path}: no text in UTF-8 ({brief(fault)}); {REMEDY}") from None
     head = HEAD.fullmatch(lines[0].rstrip("\r"))

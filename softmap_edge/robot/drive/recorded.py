@@ -7,7 +7,6 @@ tests/robot/test_record_robot.py.
 
 from __future__ import annotations
 
-import shlex
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingWarning, RunError
+from softmap_edge.files.shell import shell_file
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TICKS, converted
 from softmap_edge.robot.control.recording import Recording, read_recording
@@ -64,7 +64,7 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
     if recording.doubtful:
         raise RunError(
             f"{recording.incomplete}; copy it again, or take it as it is "
-            f"by `softmap servo replay {shlex.quote(str(file))} "
+            f"by `softmap servo replay {shell_file(file)} "
             "--run RUN.npz`"
         )
     return run_of(recording, model)

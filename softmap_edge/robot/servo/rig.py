@@ -6,7 +6,6 @@ tests/robot/test_rig_file.py.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,8 @@ from pathlib import Path
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
+from softmap_edge.files.own_text import own_text
+from softmap_edge.files.shell import shell_file
 from softmap_edge.files.toml import TomlTable, parsed, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -130,8 +131,7 @@ class Rig:
         from softmap_edge.robot.servo.rig_edit import edited  # only an edit needs tomlkit
 
         read_rig(path)
-        with open(path, encoding="utf-8", newline="") as file:
-            text = file.read()
+        text = own_text(path, MOST_TEXT, keep_line_ends=True)
         write_atomically(path, edited(text, self.to_toml(), KEPT))
 
 
@@ -144,11 +144,7 @@ def read_rig(path: str | Path) -> Rig:
     """
     file = Path(path)
     try:
-        if file.exists() and not file.is_file():
-            raise ServoError(f"{file}: no file; give a rig.toml")
-        if file.stat().st_size > MOST_TEXT:
-            raise ServoError(f"{file}: too large for a rig")
-        table = TomlTable(parsed(file.read_text("utf-8")), str(file))
+        table = TomlTable(parsed(own_text(file, MOST_TEXT)), str(file))
         table.choice("schema", (SCHEMA,), "")
         port, baud = table.get("port", (str,), ""), table.integer("baud", 57_600, 9_600, 4_500_000)
         servos = []
@@ -179,7 +175,9 @@ def read_rig(path: str | Path) -> Rig:
         table.done()
         return Rig(port, baud, tuple(servos), ceiling, emergency, found, file=str(file))
     except OSError as fault:
-        make = f"make it with `softmap servo setup --rig {shlex.quote(str(file))}`"
+        if file.exists():
+            raise ServoError(f"{file}: {fault.strerror}; give a rig.toml") from None
+        make = f"make it with `softmap servo setup --rig {shell_file(file)}`"
         raise ServoError(f"{file}: {fault.strerror}; {make}") from None
     except ServoError:
         raise

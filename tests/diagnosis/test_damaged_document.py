@@ -1,0 +1,75 @@
+"""A diagnosis with missing fields or absurd numbers is refused before a bundle is written."""
+
+import json
+
+import pytest
+
+from softmap_edge import _core
+from softmap_edge.cli import main
+from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.findings import Finding, Number
+from softmap_edge.errors import ReportError
+
+FIELDS = [
+    *("schema", "verdict", "sentence", "effects", "faults", "alternatives"),
+    *("not_testable", "where", "error", "unexplained", "next", "made_from"),
+]
+
+
+def document():
+    labels = _core.Chain(["backlash"], 2).group_labels
+    params = {label: Number(1.5, 0.1, "mm") for label in labels}
+    return Diagnosis("identified", effects=(Finding("backlash", params),)).to_dict()
+
+
+def added(found, folder, capsys):
+    """Return the exit code of `softmap add` and its message; no bundle is left on failure."""
+    (folder / "d.json").write_text(json.dumps(found))
+    code = main(["add", "--from", str(folder / "d.json"), "--out", str(folder / "out")])
+    assert (folder / "out").exists() == (code == 0)
+    return code, capsys.readouterr().err
+
+
+def test_a_complete_document_is_added(tmp_path, capsys):
+    assert added(document(), tmp_path, capsys) == (0, "")
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_missing_field_is_refused(field, tmp_path, capsys):
+    found = document()
+    del found[field]
+    code, error = added(found, tmp_path, capsys)
+    assert code == 2 and error.count("\n") == 1 and ("diagnose" in error)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, float("inf"), float("nan"), 1e12, -3.0])
+def test_an_absurd_parameter_is_refused(value, tmp_path, capsys):
+    found = document()
+    for number in found["effects"][0]["params"].values():
+        number["value"] = value
+    code, error = added(found, tmp_path, capsys)
+    assert code == 2 and error.count("\n") == 1 and "backlash.gap" in error
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"share": 1e308},
+        {"displacement_mm": {"fitted": 1e308}},
+        {"refitted": {"params": {}, "error_mm": [1e12] * 3}},
+        {"refitted": {"params": {"backlash.gap": {"value": 1e12}}}},
+        {"refitted": {"params": {"rod.young_mpa": {"value": 1e20}}}},
+        {"certificate": {"log10_e": float("nan")}},
+    ],
+)
+def test_absurd_numbers_around_an_effect_are_refused(change, tmp_path, capsys):
+    found = document()
+    found["effects"][0] |= change
+    code, error = added(found, tmp_path, capsys)
+    assert code == 2 and error.count("\n") == 1 and "diagnose again" in error
+
+
+@pytest.mark.parametrize("value", [1e31, float("-inf"), -1e300])
+def test_no_number_of_a_document_is_beyond_bounds(value):
+    with pytest.raises(ReportError):
+        Diagnosis.from_dict(document() | {"unexplained": {"chi2_per_n": value}})
