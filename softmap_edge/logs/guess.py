@@ -39,10 +39,11 @@ from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
+from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
-from softmap_edge.logs.triples import Triples
+from softmap_edge.logs.triples import LeftOut, Triples
 
 Array = NDArray[np.float64]
 
@@ -229,7 +230,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
     found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
     best, sheet = max(each, key=worth)
-    triples = best.places
+    triples = _seen_places(sheet, best.places, found)
     if not triples:
         found.unknown.append(
             "where the markers are: no columns named x, y, z of a place; nothing is seen in this "
@@ -275,6 +276,26 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(
             f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
+
+
+def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[list[str]]:
+    """Return the places without those at 0, 0, 0 in every row, which are reported.
+
+    Markers on the clamp stay, since they may be the origin of the log.
+    """
+    points = [sheet.rows_of(one)[:, None] for one in places]
+    gone = [k for k, one in enumerate(places) if len(never_seen(points[k])) and not is_base(one[0])]
+    if not gone or len(gone) == len(places):
+        return places
+    for k in gone:
+        what = at_one_number(points[k], [0], [", ".join(places[k])])[0]
+        found.unknown.append(
+            f"whether this is a place in {_called(sheet)}: {what}: the marker was never seen, or "
+            "is the origin of the log; left out. To keep it, add it to `markers` and set "
+            'not_seen = "keep"'
+        )
+        found.left.append((sheet, LeftOut(tuple(places[k]), "a marker that was never seen")))
+    return [one for k, one in enumerate(places) if k not in gone]
 
 
 def _places(sheet: Sheet, places: list[list[str]]) -> Array:
