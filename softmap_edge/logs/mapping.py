@@ -25,6 +25,7 @@ from softmap_edge.logs.measured import (
     measured_of,
     not_seen_of,
     per_column,
+    scale_of,
 )
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
@@ -385,7 +386,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     return Quantity(
         columns=tuple(flat),
         unit=unit,
-        scale=per_column(table, "scale", len(flat), 1.0),
+        scale=scale_of(table, len(flat)),
         offset=per_column(table, "offset", len(flat), 0.0),
         held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,
