@@ -21,6 +21,7 @@ from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
+from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
@@ -285,11 +286,14 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     """Points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
+    if stated is None and quantity.unit != FILE and (quantity.scale == 1.0).all():
+        name = str(quantity.columns[0])
+        stated = LENGTH_WORDS.get(unit_in_name(name, LENGTH_WORDS) or "")
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(
             f"{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "
-            '"file" if it is wrong'
+            f'"{stated}" if it is wrong'
         )
     raw = table.numbers(quantity.columns)
     raw *= LENGTH[unit]
@@ -298,7 +302,8 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     points = raw.reshape(len(raw), -1, quantity.axes)
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
-    doubts += doubts_of_points(points, unit, name)
+    if stated is None or stated == unit:
+        doubts += doubts_of_points(points, unit, name)
     return points
 
 

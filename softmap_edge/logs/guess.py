@@ -30,7 +30,7 @@ from softmap_edge.logs.guess_columns import (
     points_of,
     read_sheets,
     roles_of,
-    unit_in_name,
+    stated_of,
 )
 from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
@@ -38,12 +38,13 @@ from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
-from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
+from softmap_edge.logs.mapping import ANGLE, LENGTH, UNITS, parse_mapping
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
 from softmap_edge.logs.triples import LeftOut, Triples
+from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 
 Array = NDArray[np.float64]
 
@@ -243,12 +244,18 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
     points = _places(sheet, triples)
-    named = unit_in_name(flat[0], LENGTH)
+    named = LENGTH_WORDS.get(unit_in_name(flat[0], LENGTH_WORDS) or "")
+    odd = None if named else stated_of(sheet, flat[0], LENGTH_WORDS)
     unit, why = (
         (named, f"their names say {named}")
         if named
         else length_unit(points, sheet.units.get(flat[0]))
     )
+    if odd is not None:
+        found.unknown.append(
+            f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
+            f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
+        )
     found.points = (sheet, triples, unit)
     found.assumed.append(
         f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
@@ -367,6 +374,12 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
             found.assumed.append(
                 f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"
             )
+            if pair[1].stated is not None:
+                found.unknown.append(
+                    f"the unit of the {pair[1].kind}: the log states '{pair[1].stated}', which is "
+                    f"no unit of it in this program: {UNITS[pair[1].kind][0]} is taken; give scale "
+                    "and offset"
+                )
     _drive_units(found)
 
 
@@ -377,7 +390,9 @@ def _drive_units(found: Found) -> None:
         [] if found.present is None else [("encoders", found.present)]
     )
     answers = [
-        drive_unit(sheet.rows_of(role.columns), role.unit, role.joint)
+        (role.stated, "the log states it", True)
+        if role.stated is not None
+        else drive_unit(sheet.rows_of(role.columns), role.unit, role.joint)
         for _, (sheet, role) in drives
     ]
     moved = [float(np.median(_spread(sheet.rows_of(role.columns)))) for _, (sheet, role) in drives]
@@ -407,6 +422,12 @@ def _drive_units(found: Found) -> None:
         if not sure:
             found.unknown.append(f"the unit of the {kind}: {unit} is only likely")
     unit = answers[0][0]
+    if unit not in UNITS["command"]:
+        found.unknown.append(
+            f"the unit of the commands: the log states '{unit}', which is no unit of commands in "
+            "this program: commands stay as they are, and every figure about the drive carries "
+            "this unit. With unit and scale, and without command_unit, they are mm of tendon"
+        )
     if unit == "ticks":
         found.unknown.append(_home_in_ticks(found.command[0].rows_of(found.command[1].columns)))
     if unit in ANGLE:
@@ -431,7 +452,7 @@ def _home_in_ticks(rows: Array) -> str:
 def _alike(one: str, other: str) -> bool:
     """Whether two units are of one kind."""
     kinds: tuple[Container[str], ...] = (LENGTH, ANGLE, ("ticks",))
-    return any(one in kind and other in kind for kind in kinds)
+    return one == other or any(one in kind and other in kind for kind in kinds)
 
 
 def _spread(rows: Array) -> Array:

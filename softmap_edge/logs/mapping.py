@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
 FILE = "file"  # the unit that the file itself states; mm where it states none
-LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
+LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4, "ft": 304.8}  # → mm
 ANGLE = ("deg", "rad")
 UNITS: dict[str, tuple[str, ...]] = {
     "command": (*LENGTH, *ANGLE, "ticks"),
