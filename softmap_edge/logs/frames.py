@@ -287,8 +287,8 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
     if stated is None and quantity.unit != FILE and (quantity.scale == 1.0).all():
-        name = str(quantity.columns[0])
-        stated = LENGTH_WORDS.get(unit_in_name(name, LENGTH_WORDS) or "")
+        column = str(quantity.columns[0])
+        stated = LENGTH_WORDS.get(unit_in_name(column, LENGTH_WORDS) or "")
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
@@ -23,6 +24,14 @@ def written(path, marker="marker_{}_{}_mm", command="command_{}_mm", size=1.0, p
     lines = [",".join(f"{x:.5f}" for x in one) for one in numbers]
     path.write_text("\n".join([",".join(head), *([row] if row else []), *lines]) + "\n", "utf-8")
     return path
+
+
+def doubts_or_fault(log, text):
+    """Return the doubts of an import, or the text of its error."""
+    try:
+        return import_logs([log], parse_mapping(text, log)).doubts
+    except RunError as fault:
+        return [str(fault)]
 
 
 @pytest.mark.parametrize(
@@ -49,7 +58,7 @@ def test_lengths_that_are_stated_are_read(tmp_path, form, mm, row):
     stated = found.text.replace('unit = "file", columns = [\n', wrong)
     for unit in ("in", "ft"):
         stated = stated.replace(f'unit = "{unit}", columns = [\n', wrong)
-    doubts = import_logs([log], parse_mapping(stated, log)).doubts
+    doubts = doubts_or_fault(log, stated)
     assert any("the file says" in doubt for doubt in doubts)
     assert not any("looks like m:" in doubt for doubt in doubts)
 
