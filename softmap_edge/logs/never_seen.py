@@ -51,11 +51,12 @@ def at_one_number(points: Array, markers: Sequence[int], labels: Sequence[str]) 
     for m in markers:
         known = points[np.isfinite(points[:, m]).all(axis=1), m]
         groups.setdefault((float(known[0, 0]) + 0.0, len(known)), []).append(labels[m])
-    return [
-        f"{listed(names, _NAMED)} at exactly {', '.join([f'{number:.10g}'] * points.shape[2])} in "
-        f"{f'all {count}' if count == len(points) else f'all {count} of {len(points)} known'} frames"
-        for (number, count), names in groups.items()
-    ]
+    phrases = []
+    for (number, count), names in groups.items():
+        place = ", ".join([f"{number:.10g}"] * points.shape[2])
+        of = "" if count == len(points) else f" of {len(points)} known"
+        phrases.append(f"{listed(names, _NAMED)} at exactly {place} in all {count}{of} frames")
+    return phrases
 
 
 def moving(points: Array) -> Array:
