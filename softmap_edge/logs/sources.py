@@ -292,8 +292,9 @@ def _refuse_unmatched(parts: list[Part], patterns: list[list[str]], mapping: Map
     if not unmatched:
         return
     given = listed(dict.fromkeys(part.given.name for part in parts), _NAMED)
+    named = listed(dict.fromkeys(unmatched), _NAMED)
     raise RunError(
-        f"{mapping.path}: log '{listed(dict.fromkeys(unmatched), _NAMED)}': no given file fits (given: {given}); "
+        f"{mapping.path}: log '{named}': no given file fits (given: {given}); "
         "give the file, or change `file` in the mapping"
     )
 
