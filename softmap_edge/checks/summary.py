@@ -20,6 +20,7 @@ from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
+from softmap_edge.checks.unseen_markers import doubts_of_unseen
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
 from softmap_edge.logs.plausible import overlong_stroke
@@ -104,6 +105,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     document["warnings"] = [
         *_damage(run),
         *filter(None, [depthless]),
+        *doubts_of_unseen(run),
         *_warnings(run),
         *filter(None, [drift]),
     ]

@@ -15,11 +15,13 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
+from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
+from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
@@ -64,11 +66,13 @@ def seen(
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes)
     assert log.markers is not None
+    table = _without_unseen(table, log.markers, notes, doubts)
     table = _without_lost(
         table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts
     )
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
+        _tell_base(table, log.base, named, doubts)
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
     given = np.isfinite(table.numbers(log.markers.columns)).reshape(
@@ -137,6 +141,47 @@ def _without_lost(
         if not (given.mask | lost.mask).any()
         else _with_numbers(table, quantity.columns, points)
     )
+
+
+def _without_unseen(
+    table: LogTable, markers: Quantity, notes: list[str], doubts: list[str]
+) -> LogTable:
+    """Return the table with NaN for markers at 0, 0, 0 or another such place in every row.
+
+    They are reported; `not_seen = "keep"` keeps them.
+    """
+    points = table.numbers(markers.columns).reshape(len(table.t), -1, markers.axes)
+    unseen = never_seen(points)
+    if not len(unseen):
+        return table
+    places = at_one_number(points, unseen.tolist(), markers.labels)
+    if markers.not_seen is None:
+        notes += [f"markers: {each}: kept as asked" for each in places]
+        return table
+    if len(unseen) == points.shape[1]:
+        raise RunError(
+            f"{table.path}: markers: {places[0]}, so no marker was ever seen; check the columns of "
+            '`markers`, or set markers.not_seen = "keep" if this is a place'
+        )
+    doubts += [
+        f"markers: {each}: never seen, or the origin of the log; taken as not seen. Leave "
+        'the columns out, or set markers.not_seen = "keep" if the marker is there'
+        for each in places
+    ]
+    points[:, unseen] = np.nan
+    return _with_numbers(table, markers.columns, points)
+
+
+def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
+    """Report markers of the base at 0, 0, 0 in every row; they are kept."""
+    if base.not_seen is None:
+        return
+    points = table.numbers(base.columns).reshape(len(table.t), -1, base.axes)
+    doubts += [
+        f"base: {each}: kept as the origin of the log. If it was never seen, leave the columns "
+        'out; base.not_seen = "keep" if it is there'
+        for each in at_one_number(points, never_seen(points).tolist(), labels)
+    ]
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
@@ -241,11 +286,14 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     """Points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
+    if stated is None and quantity.unit != FILE and (quantity.scale == 1.0).all():
+        column = str(quantity.columns[0])
+        stated = LENGTH_WORDS.get(unit_in_name(column, LENGTH_WORDS) or "")
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(
             f"{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "
-            '"file" if it is wrong'
+            f'"{stated}" if it is wrong'
         )
     raw = table.numbers(quantity.columns)
     raw *= LENGTH[unit]
@@ -254,7 +302,8 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     points = raw.reshape(len(raw), -1, quantity.axes)
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
-    doubts += doubts_of_points(points, unit, name)
+    if stated is None or stated == unit:
+        doubts += doubts_of_points(points, unit, name)
     return points
 
 

@@ -30,7 +30,7 @@ from softmap_edge.logs.guess_columns import (
     points_of,
     read_sheets,
     roles_of,
-    unit_in_name,
+    stated_of,
 )
 from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
@@ -38,11 +38,13 @@ from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
-from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
+from softmap_edge.logs.mapping import ANGLE, LENGTH, UNITS, parse_mapping
+from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
-from softmap_edge.logs.triples import Triples
+from softmap_edge.logs.triples import LeftOut, Triples
+from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 
 Array = NDArray[np.float64]
 
@@ -229,7 +231,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
     found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
     best, sheet = max(each, key=worth)
-    triples = best.places
+    triples = _seen_places(sheet, best.places, found)
     if not triples:
         found.unknown.append(
             "where the markers are: no columns named x, y, z of a place; nothing is seen in this "
@@ -242,12 +244,18 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
     points = _places(sheet, triples)
-    named = unit_in_name(flat[0], LENGTH)
+    named = LENGTH_WORDS.get(unit_in_name(flat[0], LENGTH_WORDS) or "")
+    odd = None if named else stated_of(sheet, flat[0], LENGTH_WORDS)
     unit, why = (
         (named, f"their names say {named}")
         if named
         else length_unit(points, sheet.units.get(flat[0]))
     )
+    if odd is not None:
+        found.unknown.append(
+            f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
+            f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
+        )
     found.points = (sheet, triples, unit)
     found.assumed.append(
         f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
@@ -275,6 +283,26 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(
             f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
+
+
+def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[list[str]]:
+    """Return the places without those at 0, 0, 0 in every row, which are reported.
+
+    Markers on the clamp stay, since they may be the origin of the log.
+    """
+    points = [sheet.rows_of(one)[:, None] for one in places]
+    gone = [k for k, one in enumerate(places) if len(never_seen(points[k])) and not is_base(one[0])]
+    if not gone or len(gone) == len(places):
+        return places
+    for k in gone:
+        what = at_one_number(points[k], [0], [", ".join(places[k])])[0]
+        found.unknown.append(
+            f"whether this is a place in {_called(sheet)}: {what}: the marker was never seen, or "
+            "is the origin of the log; left out. To keep it, add it to `markers` and set "
+            'not_seen = "keep"'
+        )
+        found.left.append((sheet, LeftOut(tuple(places[k]), "a marker that was never seen")))
+    return [one for k, one in enumerate(places) if k not in gone]
 
 
 def _places(sheet: Sheet, places: list[list[str]]) -> Array:
@@ -346,6 +374,12 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
             found.assumed.append(
                 f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"
             )
+            if pair[1].stated is not None:
+                found.unknown.append(
+                    f"the unit of the {pair[1].kind}: the log states '{pair[1].stated}', which is "
+                    f"no unit of it in this program: {UNITS[pair[1].kind][0]} is taken; give scale "
+                    "and offset"
+                )
     _drive_units(found)
 
 
@@ -356,7 +390,9 @@ def _drive_units(found: Found) -> None:
         [] if found.present is None else [("encoders", found.present)]
     )
     answers = [
-        drive_unit(sheet.rows_of(role.columns), role.unit, role.joint)
+        (role.stated, "the log states it", True)
+        if role.stated is not None
+        else drive_unit(sheet.rows_of(role.columns), role.unit, role.joint)
         for _, (sheet, role) in drives
     ]
     moved = [float(np.median(_spread(sheet.rows_of(role.columns)))) for _, (sheet, role) in drives]
@@ -386,6 +422,12 @@ def _drive_units(found: Found) -> None:
         if not sure:
             found.unknown.append(f"the unit of the {kind}: {unit} is only likely")
     unit = answers[0][0]
+    if unit not in UNITS["command"]:
+        found.unknown.append(
+            f"the unit of the commands: the log states '{unit}', which is no unit of commands in "
+            "this program: commands stay as they are, and every figure about the drive carries "
+            "this unit. With unit and scale, and without command_unit, they are mm of tendon"
+        )
     if unit == "ticks":
         found.unknown.append(_home_in_ticks(found.command[0].rows_of(found.command[1].columns)))
     if unit in ANGLE:
@@ -410,7 +452,7 @@ def _home_in_ticks(rows: Array) -> str:
 def _alike(one: str, other: str) -> bool:
     """Whether two units are of one kind."""
     kinds: tuple[Container[str], ...] = (LENGTH, ANGLE, ("ticks",))
-    return any(one in kind and other in kind for kind in kinds)
+    return one == other or any(one in kind and other in kind for kind in kinds)
 
 
 def _spread(rows: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,6 +43,7 @@ from softmap_edge.logs.sources import (
 from softmap_edge.logs.table import open_log
 from softmap_edge.logs.time_names import TIME_NAME
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
+from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
@@ -74,11 +76,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("present", r"^pos(?!e)|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
 _SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
-_UNIT = {
-    "mm": "mm",
-    "cm": "cm",
-    "m": "m",
-    "um": "um",
+_UNIT = LENGTH_WORDS | {
     "deg": "deg",
     "degrees": "deg",
     "°": "deg",
@@ -120,6 +118,7 @@ class Sheet:
     clocks: dict[str, str] = field(default_factory=dict)
     head_line: int | None = None  # the number of the line of a text log that names the columns
     rate_hz: float | None = None  # of its rows, as the lines above the table state it
+    stated: dict[str, str] = field(default_factory=dict)  # units of a line that are not known
     parts: int = 1  # files of the log
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
 
@@ -148,6 +147,7 @@ class Role:
     why: str
     sure: bool = True
     joint: bool = False  # joint states of ROS: rad, or m for a joint that slides
+    stated: str | None = None  # the unit that the log states, if it is not read for this kind
 
 
 def read_sheets(paths: list[Path]) -> list[Sheet]:
@@ -268,6 +268,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         below=below,
         head_line=columns.head_line,
         rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
+        stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
     )
 
 
@@ -284,12 +285,12 @@ def last_of(sheet: Sheet, name: str) -> str:
     return found[1] if found and sheet.indexed and sheet.topic is None else name
 
 
-def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | None:
-    """Return the unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
-    bracketed = re.search(r"[\[(]([^\[\]()]*)[\])]$", name.lower())
-    words: list[str] = re.findall(r"[a-z°]+", bracketed[1]) if bracketed else []
-    words = words or re.findall(r"_([a-z°]+)$", name.lower())
-    return words[-1] if words and words[-1] in known else None
+def stated_of(sheet: Sheet, name: str, known: Collection[str]) -> str | None:
+    """Return the unit that a log states for a column, if it is none of the `known` words."""
+    if sheet.indexed or not sheet.header:
+        return None
+    line = sheet.units.get(name) or sheet.stated.get(name)
+    return unknown_unit(name, line, known)
 
 
 # --- points --------------------------------------------------------------------------------
@@ -394,6 +395,8 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
                 unit = _UNIT.get(
                     (sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower()
                 )
+                words = {word for word, one in _UNIT.items() if one in UNITS[kind]}
+                odd = None if unit in UNITS[kind] else stated_of(sheet, names[0], words)
                 roles.append(
                     (
                         rank,
@@ -404,6 +407,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
                             why,
                             rank < _SURE,
                             joint,
+                            odd,
                         ),
                     )
                 )

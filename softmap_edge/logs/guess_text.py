@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.guess_time import TimeFound, cell
-from softmap_edge.logs.mapping import ANGLE, SCHEMA
+from softmap_edge.logs.mapping import ANGLE, LENGTH, SCHEMA
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
@@ -40,8 +40,9 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     files = len({sheet.file for sheet in sheets}) + any(sheet.parts > 1 for sheet in sheets)
     lines = [f'schema = "{SCHEMA}"', '# robot = "…"   # a name']
     unit = found.command[1].unit if found.command is not None else None
-    if unit in ANGLE:
-        lines.append(f'command_unit = "{unit}"')
+    if unit is not None and unit not in (*LENGTH, "ticks"):
+        note = "" if unit in ANGLE else "   # UNKNOWN: as the log states it"
+        lines.append(f"command_unit = {json.dumps(unit, ensure_ascii=False)}{note}")
     if unit == "ticks":
         lines.append(
             'command_unit = "ticks"   # of a model that is learned; `softmap model calibrate` '
@@ -112,7 +113,8 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
         *((r.kind, (s, r)) for s, r in found.others),
     ):
         if pair is not None and pair[0] is sheet:
-            stated = f', unit = "{pair[1].unit}"' if pair[1].unit else ""
+            unit = json.dumps(pair[1].unit, ensure_ascii=False)
+            stated = f", unit = {unit}" if pair[1].unit else ""
             lines.append(
                 f"{kind} = {{ columns = "
                 f"[{', '.join(cell(sheet, c) for c in pair[1].columns)}]{stated} }}"

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.clock import counting_on, find_jump, find_steps
-from softmap_edge.logs.guess_columns import Sheet, last_of, unit_in_name
+from softmap_edge.logs.guess_columns import Sheet, last_of
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock, fractions
 from softmap_edge.logs.time_names import TIME_NAME, is_time_unit, time_unit
 from softmap_edge.logs.time_text import DAY
+from softmap_edge.logs.unit_words import unit_in_name
 from softmap_edge.run.fields import ROW_S
 
 Array = NDArray[np.float64]

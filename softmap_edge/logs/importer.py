@@ -26,6 +26,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import corrected
+from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
@@ -85,9 +86,10 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     damage = tuple(
         dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage))
     )
-    for one, table in zip(logs, tables):
+    for one, table, log in zip(logs, tables, mapping.logs):
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
-        doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
+        found = [*table.doubts, *doubts_of_roles(table.names, log)]
+        doubts += [f"{one.label}: {doubt}" for doubt in found]
     fields: Document = _timeless(mapping, notes)
     if fields:
         doubts += [

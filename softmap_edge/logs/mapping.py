@@ -26,6 +26,7 @@ from softmap_edge.logs.measured import (
     measured_of,
     not_seen_of,
     per_column,
+    scale_of,
 )
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
@@ -39,7 +40,7 @@ Array = NDArray[np.float64]
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
 FILE = "file"  # the unit that the file itself states; mm where it states none
-LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
+LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4, "ft": 304.8}  # → mm
 ANGLE = ("deg", "rad")
 UNITS: dict[str, tuple[str, ...]] = {
     "command": (*LENGTH, *ANGLE, "ticks"),
@@ -393,7 +394,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     return Quantity(
         columns=tuple(flat),
         unit=unit,
-        scale=per_column(table, "scale", len(flat), 1.0),
+        scale=scale_of(table, len(flat)),
         offset=per_column(table, "offset", len(flat), 0.0),
         held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,

@@ -56,7 +56,7 @@ def measured_of(log: TomlTable) -> Measured | None:
         columns=tuple(columns),
         names=tuple(names),
         unit=unit,
-        scale=per_column(table, "scale", len(columns), 1.0),
+        scale=scale_of(table, len(columns)),
         offset=per_column(table, "offset", len(columns), 0.0),
         not_seen=not_seen_of(table),
     )
@@ -105,3 +105,18 @@ def per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
         assert values is not None
         return values
     return np.full(count, table.number(key, default))
+
+
+def scale_of(table: TomlTable, count: int) -> Array:
+    """Return the scale of each column, 1 unless given.
+
+    Raises:
+        RunError: one is 0, or is no plain number.
+    """
+    scale = per_column(table, "scale", count, 1.0)
+    if (scale == 0.0).any():
+        raise RunError(
+            f"{table.where}: scale = {shown(table.values['scale'])}: 0 makes every value the same; "
+            "give the factor from the log to the unit, or leave the column out"
+        )
+    return scale

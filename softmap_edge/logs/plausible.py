@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge.files.atomic import Document
 from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity
+from softmap_edge.logs.never_seen import moving
 from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
@@ -295,8 +296,8 @@ def _length(number: float, what: str) -> str | None:
 # --- the frame -----------------------------------------------------------------------------
 def doubts_of_rest(t: Array, t_seen: Array, fields: Document, mapping: Mapping) -> list[str]:
     """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
-    markers = fields["markers"]
-    rest = at_rest(t, t_seen, fields.get("command"), markers)
+    rest = at_rest(t, t_seen, fields.get("command"), moving(fields["markers"]))
+    rest = rest[np.isfinite(rest).all(axis=1)]
     base = fields.get("base_markers")
     start = None if base is None else _middle(base).mean(axis=0)
     along = rest_axis(rest, start)

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.mapping import Log, Mapping
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.readers.columns import Columns
@@ -32,6 +33,8 @@ from softmap_edge.logs.readers.rosbag_folder import files_of
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3, topics_of_db3
 from softmap_edge.logs.table import columns_named, header_hint, open_log
 from softmap_edge.logs.time_keys import Clock
+
+_NAMED = 4  # files and patterns that are named
 
 
 @dataclass(frozen=True)
@@ -252,11 +255,12 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
         its logs.
 
     Raises:
-        RunError: a log has no file, or several that are no parts of one recording; or a file has no
-            log.
+        RunError: a `file` fits no given file; a log has no file, or several that are no parts of
+            one recording; or a file has no log.
     """
     logs, patterns = _alike(mapping.logs)
     mapping = replace(mapping, logs=tuple(logs))
+    _refuse_unmatched(parts, patterns, mapping)
     if len(logs) == 1 and len(parts) == 1:
         return mapping, [_chosen(parts)]
     chosen = [_fitting(parts, log, names, mapping) for log, names in zip(logs, patterns)]
@@ -275,6 +279,24 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
             f"mapping has {named}"
         )
     return mapping, [_chosen(fits) for fits in chosen]
+
+
+def _refuse_unmatched(parts: list[Part], patterns: list[list[str]], mapping: Mapping) -> None:
+    """Raise RunError if a `file` of a mapping fits none of the given files."""
+    unmatched = [
+        pattern
+        for names in patterns
+        for pattern in names
+        if not any(_matches(part, pattern) for part in parts)
+    ]
+    if not unmatched:
+        return
+    given = listed(dict.fromkeys(part.given.name for part in parts), _NAMED)
+    named = listed(dict.fromkeys(unmatched), _NAMED)
+    raise RunError(
+        f"{mapping.path}: log '{named}': no given file fits (given: {given}); "
+        "give the file, or change `file` in the mapping"
+    )
 
 
 def _chosen(parts: list[Part]) -> Chosen:

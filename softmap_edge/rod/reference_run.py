@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.checks.unseen_markers import unseen_markers
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import listed
 from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.regression import Drive, Record, rms
@@ -159,6 +161,17 @@ class Fitted:
     basis: Basis = SQUARES
 
 
+def _refuse_unseen(runs: Sequence[Run]) -> None:
+    """Raise RunError if a run has a marker that no frame shows."""
+    for run in runs:
+        if names := unseen_markers(run):
+            raise RunError(
+                f"{listed(names, 4)}: seen in none of {run.frames} frames; leave "
+                f"{'it' if len(names) == 1 else 'them'} out of `markers` in the mapping and import "
+                "the log again"
+            )
+
+
 def observe(
     runs: Sequence[Run],
     input: Source | None,
@@ -180,6 +193,7 @@ def observe(
                 "one of them"
             )
     _alike(runs, source)
+    _refuse_unseen(runs)
     frames = tuple(_usable(run, hold_out, rate_hz) for run in runs)
     markers = np.concatenate(
         [np.asarray(run.markers, float)[index] for run, index in zip(runs, frames)]

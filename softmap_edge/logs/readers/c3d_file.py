@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 LIMIT = 2**28  # bytes of one file: an hour of 50 markers at 100 Hz
 _SIZES = 2  # bytes of the smallest coordinate
-_UNITS = ("mm", "cm", "m")
+_UNITS = ("mm", "cm", "m", "in", "ft")
 
 
 def open_c3d(path: Path) -> HeldColumns:

@@ -8,6 +8,7 @@ import re
 from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
 from softmap_edge.logs.readers.thousands import grouping_of
 from softmap_edge.logs.time_text import is_time
+from softmap_edge.logs.unit_words import LENGTH_WORDS
 
 DELIMITERS = (",", ";", "\t", "|")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
@@ -82,8 +83,9 @@ def is_value(cell: str) -> bool:
 
 
 def unit_of(cell: str) -> str:
-    """Return a cell of a line of units without its brackets."""
-    return cell.strip(_BRACKETS).strip().lower()
+    """Return a cell of a line of units without its brackets, as this program spells it."""
+    word = cell.strip(_BRACKETS).strip().lower()
+    return LENGTH_WORDS.get(word, word)
 
 
 def is_unit(cell: str) -> bool:

@@ -39,6 +39,7 @@ class Table:
         width: cells of a row.
         fewest: cells of a row whose last cells, all empty, are left out.
         units: by name, where a line of units stands between names and rows.
+        stated: by name, the cells of that line which are no known unit.
         clash: indices of a line above the rows that could be names but has another number of cells.
     """
 
@@ -49,6 +50,7 @@ class Table:
     width: int
     fewest: int
     units: dict[str, str] = field(default_factory=dict)
+    stated: dict[str, str] = field(default_factory=dict)
     clash: int | None = None
 
 
@@ -246,10 +248,14 @@ def _head(
             return replace(bare, clash=header)
     names = _grouped(own, lines[header - 1] if header else None)
     units = _units_above(names, lines[header - 1]) if header and names == own else {}
+    stated: dict[str, str] = {}
     for line in lines[header + 1 : first]:
         if line.kind == "text":
             units |= _units_of(names, line.cells)
-    return Table(mark, names, first, header, width, fewest, units)
+            if any(map(is_unit, filter(None, line.cells))):
+                cells = dict(zip(names, line.cells))
+                stated |= {name: cell for name, cell in cells.items() if cell and not is_unit(cell)}
+    return Table(mark, names, first, header, width, fewest, units, stated)
 
 
 def _units_of(names: list[str], cells: list[str]) -> dict[str, str]:

@@ -27,6 +27,9 @@ _UNITS = {
     "m": "m",
 }
 _UNITS |= {"mm": "mm", "cm": "cm", "meter": "m", "millimeter": "mm"}
+_UNITS |= dict.fromkeys(("in", "inch", "inches"), "in") | dict.fromkeys(
+    ("ft", "foot", "feet"), "ft"
+)
 
 
 def is_trc(line: str) -> bool:

@@ -49,6 +49,7 @@ class TextColumns:
     decimal: str
     skip_last: int = 0
     units: dict[str, str] = field(default_factory=dict)
+    odd_units: dict[str, str] = field(default_factory=dict)  # cells of a line of units, not known
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
@@ -521,7 +522,10 @@ def open_text(
         header=named,
     )
     columns = replace(
-        columns, units=table.units if named else {}, fewest=min(table.fewest, len(names))
+        columns,
+        units=table.units if named else {},
+        odd_units=table.stated if named else {},
+        fewest=min(table.fewest, len(names)),
     )
     if named and table.header is not None:
         columns = replace(columns, head_line=skip_rows + 1 + table.header)
