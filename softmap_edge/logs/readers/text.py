@@ -26,7 +26,7 @@ from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain,
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
-from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
+from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
 from softmap_edge.logs.readers.heads import again_words, names_again, refuse_rows_above
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
@@ -473,15 +473,8 @@ def open_text(
         RunError: the file is absent, too large, not text, empty, or has no header where one is
             expected.
     """
-    start = first_lines(path, LINES, skip_rows + 1)
-    at = next(
-        (k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"),
-        len(start),
-    )
-    if at == len(start):
-        raise RunError(
-            f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data"
-        )
+    start = table_lines(path, skip_rows)
+    at = next(k for k, line in enumerate(start) if not is_remark(line))
     table = find_table(without_heads(start), delimiter, EMPTY)
     if table is None:  # no line of numbers: the first line is taken for names
         cut = delimiter or find_delimiter(start[at])
@@ -499,7 +492,7 @@ def open_text(
         )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    skipped = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
+    skipped = sum(not is_remark(line) for line in head)
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
