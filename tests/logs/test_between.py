@@ -92,3 +92,52 @@ def test_labels_that_begin_with_a_mark_are_rows(tmp_path):
     names = ",".join(["block", *NAMES])
     done = read(tmp_path, names, [f"#{k // 30},{line}" for k, line in enumerate(ROWS)])
     assert len(done.run.t) == 90 and not any("remarks" in note for note in done.notes)
+
+
+# --- a head that differs ---------------------------------------------------------------------
+SAME = {
+    "a byte order mark": "\ufeff" + HEAD,
+    "upper case": HEAD.upper(),
+    "blanks": HEAD.replace(",", " , "),
+    "a byte order mark, quoted": "\ufeff" + QUOTED.title(),
+}
+OTHER = {
+    "a new last column": (HEAD + ",volts", lambda row: row + ",1.5", "with volts"),
+    "a new first column": ("pc," + HEAD, lambda row: "7," + row, "with pc"),
+    "a renamed column": (HEAD.replace("tip_z", "top_z"), str, "with top_z and without tip_z"),
+    "a column less": (
+        HEAD.rsplit(",", 1)[0],
+        lambda row: row.rsplit(",", 1)[0],
+        "without tip_z",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SAME)
+@pytest.mark.parametrize("cut", [25, 70])
+def test_the_same_head_in_other_letters_is_left_out(tmp_path, kind, cut):
+    done = read(tmp_path, HEAD, ROWS[:cut], SAME[kind], ROWS[cut:])
+    assert len(done.run.t) == 90
+    assert any(f"left out: 1 (line {cut + 2})" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("kind", OTHER)
+@pytest.mark.parametrize("cut", [25, 70])
+def test_another_head_is_an_error_with_the_line(tmp_path, kind, cut):
+    head, change, words = OTHER[kind]
+    said = f"line {cut + 2} names the columns again, {words}.*; cut the log there"
+    with pytest.raises(RunError, match=said):
+        read(tmp_path, HEAD, ROWS[:cut], head, list(map(change, ROWS[cut:])))
+
+
+@pytest.mark.parametrize("cut", [25, 70])
+def test_other_names_below_rows_are_an_error(tmp_path, cut):
+    said = f"line {cut + 2} .*cut the log there|begins in line {cut + 2}; cut the log there"
+    with pytest.raises(RunError, match=said):
+        read(tmp_path, HEAD, ROWS[:cut], "a,b,c,d,e,f", ROWS[cut:])
+
+
+@pytest.mark.parametrize("cut", [25, 70])
+def test_rows_above_the_only_head_are_not_dropped(tmp_path, cut):
+    with pytest.raises(RunError, match=f"line {cut + 1}.*cut the log there"):
+        read(tmp_path, ROWS[:cut], HEAD, ROWS[cut:])

@@ -184,3 +184,38 @@ def test_odd_heads_take_no_time(tmp_path, line):
     except RunError as fault:
         assert "\n" not in str(fault) and len(str(fault)) < 800
     assert time.process_time() - began < 10
+
+
+REMARKS = {
+    "comments": ["# remark"] * 1100,
+    "percent marks": ["% remark", "%"] * 700,
+    "blank lines": [""] * 1500,
+    "a title and comments": ["bench 3", *["# remark", ""] * 600],
+}
+
+
+@pytest.mark.parametrize("kind", REMARKS)
+def test_remarks_do_not_count_among_the_lines_searched(tmp_path, kind):
+    path = write(tmp_path / "log.csv", REMARKS[kind], HEAD, rows())
+    assert open_log(path).names == NAMES and len(open_log(path).read([0]).numbers) == 40
+
+
+@pytest.mark.parametrize("remark", ["# " + "a" * 98, "%" + "b" * 400, " " * 200])
+def test_more_remarks_than_are_searched_name_the_way_out(tmp_path, remark):
+    path = write(tmp_path / "log.csv", [remark] * 12_000, HEAD, rows())
+    with pytest.raises(RunError, match="12000 lines above line 12001 .* skip_rows = 11999 "):
+        open_log(path)
+    mapping = (
+        'schema = "softmap.mapping/1"\n[[log]]\nskip_rows = 11999\ntime = { column = "time" }\n'
+        'markers = { columns = ["tip_x", "tip_y", "tip_z"] }'
+    )
+    assert import_logs([path], parse_mapping(mapping, path)).run.frames == 40
+
+
+@pytest.mark.parametrize("line", ["," * 1_000_000, "1.5;" * 60_000, "1\t" * 50_001, "1 " * 50_001])
+def test_too_many_columns_are_an_error_before_the_work(tmp_path, line):
+    path = write(tmp_path / "log.csv", "bench", *[line] * 30)
+    began = time.process_time()
+    with pytest.raises(RunError, match=r"line 2 has \d+ columns, at most 50000 are read"):
+        guess_mapping([path])
+    assert time.process_time() - began < 3

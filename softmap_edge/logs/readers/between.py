@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_value, split
+from softmap_edge.logs.readers.heads import plain_name, plain_names
 
 _LISTED = 3  # lines that are named
 _MARKS = "#%"
@@ -31,7 +32,7 @@ def without_heads(lines: list[str]) -> list[str]:
     seen: set[tuple[str, ...]] = set()
     found, rows = list(lines), False
     for k, line in enumerate(lines):
-        cells = [cell.strip(' "\r') for cell in _CUTS.split(line)]
+        cells = plain_names(_CUTS.split(line))
         values = sum(map(is_value, cells))
         rows = rows or 2 * values > len(cells) > 1
         if len(cells) < 2 or 2 * values > len(cells) or not any(map(str.isalpha, line)):
@@ -72,21 +73,22 @@ class Between:
             mark: the separator of cells.
             width: cells of a row.
         """
-        lines, again = frozenset(head), {tuple(split(line, mark)) for line in head}
-        key = max(
-            (cell for cells in again if len(cells) == width for cell in cells),
+        lines, again = frozenset(head), {plain_names(split(line, mark)) for line in head}
+        longest = max(
+            (cell for line in head if len(c := split(line, mark)) == width for cell in c),
             key=_letters,
             default="",
         )
+        key = max(plain_name(longest).split(), key=_letters, default="")
         some = [
             k
             for k, line in enumerate(block)
-            if line[0] in _MARKS or line in lines or (key and key in line)
+            if line[0] in _MARKS or line in lines or (key and key in line.casefold())
         ]
         gone: set[int] = set()
         for k in some:
             cells = split(block[k], mark)
-            if tuple(cells) in again:
+            if plain_names(cells) in again:
                 self.heads.append(int(numbers[k]))
                 gone.add(k)
             elif block[k][0] in _MARKS and len(cells) != width:

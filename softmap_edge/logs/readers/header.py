@@ -6,21 +6,26 @@ that is as wide as the rows (a line of units below the names apart). Names over 
 (`tip` above `X, Y, Z`) go in front of those below them. A first line that looks like the rows below
 it is a row: text in it stands only where the rows have text.
 
-Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Pinned by
-tests/logs/test_header.py.
+Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Comments and
+blank lines do not count among `LINES`. Pinned by tests/logs/test_header.py.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
+from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import DELIMITERS, is_unit, is_value, split, trimmed, unit_of
+from softmap_edge.logs.readers.lines import blocks
 
 LINES = 1000  # in which the table must begin
 CHARACTERS = 2**20  # of these lines, but never fewer than `LEAST` lines
 LEAST = 8
+# columns of a text log: a robot has a few hundred, and each cell of the first lines costs 10 us
+MOST_COLUMNS = 50_000
 _LOOKED = 20  # rows below a line that decide whether it is a row as well
 _COMMON = 0.05  # of the rows: a width that so many have is no accident
 _NEAR = 3  # lines of text above a line of units or types that may hold the names
@@ -62,14 +67,55 @@ class _Line:
     kind: str  # row, text, comment, blank
 
 
-def enough(lines: list[str]) -> list[str]:
-    """Return the first lines, as many as are searched."""
-    held = 0
-    for k, line in enumerate(lines[:LINES]):
+def is_remark(line: str) -> bool:
+    """Return whether a line is blank or a comment."""
+    bare = line.lstrip()
+    return not bare or bare[0] in "#%"
+
+
+def enough(lines: Iterable[str]) -> list[str]:
+    """Return the first lines, as many as are searched; remarks count by their characters only."""
+    found: list[str] = []
+    held = counted = 0
+    for line in lines:
         held += len(line)
-        if held > CHARACTERS and k >= LEAST:
-            return lines[:k]
-    return lines[:LINES]
+        counted += not is_remark(line)
+        if counted > LINES or (held > CHARACTERS and len(found) >= LEAST):
+            break
+        found.append(line)
+    return found
+
+
+def table_lines(path: Path, skipped: int) -> list[str]:
+    """Return the first lines of a log after those that are skipped, as many as are searched.
+
+    Raises:
+        RunError: they are all remarks, or a line has too many columns.
+    """
+    found = enough(line for _, block in blocks(path, skipped + 1) for line in block)
+    if all(map(is_remark, found)):
+        for first, block in blocks(path, skipped + 1 + len(found)):
+            at = next((first + k for k, line in enumerate(block) if not is_remark(line)), None)
+            if at is not None:
+                raise RunError(
+                    f"{path}: the {at - 1 - skipped} lines above line {at} are comments or blank, "
+                    f"more than are searched for the table: set skip_rows = {max(at - 2, 0)} in "
+                    "the mapping"
+                )
+        raise RunError(
+            f"{path}: holds no lines after {skipped} skipped ones; give a log that holds data"
+        )
+    for k, line in enumerate(found):
+        counts = {mark: line.count(mark) for mark in (*DELIMITERS, " ")}
+        if max(counts.values()) < MOST_COLUMNS or is_remark(line):
+            continue
+        most = max(max(counts[mark] for mark in DELIMITERS) + 1, len(line.split()))
+        if most > MOST_COLUMNS:
+            raise RunError(
+                f"{path}: line {skipped + 1 + k} has {most} columns, at most {MOST_COLUMNS} are "
+                "read; export only the columns of the robot"
+            )
+    return found
 
 
 def find_table(lines: list[str], delimiter: str | None, absent: Collection[str]) -> Table | None:
@@ -80,7 +126,6 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
         delimiter: the separator of cells; None to find it.
         absent: words (lower case) that stand for a cell without a value.
     """
-    lines = enough(lines)
     best: tuple[tuple[float, ...], Table] | None = None
     for mark in [delimiter] if delimiter else _marks(lines):
         found = [_line(line, mark, absent) for line in lines]

@@ -26,7 +26,8 @@ from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain,
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
-from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
+from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
+from softmap_edge.logs.readers.heads import again_words, names_again, refuse_rows_above
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
@@ -320,16 +321,13 @@ class TextColumns:
             )
         cells = np.empty((len(rows), len(places)))
         for k, row in enumerate(rows):
-            self._complete(row, int(numbers[k]))
-            if (
-                self.header
-                and row[0].strip() in self.names
-                and {*map(str.strip, row)} == {*self.names}
-            ):
+            if names_again(row, self.names):
+                again = f"again, {again_words(row, self.names)}" if self.header else "below rows"
                 raise RunError(
-                    f"{self.path}: line {numbers[k]} names the columns again, in another order; "
-                    "cut the log there, and import each part"
+                    f"{self.path}: line {numbers[k]} names the columns {again}; cut the log "
+                    "there, and import each part"
                 )
+            self._complete(row, int(numbers[k]))
             for j, column in enumerate(places):
                 cells[k, j] = self._number(row[column].strip(), int(numbers[k]), column)
         return cells, [[row[place].strip() for row in rows] for place in asked]
@@ -476,20 +474,14 @@ def open_text(
         RunError: the file is absent, too large, not text, empty, or has no header where one is
             expected.
     """
-    start = first_lines(path, LINES, skip_rows + 1)
-    at = next(
-        (k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"),
-        len(start),
-    )
-    if at == len(start):
-        raise RunError(
-            f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data"
-        )
+    start = table_lines(path, skip_rows)
+    at = next(k for k, line in enumerate(start) if not is_remark(line))
     table = find_table(without_heads(start), delimiter, EMPTY)
     if table is None:  # no line of numbers: the first line is taken for names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
         table = Table(cut, names, at + 1, at, len(names), len(names))
+    refuse_rows_above(path, start, table, skip_rows)
     if header is not False and table.names is None and (header or table.clash is not None):
         raise RunError(f"{path}: {_no_names(start, table, skip_rows)}")
     first, names = table.first, table.names or []
@@ -501,7 +493,7 @@ def open_text(
         )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    skipped = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
+    skipped = sum(not is_remark(line) for line in head)
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
