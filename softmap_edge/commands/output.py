@@ -14,12 +14,6 @@ from softmap_edge.files.shell import shell_file
 from softmap_edge.model.bundle import check_folder
 from softmap_edge.robot.remedies import filled
 
-# options of the commands that are printed; any other word that begins with a dash is a file
-_OPTIONS = (
-    *("--baud", "--bundle", "--id", "--map", "--out", "--port", "--rig"),
-    *("--sim", "--standard", "--truth", "--virtual"),
-)
-
 
 class JsonOption(Protocol):
     """Options that every command has."""
@@ -32,12 +26,12 @@ def next_command(*words: str | None, bundle: str | None = None) -> str:
     """Return the last line of a command's text: the command to type next.
 
     Args:
-        words: the command without `softmap`; None is left out.
+        words: the command without `softmap`, its options by their long names; None is left out.
         bundle: value of `--bundle`, left out for the built-in finger.
     """
     given = [word for word in words if word is not None]
     given += [] if bundle is None else ["--bundle", bundle]
-    shown = (word if word in _OPTIONS else shell_file(word) for word in given)
+    shown = (word if word.startswith("--") else shell_file(word) for word in given)
     return " ".join(["next: softmap", *shown])
 
 

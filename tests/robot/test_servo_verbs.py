@@ -377,7 +377,7 @@ def test_an_emulator_replaces_a_bundle_only_where_it_is_asked_to(tmp_path, monke
 
 def test_a_rig_that_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "rig.toml")
-    with pytest.raises(ServoError, match="rig.toml: no file; give a rig.toml"):
+    with pytest.raises(ServoError, match="rig.toml: not a regular file; give a rig.toml"):
         read_rig(tmp_path / "rig.toml")
 
 
