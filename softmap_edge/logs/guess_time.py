@@ -19,6 +19,7 @@ from softmap_edge.logs.clock import counting_on, find_jump, find_steps
 from softmap_edge.logs.guess_columns import Sheet, last_of
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
+from softmap_edge.logs.readers.clock_cells import packed_of
 from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock, fractions
 from softmap_edge.logs.time_names import TIME_NAME, is_time_unit, time_unit
 from softmap_edge.logs.time_text import DAY
@@ -271,7 +272,20 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
     ]
     calendar = name in sheet.clocks or float(np.abs(known).max()) * seconds > 1e8
     line = f"time = {{ {', '.join(keys)} }}"
+    if not doubt and name not in sheet.clocks and _like_digits(known):
+        doubt = (
+            f"'{name}' looks like the digits of dates (yymmddHHMMSS), such as {known[0]:.0f}, and "
+            f"is read as {unit}: convert it to seconds in the log"
+        )
     return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", line, t, calendar, doubt)
+
+
+def _like_digits(known: Array) -> bool:
+    """Return whether numbers (rows,) may be dates without separators, such as 240305125950."""
+    low, high = float(known.min()), float(known.max())
+    if not (1e10 < low <= high < 1e12 or 1.9e13 < low <= high < 2.1e13):
+        return False
+    return packed_of([f"{int(value):012d}" for value in known.tolist()]) is not None
 
 
 def _repeated(known: Array) -> list[str]:

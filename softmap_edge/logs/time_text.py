@@ -5,7 +5,8 @@
 | `ymd` | `2031-05-07T10:15:00.050Z`, `2031/05/07 10:15:00,05 +0200`, `20310507T101500` | 1970, of
     UTC or local time |
 | `local` | `07.05.2031 10:15:00`, `5/7/2031 10:15:00 AM` | 1970 |
-| `named` | `07-May-2031 10:15:00`, `May 7, 2031 10:15:00` | 1970 |
+| `named` | `07-May-2031 10:15:00`, `7. Mai 2031 10:15:00`, `Wed May  7 10:15:00 2031` | 1970 |
+| packed | `310507101500.05`, `20310507101500`, `101500.05` | as a date or a time of day |
 | `day` | `10:15:00.050`, `15:00.05` (minutes and seconds) | midnight, or the full hour |
 
 Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence
@@ -30,6 +31,7 @@ _LONGEST = 48  # characters of a time
 _MOST = 0.9  # of the cells: if so many are times, the others are faults of the file
 # an order of day and month whose largest step is so many times smaller is the right one
 _CLEARER = 5.0
+_DOTTED = re.compile(r"\d{1,2}\.\d{1,2}\.\d").search  # a local date is day.month.year
 # two digits after a colon are frames of a film, no fraction
 _FRACTION = r"(?:[.,](?P<f>\d{1,12})|:(?P<ms>\d{3}))?"
 _CLOCK = (
@@ -37,25 +39,78 @@ _CLOCK = (
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE = r"(?: ?(?P<zone>Z|z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))?"
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_NAME = r"(?P<name>[A-Za-z]{3,9})\.?"
+# the first letters of the months, English and German, and the rest of their names
+_MONTHS = {
+    "jan": (1, "uary|uar"),
+    "jän": (1, "ner"),
+    "feb": (2, "ruary|ruar"),
+    "mar": (3, "ch"),
+    "mär": (3, "z"),
+    "mae": (3, "rz"),
+    "mrz": (3, ""),
+    "apr": (4, "il"),
+    "may": (5, ""),
+    "mai": (5, ""),
+    "jun": (6, "e|i"),
+    "jul": (7, "y|i"),
+    "aug": (8, "ust"),
+    "sep": (9, "tember|t"),
+    "oct": (10, "ober"),
+    "okt": (10, "ober"),
+    "nov": (11, "ember"),
+    "dec": (12, "ember"),
+    "dez": (12, "ember"),
+}
+_NAME = rf"(?P<name>{'|'.join(f'{k}(?:{rest})?' for k, (_, rest) in _MONTHS.items())})\.?"
+_WEEKDAY = (
+    r"(?:(?:(?:mon|tues|wednes|thurs|fri|satur|sun)day|mon|tue|wed|thu|fri|sat|sun"
+    r"|(?:mon|diens|donners|frei|sams|sonn)tag|mittwoch|sonnabend|mo|di|mi|do|fr|sa|so)\.?,? )?"
+)
 _YEAR = r"(?P<y>\d{4}|\d{2})"
-_REST = rf"(?:,? {{1,3}}|[T_])?(?:{_CLOCK})?{_ZONE}"  # the time of day, where there is one
+_REST = rf"(?:,? {{1,3}}(?:um |at )?|[T_])?(?:{_CLOCK}(?: Uhr)?)?{_ZONE}"  # the time of day, where there is one
+_FIRST = rf"{_CLOCK}{_ZONE},? {{1,2}}"  # the time of day in front of the date
 _TIGHT = r"(?P<h>\d{2}):?(?P<mi>\d{2}):?(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?"
+_YMD = r"(?P<y>\d{4})(?P<sep>[-/.:])(?P<b>\d{1,2})(?P=sep)(?P<a>\d{1,2})"
+_LOCAL = rf"(?P<a>\d{{1,2}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep){_YEAR}"
+_NAMED = (
+    rf"(?P<a>\d{{1,2}})(?:st|nd|rd|th)?(?:\. ?|[-/ ]){_NAME}[-/ ]{_YEAR}",
+    rf"{_NAME} {{1,2}}(?P<a>\d{{1,2}})(?:st|nd|rd|th)?(?:,? |,){_YEAR}",
+    rf"(?P<y>\d{{4}})[-/ ]{_NAME}[-/ ](?P<a>\d{{1,2}})",
+)
+# as ctime and `date` write it; the name of a local zone does not count
+_CTIME = rf"{_NAME} {{1,2}}(?P<a>\d{{1,2}}) {_CLOCK}(?:{_ZONE}| [A-Z]{{3,4}}) (?P<y>\d{{4}})"
+
+
+def _compiled(*forms: str) -> tuple[re.Pattern[str], ...]:
+    return tuple(re.compile(form, re.IGNORECASE) for form in forms)
+
+
 _FORMS: dict[str, tuple[re.Pattern[str], ...]] = {
-    "ymd": (
-        re.compile(rf"(?P<y>\d{{4}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep)(?P<a>\d{{1,2}}){_REST}"),
-        re.compile(rf"(?P<y>\d{{4}})(?P<b>\d{{2}})(?P<a>\d{{2}})[T_ ]{_TIGHT}{_ZONE}"),
+    "ymd": _compiled(
+        _YMD + _REST,
+        rf"(?P<y>\d{{4}})(?P<b>\d{{2}})(?P<a>\d{{2}})[T_ ]{_TIGHT}{_ZONE}",
+        _FIRST + _YMD,
     ),
-    "local": (
-        re.compile(rf"(?P<a>\d{{1,2}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep){_YEAR}{_REST}"),
+    "local": _compiled(_LOCAL + _REST, _FIRST + _LOCAL),
+    "named": _compiled(
+        *(_WEEKDAY + form + _REST for form in _NAMED),
+        _WEEKDAY + _CTIME,
+        *(_FIRST + _WEEKDAY + form for form in _NAMED),
     ),
-    "named": (
-        re.compile(rf"(?:[A-Za-z]{{3}},? )?(?P<a>\d{{1,2}})[-/. ]{_NAME}[-/. ]{_YEAR}{_REST}"),
-        re.compile(rf"(?:[A-Za-z]{{3}},? )?{_NAME} {{1,2}}(?P<a>\d{{1,2}}), ?{_YEAR}{_REST}"),
-    ),
-    "day": (re.compile(_CLOCK), re.compile(r"(?P<mi>\d{1,2}):(?P<s>\d{2})[.,](?P<f>\d{1,12})")),
+    "day": _compiled(_CLOCK, r"(?P<mi>\d{1,2}):(?P<s>\d{2})[.,](?P<f>\d{1,12})"),
 }  # day and month are `a` and `b`, or `b` and `a`
+
+
+_DIGITS = r"(?P<b>\d{2})(?P<a>\d{2})(?P<h>\d{2})(?P<mi>\d{2})(?P<s>\d{2})"
+_PACKED = {
+    "ymd": _compiled(
+        rf"(?P<y>\d{{2}}){_DIGITS}(?:[.,](?P<f>\d{{1,12}}))?",
+        rf"(?P<y>(?:19|20)\d{{2}}){_DIGITS}(?:[.,]?(?P<f>\d{{1,12}}))?",
+    ),
+    "day": _compiled(
+        r"(?P<h>\d{1,2})(?P<mi>\d{2})(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?",
+    ),
+}  # dates and times of day whose digits stand without separators
 
 
 class TimeTextError(ValueError):
@@ -70,11 +125,16 @@ class TimeText:
         form: `ymd`, `local`, `named` or `day`.
         order: `dmy` or `mdy` of local dates; None where the rows decide.
         period: s after which a time of day begins again; 0 of a date.
+        packed: whether its digits stand without separators, as in `240305125950.5`.
+        unpadded: digits of the unit in which fractions are counted without leading zeros (3: `.50`
+            is 50 ms); 0 of decimal fractions.
     """
 
     form: str
     order: str | None = None
     period: float = 0.0
+    packed: bool = False
+    unpadded: int = 0
 
     def parse(self, cells: Sequence[str]) -> Array:
         """Return the seconds (rows, 2) of times in both day-month orders; NaN if empty.
@@ -86,29 +146,44 @@ class TimeText:
         known: dict[tuple[str, ...], tuple[float, float]] = {}
         for row, cell in enumerate(cells):
             if cell.strip():
-                found = self._match(cell.strip())
+                found = self.match(cell.strip())
                 if found is None:
                     raise TimeTextError(f"'{cell[:40]}' is no {self.words()}", row)
-                both[row] = _seconds(found, known)
+                both[row] = seconds_of(found, known, self.unpadded)
                 if self.form != "local":
                     both[row, 1] = both[row, 0]
                 if np.isnan(both[row]).all():
                     raise TimeTextError(f"'{cell[:40]}' is no date of the calendar", row)
         return both
 
-    def _match(self, cell: str) -> re.Match[str] | None:
+    def match(self, cell: str) -> re.Match[str] | None:
+        """Return the parts of a cell of this form; None if it is none."""
         if len(cell) > _LONGEST:
             return None
-        return next((found for form in _FORMS[self.form] if (found := form.fullmatch(cell))), None)
+        forms = (_PACKED if self.packed else _FORMS)[self.form]
+        return next((found for form in forms if (found := form.fullmatch(cell))), None)
 
     def settle(self, both: Array) -> tuple[Array, str | None]:
-        """Return the seconds (rows,) in the right order, and a note on the choice.
+        """Return the seconds (rows,) in the right order, and a note on how they were read.
 
         Both orders' seconds are (rows, 2).
 
         Raises:
             TimeTextError: the rows do not decide between day/month and month/day.
         """
+        seconds, note = self._settled(both)
+        notes = [note] if note is not None else []
+        if self.packed:
+            digits = "HHMMSS" if self.form == "day" else "yymmddHHMMSS or yyyymmddHHMMSS"
+            notes.append(f"the digits are read as {digits}")
+        if self.unpadded:
+            unit = {3: "ms", 6: "us", 9: "ns"}[self.unpadded]
+            notes.append(
+                f"fractions of a second lack their leading zeros: .50 is read as 50 {unit}"
+            )
+        return seconds, "; ".join(notes) or None
+
+    def _settled(self, both: Array) -> tuple[Array, str | None]:
         if self.form == "day":
             return counted_on(both[:, 0], self.period)
         if self.form != "local" or self.order is not None:
@@ -164,7 +239,7 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
     if form is None or forms.count(form) < _MOST * len(forms):
         return None
     filled = [cell for cell, found in zip(filled, forms) if found == form]
-    if form == "local" and order is None and all("." in cell.split(" ")[0] for cell in filled):
+    if form == "local" and order is None and all(map(_DOTTED, filled)):
         order = "dmy"
     hours = form == "day" and all(_FORMS["day"][0].fullmatch(cell) for cell in filled)
     return TimeText(
@@ -274,12 +349,12 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
     return both[:, k], f"the dates are {ORDER_WORDS[ORDERS[k]]}: in the other order they leap"
 
 
-def _seconds(
-    found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]
+def seconds_of(
+    found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]], unpadded: int
 ) -> tuple[float, float]:
     """Seconds of one time in both day-month orders; NaN if no such day exists."""
     part = found.groupdict()
-    of_day = _of_day(part)
+    of_day = _of_day(part, unpadded)
     if part.get("y") is None:
         return of_day, of_day
     key = (part["a"], part.get("b") or part["name"], part["y"], "name" if part.get("name") else "")
@@ -291,7 +366,7 @@ def _seconds(
     return known[key][0] * DAY + of_day - zone, known[key][1] * DAY + of_day - zone
 
 
-def _of_day(part: dict[str, str | None]) -> float:
+def _of_day(part: dict[str, str | None], unpadded: int) -> float:
     hours, half = int(part.get("h") or 0), (part.get("half") or "").lower()
     if half:
         hours = hours % 12 + (12 if half == "p" else 0)
@@ -299,6 +374,8 @@ def _of_day(part: dict[str, str | None]) -> float:
     if hours > 24 or minutes > 59 or seconds > 60:
         return np.nan
     fraction = part.get("f") or part.get("ms")
+    if fraction and unpadded:
+        fraction = fraction.rjust(unpadded, "0")
     return 3600.0 * hours + 60.0 * minutes + seconds + (float("0." + fraction) if fraction else 0.0)
 
 
@@ -306,8 +383,7 @@ def _days(first: str, second: str, year: str, named: str) -> tuple[float, float]
     """Days since 1970 of two numbers as day and month, and as month and day."""
     y = int(year) + (2000 if len(year) == 2 else 0)
     if named:
-        month = next((k + 1 for k, name in enumerate(_MONTHS) if second[:3].lower() == name), 0)
-        day = _day(y, month, int(first))
+        day = _day(y, _MONTHS[second[:3].lower()][0], int(first))
         return day, day
     one, two = int(first), int(second)
     return _day(y, two, one), _day(y, one, two)

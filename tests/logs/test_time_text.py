@@ -12,6 +12,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
+from softmap_edge.logs.readers.clock_cells import packed_of
 from softmap_edge.logs.time_text import TimeTextError, form_of, time_text_of
 
 START = datetime.datetime(2031, 5, 7, 10, 15, 0, tzinfo=datetime.UTC)
@@ -55,6 +56,16 @@ def seconds_of(cells, order=None):
         "7 May 2031 10:15:00",
         "May 7, 2031 10:15:00 AM",
         "Wed, 07 May 2031 10:15:00 GMT",
+        "Wed May  7 10:15:00 2031",
+        "Wed May  7 10:15:00.000 UTC 2031",
+        "Mi. 7. Mai 2031 10:15:00",
+        "Mittwoch, 7. Mai 2031, 10:15:00 Uhr",
+        "May 7th, 2031 10:15:00",
+        "2031-May-07 10:15:00",
+        "2031:05:07 10:15:00",
+        "10:15:00 07.05.2031",
+        "10:15:00.0 2031-05-07",
+        "10:15:00 7 May 2031",
     ],
 )
 def test_a_date_is_seconds_since_1970(cell):
@@ -219,3 +230,70 @@ def test_dates_that_can_be_read_in_two_ways_are_asked_about(tmp_path):
         [path], parse_mapping(mapping.replace('"time" }', '"time", date_order = "dmy" }'), path)
     ).run
     assert len(run.t) == 8  # the remedy leads out
+
+
+@pytest.mark.parametrize(
+    ("cell", "month"),
+    [("5. März 2024", 3), ("5. Maerz 2024", 3), ("5 Mrz 2024", 3), ("5. Okt. 2024", 10)]
+    + [("5. Dezember 2024", 12), ("Dezember 5, 2024", 12), ("5-Mai-24", 5), ("5. Jänner 2024", 1)],
+)
+def test_months_have_german_names_too(cell, month):
+    known = datetime.datetime(2024, month, 5, tzinfo=datetime.UTC).timestamp()
+    assert seconds_of([cell])[0] == known
+
+
+@pytest.mark.parametrize("cell", ["Mar 2024", "run 5 Mar", "5 Marker 2024", "a 5 foo 20"])
+def test_words_that_are_no_date(cell):
+    assert form_of(cell) is None
+
+
+def imported(folder, names, time, count=200):
+    (folder / "log.csv").unlink(missing_ok=True)
+    path = write(folder / "log.csv", ",".join(names), rows(count, time=time))
+    return import_logs([path], parse_mapping(guess_mapping([path]).text, path))
+
+
+LATE = START.replace(hour=11, minute=59, second=57)
+DIGITS = [
+    ("%y%m%d%H%M%S.{f}", 2, "yymmdd"),
+    ("%y%m%d%H%M%S.{f}", 3, "yymmdd"),
+    ("%Y%m%d%H%M%S.{f}", 2, "yymmdd"),
+    ("%Y%m%d%H%M%S{f}", 3, "yymmdd"),
+    ("%H%M%S.{f}", 3, "HHMMSS"),
+]
+
+
+@pytest.mark.parametrize(("form", "digits", "said"), DIGITS)
+def test_digits_without_separators_are_a_date(tmp_path, form, digits, said):
+    done = imported(tmp_path, NAMES, stamp(form, LATE, digits))
+    assert done.run.t - done.run.t[0] == pytest.approx(STEP * np.arange(200), abs=1e-5)
+    assert any(said in note for note in done.notes)
+
+
+def test_counts_of_twelve_digits_are_no_date():
+    for first, step in ((240305125950, 50_000), (1709643590, 1), (125950, 1), (240305125999, 7)):
+        assert packed_of([str(first + step * k) for k in range(200)]) is None
+
+
+@pytest.mark.parametrize("form", ["%H:%M:%S.", "%d.%m.%Y %H:%M:%S.", "%y%m%d%H%M%S.", "%M:%S."])
+@pytest.mark.parametrize("unit", [1000, 1])
+def test_fractions_without_leading_zeros(tmp_path, form, unit):
+    def written(k):
+        at = LATE + datetime.timedelta(seconds=STEP * k)
+        return at.strftime(form) + str(at.microsecond // unit)
+
+    done = imported(tmp_path, NAMES, written)
+    assert len(done.run.t) == 200
+    assert done.run.t - done.run.t[0] == pytest.approx(STEP * np.arange(200), abs=1e-5)
+    assert any("lack their leading zeros" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("form", ["%H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f", "%M:%S.%f"])
+def test_fractions_without_last_zeros_stay_decimal(tmp_path, form):
+    def written(k):
+        at = LATE + datetime.timedelta(seconds=STEP * k)
+        return at.strftime(form)[:-3].rstrip("0") + ("0" if k % 20 == 0 else "")
+
+    done = imported(tmp_path, NAMES, written)
+    assert done.run.t - done.run.t[0] == pytest.approx(STEP * np.arange(200), abs=1e-5)
+    assert not any("leading zeros" in note for note in done.notes)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
+from softmap_edge.logs.readers.clock_cells import clocks_of
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
@@ -32,7 +33,10 @@ from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
-from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
+from softmap_edge.logs.time_text import (
+    TimeText,
+    TimeTextError,
+)
 
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
@@ -88,14 +92,7 @@ class TextColumns:
 
         `order` (dmy, mdy) is of dates like 5/7/2031.
         """
-        clocks: dict[int, TimeText] = {}
-        for place, column in enumerate(zip(*self._first_rows(_FIRST))):
-            filled = [cell for cell in column if cell.lower() not in EMPTY]
-            if (
-                not all(map(is_number, filled))
-                and (clock := time_text_of(filled, order)) is not None
-            ):
-                clocks[place] = clock
+        clocks = clocks_of(self._first_rows, order)
         units = {self.names[place]: "s" for place in clocks}
         return replace(self, clocks=clocks, units=self.units | units) if clocks else self
 
