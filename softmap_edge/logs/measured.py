@@ -1,4 +1,4 @@
-"""The part of a mapping for outputs other than places (force, angle, level); column names.
+"""Read the part of a mapping for outputs other than positions (force, angle, level).
 
 Pinned by tests/run/test_output.py.
 """
@@ -20,9 +20,9 @@ Column = str | int
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of outputs other than places (force, angle, level).
+    """Columns of outputs other than positions (force, angle, level).
 
-    A value is value · scale + offset, in `unit`.
+    An output is value · scale + offset, in `unit`.
     """
 
     columns: tuple[Column, ...]
@@ -34,7 +34,7 @@ class Measured:
 
 
 def measured_of(log: TomlTable) -> Measured | None:
-    """Return the outputs that a log names, if any.
+    """Return the outputs that a log declares, if any.
 
     Raises:
         RunError: a key of `output` is wrong, or its unit is missing.
@@ -83,10 +83,10 @@ def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
 
 
 def columns_of(table: TomlTable) -> list[Any]:
-    """Return the columns that a table names, with nested lists flattened.
+    """Return the columns that a table lists, with nested lists flattened.
 
     Raises:
-        RunError: there are none, or one is no name and no number.
+        RunError: there are none, or an entry is neither name nor number.
     """
     listed = table.get("columns", (list,), [])
     flat: list[Any] = [
@@ -103,7 +103,7 @@ def columns_of(table: TomlTable) -> list[Any]:
 
 
 def per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
-    """Return one number for each column: the same for all, or a list of them."""
+    """Return one number per column: the same for all, or a list."""
     if isinstance(table.values.get(key), list):
         values = table.numbers(key, (count,))
         assert values is not None

@@ -1,4 +1,4 @@
-"""The manifest of a bundle: its contents, every field checked before anything else is read.
+"""The manifest of a bundle, with every field checked before anything else is read.
 
 Pinned by tests/model/test_bundle.py.
 """
@@ -13,19 +13,19 @@ from pathlib import Path
 from softmap_edge.errors import BundleError, brief
 from softmap_edge.files.atomic import Document
 
-# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a
-# residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no
-# places
+# 2: scattered families, bodies without a mesh; 3: user-defined effects, design fields, steps; 4: a
+# residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs other than
+# positions
 SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
-EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user's own effect
-MAX_EFFECT_BYTES = 1 << 20  # of its file
-MAX_ONNX_BYTES = 64 << 20  # the published network has 7 MB
-LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
+EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user-defined effect
+MAX_EFFECT_BYTES = 1 << 20  # bytes of a user-defined effect's file
+MAX_ONNX_BYTES = 64 << 20  # bytes; the published network has 7 MB
+LARGEST = 1e9  # mm, g, N, s: beyond any robot; products stay far from overflow of float64
 
 
 def check_within(file: Path) -> None:
-    """Raise BundleError where a file of a bundle is a link to a file outside its folder."""
+    """Raise BundleError if a file of a bundle is a link to a file outside its folder."""
     if file.is_symlink() and file.resolve().parent != file.parent.resolve():
         raise BundleError(
             f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the "
